@@ -1,0 +1,5 @@
+"""`python -m mast_zenoh` is `mast`."""
+
+from mast_zenoh.cli import main
+
+main()

@@ -1,0 +1,79 @@
+"""The life of a set of targets: chosen at a start time, moved from frame to frame, chosen anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mast_zenoh.attacks.propagation import Propagation
+from mast_zenoh.attacks.selection import Selection
+from mast_zenoh.attacks.targets import Targets
+from mast_zenoh.states import Floats, ObjectStates
+from mast_zenoh.streams import stream
+
+NANOSECONDS = 1e9
+
+
+class Campaign:
+    """Holds targets over time; the adversary that selects for itself and the coordinator each run one.
+
+    Nothing happens before `start_s` seconds of scene time. Targets are chosen anew every `reselect_every_s` seconds
+    (None: never). Draws come from the streams (seed, name, "selection" | "propagation", frame).
+    Raises ValueError for an interval that is not positive.
+    """
+
+    def __init__(
+        self, selection: Selection, propagation: Propagation, reselect_every_s: float | None, start_s: float
+    ) -> None:
+        if reselect_every_s is not None and not reselect_every_s > 0.0:
+            raise ValueError(f"reselect_every_s: found {reselect_every_s}, expected more than 0, or None")
+        self._selection = selection
+        self._propagation = propagation
+        self._every_ns = None if reselect_every_s is None else round(reselect_every_s * NANOSECONDS)
+        self._start_ns = round(start_s * NANOSECONDS)
+        self._selected_ns: int | None = None
+        self._targets = Targets.empty()
+        self._time_ns = 0
+        self._numbers_used = 0
+        self._seed, self._name = 0, ""
+
+    def bind(self, seed: int, name: str) -> None:
+        """Name the random streams: all draws are functions of (seed, name, purpose, frame)."""
+        self._seed, self._name = seed, name
+
+    def begin(
+        self, frame: int, time_ns: int, objects: ObjectStates, agents_position: Floats
+    ) -> tuple[Targets, float] | None:
+        """The targets at `time_ns` and the seconds since they were last held; None before the start.
+
+        objects are the selection's view of what is seen, agents_position (3,) or (a, 3) m, world frame.
+        """
+        if time_ns < self._start_ns:
+            return None
+        if self._due(time_ns):
+            chosen = self._selection.select(objects, agents_position, self._stream("selection", frame))
+            targets = chosen.numbered(self._numbers_used)
+            self._numbers_used += len(targets)
+            self._selected_ns = time_ns
+            elapsed, age = 0.0, 0.0
+        else:
+            assert self._selected_ns is not None
+            elapsed = (time_ns - self._time_ns) / NANOSECONDS
+            age = (self._time_ns - self._selected_ns) / NANOSECONDS
+            targets = self._targets.propagated(elapsed)
+            targets = replace(targets, add=self._targets.add)
+        add = self._propagation.advance(targets.add, elapsed, age, self._stream("propagation", frame))
+        return replace(targets, add=add, time_ns=time_ns), elapsed
+
+    def hold(self, targets: Targets, time_ns: int) -> None:
+        """Keep the targets as they are now, after they have followed their objects."""
+        self._targets, self._time_ns = targets, time_ns
+
+    def _due(self, time_ns: int) -> bool:
+        if self._selected_ns is None:
+            return True
+        return self._every_ns is not None and time_ns - self._selected_ns >= self._every_ns
+
+    def _stream(self, purpose: str, frame: int) -> np.random.Generator:
+        return stream(self._seed, self._name, purpose, frame)

@@ -1,0 +1,21 @@
+"""One order for the rows of object states that does not depend on how they arrived."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.states import Ints, ObjectStates
+
+
+def canonical_order(objects: ObjectStates, source: Ints | None = None) -> Ints:
+    """(n,) row indices that sort the objects by what they are: position, velocity, size, yaw, score, class, id.
+
+    The id comes after everything physical because objects taken from detections only have row numbers for
+    ids. `source` (n,), if given, breaks the last ties. Draws and matches made in this order are the same for
+    every permutation of the rows.
+    """
+    o = objects
+    keys = [*o.position.T, *o.velocity.T, *o.size.T, o.yaw, o.score, o.class_id, o.id]
+    if source is not None:
+        keys.append(source)
+    return np.lexsort(keys[::-1]).astype(np.int64)

@@ -1,0 +1,137 @@
+"""What an adversary wants (targets), what it did (tampering), and what it tells the evaluator (changes).
+
+All positions and velocities are in the world frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.states import Bools, Floats, Ints, ObjectStates, concatenate, propagate
+
+#: What can be done to an object; an attack report carries the index into this tuple.
+ACTIONS = ("added", "removed", "moved")
+ADDED, REMOVED, MOVED = range(len(ACTIONS))
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """What an adversary wants to be true of its victim's objects. The ids are the adversary's own numbers.
+
+    add:         false objects to insert (false positives)
+    remove:      real objects to make vanish (false negatives), where they are believed to be
+    move:        real objects to displace (translations), where they are believed to be
+    move_offset: (k, 3) m, displacement of each row of `move`
+    time_ns:     ns, scene time that the states hold for; None: the frame before they are used
+    """
+
+    add: ObjectStates
+    remove: ObjectStates
+    move: ObjectStates
+    move_offset: Floats
+    time_ns: int | None = None
+
+    @classmethod
+    def empty(cls, time_ns: int | None = None) -> Targets:
+        """Nothing to add, remove or move."""
+        return cls(ObjectStates.empty(), ObjectStates.empty(), ObjectStates.empty(), np.zeros((0, 3)), time_ns)
+
+    def __len__(self) -> int:
+        return len(self.add) + len(self.remove) + len(self.move)
+
+    def numbered(self, first: int) -> Targets:
+        """The same targets with the numbers `first`, `first + 1`, …: added, then removed, then moved ones."""
+        numbers = np.arange(first, first + len(self), dtype=np.int64)
+        add, remove, move = np.split(numbers, np.cumsum([len(self.add), len(self.remove)]))
+        return replace(
+            self, add=self.add.with_(id=add), remove=self.remove.with_(id=remove), move=self.move.with_(id=move)
+        )
+
+    def propagated(self, dt: float) -> Targets:
+        """All targets moved `dt` seconds along their velocities."""
+        return replace(
+            self, add=propagate(self.add, dt), remove=propagate(self.remove, dt), move=propagate(self.move, dt)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """One row per object changed in one frame: the columns of the message `attack_report`.
+
+    action:          (n,) uint8, index into ACTIONS
+    target:          (n,) int64, the adversary's number of the target
+    before_position: (n, 3) m, zero where an object was added
+    after_position:  (n, 3) m, zero where an object was removed
+    velocity:        (n, 3) m/s, of the object afterwards, or before its removal
+    """
+
+    action: NDArray[np.uint8]
+    target: Ints
+    before_position: Floats
+    after_position: Floats
+    velocity: Floats
+
+    @classmethod
+    def of(
+        cls,
+        added: ObjectStates,
+        removed: ObjectStates,
+        before: ObjectStates,
+        after: ObjectStates,
+        numbers: Sequence[Ints],
+    ) -> Changes:
+        """The report of what was added, removed and moved (`before`, `after`); `numbers` of the three in turn."""
+        counts = (len(added), len(removed), len(after))
+        return cls(
+            action=np.repeat(np.array([ADDED, REMOVED, MOVED], np.uint8), counts),
+            target=np.concatenate(numbers).astype(np.int64),
+            before_position=np.concatenate([np.zeros((counts[0], 3)), removed.position, before.position]),
+            after_position=np.concatenate([added.position, np.zeros((counts[1], 3)), after.position]),
+            velocity=np.concatenate([added.velocity, removed.velocity, after.velocity]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.action)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns by name, as in the message `attack_report`."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+@dataclass(frozen=True, slots=True)
+class Tampering:
+    """What targets do to the n objects of one message.
+
+    keep:        (n,) bool, rows of the message that stay
+    moved_index: (m,) int64, rows (all kept) that are displaced, in the order of their targets
+    moved:       the m displaced objects
+    added:       false objects to append: id, covariance and score made to look like the victim's own
+    report:      what was changed
+    targets:     the targets as they are now: those that met their object have followed it
+    """
+
+    keep: Bools
+    moved_index: Ints
+    moved: ObjectStates
+    added: ObjectStates
+    report: Changes
+    targets: Targets
+
+    @classmethod
+    def nothing(cls, n: int, targets: Targets | None = None) -> Tampering:
+        """All n objects left alone."""
+        none = ObjectStates.empty()
+        report = Changes.of(none, none, none, none, [np.zeros(0, np.int64)] * 3)
+        return cls(np.ones(n, bool), np.zeros(0, np.int64), none, none, report, targets or Targets.empty())
+
+    def applied_to(self, objects: ObjectStates) -> ObjectStates:
+        """What the victim's subscriber gets instead of `objects`: kept rows in their order, then added ones."""
+        columns = {name: column.copy() for name, column in objects.columns().items()}
+        for name, column in self.moved.columns().items():
+            columns[name][self.moved_index] = column
+        return concatenate([ObjectStates.from_columns(columns).select(self.keep), self.added])

@@ -1,0 +1,126 @@
+"""The command line. Thin: every command is one call into the packages below."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from rich.console import Console
+
+from mast_zenoh import keyexpr, scenario
+from mast_zenoh.errors import MastError
+
+app = typer.Typer(
+    help="mast-zenoh: attack, break and defend collaborative sensor fusion on a Zenoh mesh.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+_out = Console(soft_wrap=True)
+_err = Console(stderr=True, soft_wrap=True)
+
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")
+]
+Scenario = Annotated[str, typer.Argument(help="A scenario file, or the name of one of ours: baseline, uncoordinated, …")]
+Out = Annotated[Path | None, typer.Option(help="Folder for the results; new or empty. Default: runs/NAME-TIME.")]
+Frames = Annotated[int | None, typer.Option(min=1, help="How many frames to play.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Of all random draws.")]
+
+
+@app.command()
+def run(
+    scenario_file: Scenario,
+    settings: Settings = None,
+    frames: Frames = None,
+    seed: Seed = None,
+    runtime: Annotated[Literal["mesh", "inproc"], typer.Option(help="Processes on a mesh, or one process.")] = "mesh",
+    mode: Annotated[Literal["lockstep", "realtime"] | None, typer.Option(help="Exact, or paced by the clock.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Real time: how many times faster than the wall clock.")] = None,
+    out: Out = None,
+    endpoint: Annotated[str | None, typer.Option(help="Of a Zenoh router that runs already, tcp/HOST:PORT.")] = None,
+    report: Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")] = True,
+) -> None:
+    """Run a scenario; results, logs and a report go to a run folder."""
+    from mast_zenoh.launch import local
+    from mast_zenoh.report import html, terminal
+
+    path, loaded = scenario.load(scenario_file, settings or ())
+    resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate)
+    if runtime == "inproc" and resolved.mode == "realtime":
+        raise typer.BadParameter("real time needs the mesh: one process has no network to be late on", param_hint="--mode")
+    ended = local.run(resolved, out, runtime=runtime, endpoint=endpoint, console=_out)
+    if (ended.folder / "metrics.json").is_file():
+        terminal.show(_out, {resolved.name: ended.folder})
+    if report:
+        _out.print(f"report: {html.write_report(ended.folder)}", highlight=False)
+    else:
+        _out.print(f"run folder: {ended.folder}", highlight=False)
+    if ended.record["message"] and not ended.error:
+        _out.print(f"[yellow]note: {ended.record['message']}", highlight=False)
+    if ended.error:
+        raise ended.error
+
+
+@app.command()
+def study(
+    study_file: Annotated[str, typer.Argument(help="A study file, or the name of one of ours: case_study, …")],
+    settings: Settings = None,
+    frames: Frames = None,
+    seed: Seed = None,
+    runtime: Annotated[Literal["mesh", "inproc"] | None, typer.Option(help="Overrides the study's own.")] = None,
+    out: Out = None,
+) -> None:
+    """Run the scenarios of a study one after the other, and compare them."""
+    from mast_zenoh.report import html, terminal
+    from mast_zenoh.study import comparison
+
+    ended = comparison.run(
+        study_file, settings or (), out, frames=frames, seed=seed, runtime=runtime, console=_out
+    )
+    terminal.show(_out, ended.folders)
+    _out.print(f"report: {html.write_study_report(ended.out, ended.folders)}", highlight=False)
+
+
+@app.command()
+def wiring(
+    scenario_file: Scenario,
+    settings: Settings = None,
+    format: Annotated[Literal["text", "json", "mermaid"], typer.Option(help="How to print it.")] = "text",
+) -> None:
+    """Who talks to whom on which key, rewrites shown."""
+    path, loaded = scenario.load(scenario_file, settings or ())
+    resolved = scenario.resolve(path, loaded)
+    found = keyexpr.Wiring.from_json(resolved.wiring)
+    if format == "json":
+        sys.stdout.write(json.dumps(found.to_json(), indent=2) + "\n")
+    else:
+        sys.stdout.write((keyexpr.to_text if format == "text" else keyexpr.to_mermaid)(found) + "\n")
+
+
+@app.command()
+def report(
+    run_folder: Annotated[Path, typer.Argument(help="The folder of a run.")],
+    frame: Annotated[int | None, typer.Option(min=0, help="The frame that the pictures show.")] = None,
+) -> None:
+    """Write the report of a run again."""
+    from mast_zenoh.report import html
+
+    _out.print(f"report: {html.write_report(run_folder, frame)}", highlight=False)
+
+
+def main() -> None:
+    """The console script: an error becomes one line and its own exit code (docs/exit_codes.md)."""
+    try:
+        app()
+    except MastError as error:
+        _err.print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
+        _err.print(str(error), markup=False, highlight=False)
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()

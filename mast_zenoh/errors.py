@@ -1,0 +1,103 @@
+"""The one error tree. Every leaf that ends a command has its own exit code (docs/exit_codes.md).
+
+    MastError                     1   anything not named below
+    ├── ConfigurationError       10   a scenario or study is wrong
+    │   ├── WiringError          11   a key-expression map or rewrite is wrong
+    │   └── NodeFileError        12   a node's file is missing or does not define the node
+    ├── SceneError               13   a scene's data is missing, truncated or inconsistent
+    ├── MessageError             14   bytes that are not a message of the expected schema
+    ├── RunFolderError           15   a run folder is missing, incomplete or already in use
+    └── RunError                 20   a run ended badly
+        ├── StartError           21   the nodes did not all come up in time
+        ├── NodeDied             22   a node whose policy is `fail` ended
+        ├── StallError           23   lock-step made no progress in time
+        └── Interrupted         130   Ctrl-C or SIGTERM
+
+A wrong word on the command line exits with 2, as everywhere.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class MastError(Exception):
+    """Root of all errors this package raises on purpose; `exit_code` is the command line's."""
+
+    exit_code = 1
+
+
+class ConfigurationError(MastError):
+    """A scenario or study is wrong: names the file, the path inside it, what was found and expected."""
+
+    exit_code = 10
+
+
+class WiringError(ConfigurationError):
+    """A key-expression map, a rewrite, or what they resolve to is wrong."""
+
+    exit_code = 11
+
+
+class NodeFileError(ConfigurationError):
+    """A node's file is missing or does not define the node."""
+
+    exit_code = 12
+
+
+class SceneError(MastError):
+    """A scene's data is missing, truncated or inconsistent: names the file, the line and the reason."""
+
+    exit_code = 13
+
+
+class MessageError(MastError):
+    """Bytes that are not a message of the expected schema. Costs one message, never a node."""
+
+    exit_code = 14
+
+
+class RunFolderError(MastError):
+    """A run folder is missing, incomplete or already in use."""
+
+    exit_code = 15
+
+
+class RunError(MastError):
+    """A run ended badly."""
+
+    exit_code = 20
+
+
+class StartError(RunError):
+    """The nodes did not all come up in time."""
+
+    exit_code = 21
+
+
+class NodeDied(RunError):
+    """A node whose `on_exit` policy is `fail` ended before the run did."""
+
+    exit_code = 22
+
+
+class StallError(RunError):
+    """Lock-step made no progress in time: names what each node still owes."""
+
+    exit_code = 23
+
+
+class Interrupted(RunError):
+    """The run was stopped by Ctrl-C or SIGTERM; what was recorded up to then is kept."""
+
+    exit_code = 130
+
+
+def nearest(found: str, known: Iterable[str]) -> str:
+    """A hint for messages: `; did you mean 'x'?`, or the known names if none is near."""
+    names = sorted(known)
+    close = difflib.get_close_matches(found, names, n=1, cutoff=0.5)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; known: {', '.join(names)}" if names else ""

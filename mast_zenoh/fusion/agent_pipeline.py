@@ -1,0 +1,120 @@
+"""What an agent makes of its detections and of the picture: two estimators, one of which nobody else can touch."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mast_zenoh.fusion.base import Clusterer, Fusion
+from mast_zenoh.geometry import rotation_from_quaternion
+from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
+from mast_zenoh.states import Detections, Floats, ObjectStates, concatenate
+from mast_zenoh.tracking.base import Tracker
+from mast_zenoh.tracking.view import SensorView
+
+_NO_OFFSET = np.zeros(3)
+_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+class MissionEstimator(ABC):
+    """Makes the mission-critical estimate of an agent's own tracks and the newest picture."""
+
+    @abstractmethod
+    def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
+        """Objects at the time that both are of, world frame.
+
+        Ids are unique: 2 i where the picture has the object as i, 2 i + 1 where only the agent has it as i.
+        """
+
+
+class OwnAndPicture(MissionEstimator):
+    """Clusters and fuses own tracks with the picture's objects.
+
+    The picture holds this agent's own tracks already, in an unknown share: fuse by covariance intersection, which is
+    consistent whatever the correlation (Julier and Uhlmann, ACC 1997).
+    """
+
+    def __init__(self, *, clustering: Clusterer, fusion: Fusion) -> None:
+        self.clustering = clustering
+        self.fusion = fusion
+
+    def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
+        """See MissionEstimator."""
+        both = concatenate([picture.with_(id=2 * picture.id), own.with_(id=2 * own.id + 1)])
+        if len(picture) == 0 or len(own) == 0:
+            return both
+        labels = self.clustering.cluster(both, np.repeat([0, 1], [len(picture), len(own)]))
+        fused = self.fusion.fuse(both, labels)
+        # The picture's rows come first, so the first member of a cluster is the picture's wherever it has one.
+        return fused.with_(id=both.id[np.unique(labels, return_index=True)[1]])
+
+
+class PictureFirst(MissionEstimator):
+    """The picture as it is, and own tracks only where the picture has nothing within `radius` m."""
+
+    def __init__(self, *, radius: float = 2.0) -> None:
+        self.radius = radius
+
+    def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
+        """See MissionEstimator."""
+        gap = np.hypot(*np.moveaxis(own.position[:, None, :2] - picture.position[None, :, :2], -1, 0))
+        alone = gap.min(axis=1, initial=np.inf) > self.radius
+        return concatenate([picture.with_(id=2 * picture.id), own.with_(id=2 * own.id + 1).select(alone)])
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where an agent is: position (3,) m, and active quaternion (4,) w x y z, agent to world."""
+
+    position: Floats
+    quaternion: Floats
+
+
+class AgentPipeline:
+    """The stages of an agent, from detections to tracks.
+
+    frame: "world": detections are brought to the world frame before they are tracked, so that the agent's own
+           motion is taken out. "body": they are tracked in the agent's moving frame, as the original MAST did, and the
+           tracks say so; only there to show what that costs.
+    """
+
+    def __init__(
+        self, *, tracker: Tracker, mission: MissionEstimator, frame: Literal["world", "body"] = "world"
+    ) -> None:
+        self.tracker = tracker
+        self.mission = mission
+        self.frame = frame
+
+    def track(
+        self, time_ns: int, detections: Detections, pose: Pose, mount: Pose, lidar: LidarSensor
+    ) -> tuple[ObjectStates, Floats, Floats]:
+        """Safety-critical: (tracks, origin (3,), rotation (4,)) of their frame of reference, from own sensors alone.
+
+        detections: sensor frame; pose: of the agent in the world; mount: of the sensor in the agent's frame
+        """
+        base = pose if self.frame == "world" else Pose(_NO_OFFSET, _NO_TURN)
+        position, rotation = sensor_pose(
+            base.position,
+            rotation_from_quaternion(base.quaternion),
+            mount.position,
+            rotation_from_quaternion(mount.quaternion),
+        )
+        tracks = self.tracker.step(time_ns, to_world(detections, position, rotation), view_of(lidar, position, rotation))
+        reference = Pose(_NO_OFFSET, _NO_TURN) if self.frame == "world" else pose
+        return tracks, reference.position, reference.quaternion
+
+
+def view_of(lidar: LidarSensor, position: Floats, rotation: Floats) -> SensorView:
+    """What a lidar at `position` (3,) with `rotation` (3, 3) has in view."""
+    return SensorView(
+        position=position,
+        rotation=rotation,
+        azimuth_min=np.deg2rad(lidar.azimuth_min_deg),
+        azimuth_max=np.deg2rad(lidar.azimuth_max_deg),
+        elevation_min=np.deg2rad(lidar.elevation_min_deg),
+        elevation_max=np.deg2rad(lidar.elevation_max_deg),
+        max_range=lidar.max_range_m,
+    )

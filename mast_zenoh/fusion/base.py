@@ -1,0 +1,69 @@
+"""The stages of a command centre: clustering, fusion, group tracking, and the pipeline of them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from mast_zenoh.states import Floats, Ints, ObjectStates
+
+
+class Clusterer(ABC):
+    """Finds which agents' tracks are of one object."""
+
+    @abstractmethod
+    def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
+        """(n,) int64: the cluster of each track, 0 to c-1.
+
+        states: n tracks in the world frame at one time; agent: (n,) int64, which agent each track came from
+
+        (agent, id) must be unique. A cluster has at most one member of an agent. The order of the rows does not
+        matter: clusters are numbered in the order of their least member by (agent, id).
+        """
+
+
+class Fusion(ABC):
+    """Makes one state out of the members of each cluster."""
+
+    @abstractmethod
+    def fuse(self, states: ObjectStates, labels: Ints, weights: Floats | None = None) -> ObjectStates:
+        """One row per cluster, in the order of the labels 0 to c-1; ids are the labels.
+
+        states: n tracks, world frame, one time; labels: (n,) int64
+        weights: (n,) >= 0, how far each member is trusted; 0 leaves it out, and a cluster of which nothing remains
+        is left out of the result. None: all alike.
+        """
+
+
+class GroupTracker(ABC):
+    """Turns clusters of tracks into the picture: one object per cluster, with a lasting id."""
+
+    @abstractmethod
+    def step(
+        self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
+    ) -> tuple[ObjectStates, Ints]:
+        """(picture, support): objects at `time_ns`, sorted by id, and how many agents' tracks are now in each (n,)."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Back to the state of a newly made one."""
+
+
+class Pipeline(ABC):
+    """The whole way from the agents' tracks to the picture."""
+
+    @abstractmethod
+    def step(
+        self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None
+    ) -> tuple[ObjectStates, Ints]:
+        """(picture, support): objects at `time_ns`, sorted by id, and how many agents' tracks are now in each (n,).
+
+        states: n tracks of all agents, world frame, at `time_ns`
+        agent: (n,) int64, rows of `agents`, the agents' names
+        weights: (n,), see `Fusion.fuse`
+
+        The result does not depend on the order of the rows, nor on that of the agents.
+        """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Back to the state of a newly made one."""

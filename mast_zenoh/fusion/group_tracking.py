@@ -1,0 +1,95 @@
+"""From clusters to the picture: fused objects with lasting ids."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.fusion.base import Fusion, GroupTracker
+from mast_zenoh.states import Floats, Ints, ObjectStates, concatenate
+from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
+from mast_zenoh.tracking.base import Tracker
+
+_BIPARTITE = BipartiteAssignment()
+
+
+class GroupTrackerWrapper(GroupTracker):
+    """Fuses each cluster and tracks the fused states, with the covariances that the fusion gives them.
+
+    fusion: makes one state of a cluster; tracker: follows them (its `step_states`), for this group tracker alone
+    """
+
+    def __init__(self, *, fusion: Fusion, tracker: Tracker) -> None:
+        self._fusion = fusion
+        self._tracker = tracker
+
+    def step(
+        self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
+    ) -> tuple[ObjectStates, Ints]:
+        fused = self._fusion.fuse(states, labels, weights)
+        picture = self._tracker.step_states(time_ns, fused)
+        return picture, _support(labels, weights, fused.id, self._tracker.matched)
+
+    def reset(self) -> None:
+        self._tracker.reset()
+
+
+class UnfilteredGroupTracker(GroupTracker):
+    """Fuses each cluster and only gives it an id: that of the object nearest to where it should be by now.
+
+    What no agent reports in a frame is gone from the picture in that frame; its id is kept for `memory_s`.
+
+    fusion: makes one state of a cluster
+    gate_m: m, in the bird's-eye view, that an object may be from where its last velocity takes it
+    memory_s: s for which an object that nobody reports may come back under its id
+    assignment: which cluster is which object
+    """
+
+    def __init__(
+        self, *, fusion: Fusion, gate_m: float = 4.0, memory_s: float = 1.0, assignment: Assignment = _BIPARTITE
+    ) -> None:
+        self._fusion = fusion
+        self._gate_m = gate_m
+        self._memory_ns = round(memory_s * 1e9)
+        self._assignment = assignment
+        self.reset()
+
+    def reset(self) -> None:
+        self._known = ObjectStates.empty()
+        self._seen_ns = np.zeros(0, np.int64)
+        self._next_id = 0
+
+    def step(
+        self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
+    ) -> tuple[ObjectStates, Ints]:
+        fused = self._fusion.fuse(states, labels, weights)
+        fresh = time_ns - self._seen_ns <= self._memory_ns
+        known, seen_ns = self._known.select(fresh), self._seen_ns[fresh]
+        there = known.position[:, :2] + known.velocity[:, :2] * ((time_ns - seen_ns) * 1e-9)[:, None]
+        offset = there[:, None, :] - fused.position[None, :, :2]
+        distance = np.hypot(offset[:, :, 0], offset[:, :, 1])
+        i, j = np.nonzero(distance < self._gate_m)
+        chosen = self._assignment.match(i, j, distance[i, j] - self._gate_m)
+        ids = np.full(len(fused), -1)
+        ids[j[chosen]] = known.id[i[chosen]]
+        new = np.flatnonzero(ids < 0)
+        ids[new] = np.arange(self._next_id, self._next_id + len(new))
+        self._next_id += len(new)
+        lost = np.ones(len(known), bool)
+        lost[i[chosen]] = False
+        order = np.argsort(ids)
+        picture = fused.with_(id=ids).select(order)
+        self._known = concatenate([picture, known.select(lost)])
+        self._seen_ns = np.concatenate([np.full(len(picture), time_ns), seen_ns[lost]])
+        return picture, _support(labels, weights, fused.id, order)
+
+
+def _support(labels: Ints, weights: Floats | None, fused: Ints, matched: Ints) -> Ints:
+    """(n,) members of positive weight of the cluster behind each object of the picture; 0 where there is none.
+
+    labels, weights: of the members; fused: (c,) labels of the fused clusters; matched: (n,) rows of those, -1 for none
+    """
+    counted = labels if weights is None else labels[weights > 0.0]
+    if len(fused) == 0:
+        return np.zeros(len(matched), np.int64)
+    count = np.bincount(counted, minlength=int(fused.max()) + 1)[fused]
+    return np.where(matched >= 0, count[matched], 0)

@@ -1,0 +1,34 @@
+"""The command centre's whole way from the agents' tracks to the picture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.fusion.base import Clusterer, GroupTracker, Pipeline
+from mast_zenoh.states import Floats, Ints, ObjectStates
+
+
+class CommandCenterPipeline(Pipeline):
+    """Clustering, then fusion and tracking of the clusters.
+
+    clustering: which tracks are of one object; group_tracking: what becomes of a cluster
+    """
+
+    def __init__(self, *, clustering: Clusterer, group_tracking: GroupTracker) -> None:
+        self._clustering = clustering
+        self._group_tracking = group_tracking
+
+    def step(
+        self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None
+    ) -> tuple[ObjectStates, Ints]:
+        # By name, not by row: agents are listed as their messages come in.
+        rank = np.argsort(np.argsort(np.array(agents, dtype=str))) if agents else np.zeros(0, np.int64)
+        agent = rank[agent]
+        order = np.lexsort((states.id, agent))
+        states, agent = states.select(order), agent[order]
+        weights = None if weights is None else weights[order]
+        labels = self._clustering.cluster(states, agent)
+        return self._group_tracking.step(time_ns, states, agent, labels, weights)
+
+    def reset(self) -> None:
+        self._group_tracking.reset()

@@ -1,0 +1,107 @@
+"""Frames, rotations and boxes. Pure functions on arrays.
+
+Frames are right-handed, x forward, y left, z up; the world frame is east-north-up. Rotations are ACTIVE: a
+rotation R (3, 3) of a body turns components in the body frame into components in the world frame,
+`world = position + R @ local`. Quaternions are (w, x, y, z) of the same active rotation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mast_zenoh.states import Bools, Floats, ObjectStates
+
+TWO_PI = 2.0 * np.pi
+
+
+def wrap_angle(angle: Floats) -> Floats:
+    """Angles in rad wrapped to [-pi, pi)."""
+    return (np.asarray(angle) + np.pi) % TWO_PI - np.pi
+
+
+def rotation_from_yaw(yaw: float) -> Floats:
+    """(3, 3) rotation about z by `yaw` rad."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_from_yaw_pitch(yaw: float, pitch_down: float) -> Floats:
+    """(3, 3) rotation of a body that heads to `yaw` and looks `pitch_down` rad below the horizon."""
+    c, s = np.cos(pitch_down), np.sin(pitch_down)
+    return rotation_from_yaw(yaw) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def rotation_from_quaternion(quaternion: Floats) -> Floats:
+    """(..., 3, 3) rotations from (..., 4) active quaternions (w, x, y, z); they are normalised first."""
+    q = np.asarray(quaternion, np.float64)
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_from_rotation(rotation: Floats) -> Floats:
+    """(..., 4) active quaternions (w, x, y, z), w >= 0, of (..., 3, 3) rotations."""
+    flat = np.asarray(rotation, np.float64).reshape(-1, 3, 3)
+    q = Rotation.from_matrix(flat).as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    return np.ascontiguousarray(q.reshape(*np.shape(rotation)[:-2], 4))
+
+
+def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:
+    """States of a frame of reference at `origin` (3,) m with active quaternion `rotation` (4,), in the world frame.
+
+    Sizes stay as they are; yaw turns by the frame's heading.
+    """
+    if rotation[0] == 1.0 and not rotation[1:].any() and not origin.any():
+        return states
+    matrix = rotation_from_quaternion(rotation)
+    jacobian = np.eye(9)
+    jacobian[0:3, 0:3] = jacobian[6:9, 6:9] = matrix
+    return states.with_(
+        position=to_world(states.position, origin, matrix),
+        velocity=states.velocity @ matrix.T,
+        yaw=wrap_angle(states.yaw + heading(matrix)),
+        covariance=jacobian @ states.covariance @ jacobian.T,
+    )
+
+
+def states_to_local(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:
+    """States of the world frame in a frame of reference; inverse of `states_to_world`."""
+    matrix = rotation_from_quaternion(rotation)
+    w, x, y, z = rotation
+    return states_to_world(states, -origin @ matrix, np.array([w, -x, -y, -z]))
+
+
+def heading(rotation: Floats) -> Floats:
+    """(...,) rad: the heading of the x axis of (..., 3, 3) rotations, projected to the ground."""
+    return np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
+
+
+def to_world(points: Floats, position: Floats, rotation: Floats) -> Floats:
+    """(n, 3) points of a body frame in the world frame; position (3,), rotation (3, 3) of the body."""
+    return points @ rotation.T + position
+
+
+def to_local(points: Floats, position: Floats, rotation: Floats) -> Floats:
+    """(n, 3) points of the world frame in a body frame; inverse of `to_world`."""
+    return (points - position) @ rotation
+
+
+def box_corners(position: Floats, size: Floats, yaw: Floats) -> Floats:
+    """(n, 8, 3) m: corners of upright boxes. position (n, 3) centre, size (n, 3) l w h, yaw (n,)."""
+    signs = np.array([[sx, sy, sz] for sz in (-1, 1) for sx, sy in ((1, 1), (-1, 1), (-1, -1), (1, -1))]) / 2
+    local = signs[None] * np.asarray(size)[:, None, :]
+    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x = c * local[..., 0] - s * local[..., 1]
+    y = s * local[..., 0] + c * local[..., 1]
+    return np.stack([x, y, local[..., 2]], axis=-1) + np.asarray(position)[:, None, :]
+
+
+def within_range(position: Floats, centre: Floats, radius: float) -> Bools:
+    """(n,) whether (n, 3) positions lie within `radius` m of `centre` (3,) in the bird's-eye view."""
+    offset = position[:, :2] - centre[:2]
+    return np.einsum("ij,ij->i", offset, offset) <= radius * radius

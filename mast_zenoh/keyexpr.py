@@ -1,0 +1,362 @@
+"""Key-expression maps: who talks to whom on which key, and how nodes are put into wires. Pure functions.
+
+A map (TOML, or the same as a dict) lists wires; a rewrite inserts nodes into them:
+
+    [[wire]]
+    key = "agent/{agent}/detections"      # at most one placeholder, named after a role
+    message = "detections"
+    from = "simulator.detections"         # role.port
+    to = ["agent.detections"]
+
+    [[insert]]
+    wire = "agent/{agent}/detections"
+    role = "adversary"                    # every node of the role whose option `agent` is the wire's agent
+    input = "detections"
+    output = "detections_out"
+
+`{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means: the node that the
+placeholder names, if it is of that role; else the nodes of the role whose option of the placeholder's name has its
+value (`adversary` with `agent="infra_1"`); else, if none has such an option, all nodes of the role.
+
+A chain on a wire K turns `publisher -> K -> subscribers` into `publisher -> K/@tap/0 -> node -> K/@tap/1 -> node -> K`:
+the subscribers' key stays as it is, and wildcards do not match the tap legs' verbatim chunk.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from mast_zenoh.errors import WiringError, nearest
+from mast_zenoh.messages import SCHEMAS
+
+_CHUNK = re.compile(r"[A-Za-z0-9_.\-]+")
+_PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
+_ENDPOINT = re.compile(r"([a-z_]+)\.([a-z_]+)")
+TAP = "@tap"
+
+#: Roles that a map may name even where a scenario has no such node.
+ROLES = (
+    *("simulator", "agent", "broker", "command_center", "adversary", "coordinator", "link"),
+    *("evaluator", "recorder", "visualizer"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class NodeOptions:
+    """What the wiring needs to know of a node: its role, and those options that bind it to a wire."""
+
+    role: str
+    options: Mapping[str, str]
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """A port of a node."""
+
+    node: str
+    port: str
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One hop of a wire: a key, its one publisher and its subscribers."""
+
+    key: str
+    publisher: Endpoint
+    subscribers: tuple[Endpoint, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """A logical connection. `subject` is the name in its key (the agent of agent/{agent}/pose), else empty."""
+
+    key: str
+    subject: str
+    message: str
+    legs: tuple[Leg, ...]
+
+    @property
+    def interposers(self) -> tuple[str, ...]:
+        """The nodes on the wire, from its publisher to its subscribers."""
+        return tuple(leg.publisher.node for leg in self.legs[1:])
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """What a node hears on one key: the port, the subject, the message type, and who originally speaks."""
+
+    port: str
+    subject: str
+    message: str
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """All keys of one node: inputs by key, outputs by (port, subject)."""
+
+    inputs: Mapping[str, Input]
+    outputs: Mapping[tuple[str, str], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """The key of every port of every node."""
+
+    wires: tuple[Wire, ...]
+
+    def legs(self) -> Iterator[tuple[Wire, Leg]]:
+        """Every leg with its wire."""
+        for wire in self.wires:
+            for leg in wire.legs:
+                yield wire, leg
+
+    def keys(self) -> tuple[str, ...]:
+        """Every key, tap legs included, in one fixed order."""
+        return tuple(leg.key for _, leg in self.legs())
+
+    def ports(self, node: str) -> Ports:
+        """The keys of one node."""
+        inputs: dict[str, Input] = {}
+        outputs: dict[tuple[str, str], str] = {}
+        for wire, leg in self.legs():
+            if leg.publisher.node == node:
+                outputs[leg.publisher.port, wire.subject] = leg.key
+            for subscriber in leg.subscribers:
+                if subscriber.node == node:
+                    inputs[leg.key] = Input(subscriber.port, wire.subject, wire.message, wire.legs[0].publisher.node)
+        return Ports(inputs, outputs)
+
+    def to_json(self) -> dict[str, Any]:
+        """The form of wiring.json; `from_json` reads it back."""
+
+        def leg_json(leg: Leg) -> dict[str, Any]:
+            return {
+                "key": leg.key,
+                "from": leg.publisher.node,
+                "from_port": leg.publisher.port,
+                "to": [end.node for end in leg.subscribers],
+                "to_ports": [end.port for end in leg.subscribers],
+            }
+
+        return {
+            "wires": [
+                {
+                    "key": wire.key,
+                    "subject": wire.subject,
+                    "message": wire.message,
+                    "publisher": wire.legs[0].publisher.node,
+                    "subscribers": [end.node for end in wire.legs[-1].subscribers],
+                    "interposers": list(wire.interposers),
+                    "legs": [leg_json(leg) for leg in wire.legs],
+                }
+                for wire in self.wires
+            ]
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Wiring:
+        """The wiring that `to_json` wrote."""
+        return cls(
+            tuple(
+                Wire(
+                    wire["key"],
+                    wire["subject"],
+                    wire["message"],
+                    tuple(
+                        Leg(
+                            leg["key"],
+                            Endpoint(leg["from"], leg["from_port"]),
+                            tuple(map(Endpoint, leg["to"], leg["to_ports"])),
+                        )
+                        for leg in wire["legs"]
+                    ),
+                )
+                for wire in data["wires"]
+            )
+        )
+
+
+def load(path: Path) -> dict[str, Any]:
+    """A map or rewrite file as a dict; raises WiringError where it is missing or no TOML."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        beside = [other.name for other in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+        raise WiringError(f"{path}: no such key-expression map{nearest(path.name, beside)}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise WiringError(f"{path}: not TOML: {error}") from None
+
+
+def resolve(
+    sources: Sequence[tuple[str, Mapping[str, Any]]],
+    nodes: Mapping[str, NodeOptions],
+    optional: Mapping[str, Collection[str]] = MappingProxyType({}),
+) -> Wiring:
+    """The wiring of `nodes` under a map followed by rewrites, each given as (its file's name, its content).
+
+    optional: by role, ports that a node of that role may do without: wires pass it by. (A user's adversary need not
+    take the pose that ours takes.)
+
+    Raises WiringError, naming the file and the entry, for unknown keys, roles, ports or messages, invalid key
+    expressions, a wire with more than one publisher, a node twice in one chain, and a rewrite of no wire.
+    """
+    for name in nodes:
+        if not _CHUNK.fullmatch(name):
+            raise WiringError(f"node {name!r}: a node's name is one chunk of a key expression: letters, digits, _ . -")
+    wires: dict[str, Wire] = {}
+    templates: dict[str, list[str]] = {}
+    for file, content in sources:
+        _known(content, {"wire", "insert"}, file)
+        for index, entry in enumerate(content.get("wire", ())):
+            place = f"{file}: wire {index + 1}"
+            _known(entry, {"key", "message", "from", "to"}, place, required=True)
+            if entry["key"] in templates:
+                raise WiringError(f"{place}: the wire {entry['key']!r} has a publisher already")
+            templates[entry["key"]] = []
+            for wire in _instances(entry, nodes, optional, place):
+                if wire.key in wires:
+                    raise WiringError(f"{place}: the key {wire.key!r} has a publisher already")
+                wires[wire.key] = wire
+                templates[entry["key"]].append(wire.key)
+    for file, content in sources:
+        for index, entry in enumerate(content.get("insert", ())):
+            place = f"{file}: insert {index + 1}"
+            _known(entry, {"wire", "role", "input", "output"}, place, required=True)
+            if entry["wire"] not in templates:
+                raise WiringError(f"{place}: no wire {entry['wire']!r}{nearest(entry['wire'], templates)}")
+            for key in templates[entry["wire"]]:
+                wires[key] = _insert(wires[key], entry, nodes, place)
+    return Wiring(tuple(wires.values()))
+
+
+def _instances(
+    entry: Mapping[str, Any],
+    nodes: Mapping[str, NodeOptions],
+    optional: Mapping[str, Collection[str]],
+    place: str,
+) -> Iterator[Wire]:
+    """The wires that one entry stands for: one for each value of its placeholder."""
+    template, message = str(entry["key"]), str(entry["message"])
+    if message not in SCHEMAS:
+        raise WiringError(f"{place}: no message type {message!r}{nearest(message, SCHEMAS)}")
+    placeholders = _PLACEHOLDER.findall(template)
+    if len(placeholders) > 1:
+        raise WiringError(f"{place}: {template!r} has {len(placeholders)} placeholders, at most one is allowed")
+    placeholder = placeholders[0] if placeholders else ""
+    subjects = [name for name, node in nodes.items() if node.role == placeholder] if placeholder else [""]
+    for subject in subjects:
+        key = template.replace(f"{{{placeholder}}}", subject)
+        for chunk in key.split("/"):
+            if not _CHUNK.fullmatch(chunk):
+                raise WiringError(f"{place}: {key!r} is not a valid key expression: chunk {chunk!r}")
+        publishers = _endpoints(entry["from"], placeholder, subject, nodes, place, message, True, optional)
+        if not publishers:
+            continue
+        if len(publishers) > 1:
+            names = ", ".join(end.node for end in publishers)
+            raise WiringError(f"{place}: the key {key!r} has {len(publishers)} publishers ({names}), expected one")
+        to = [entry["to"]] if isinstance(entry["to"], str) else list(entry["to"])
+        subscribers = [
+            end
+            for reference in to
+            for end in _endpoints(reference, placeholder, subject, nodes, place, message, False, optional)
+        ]
+        if any(end.node == publishers[0].node for end in subscribers):
+            raise WiringError(f"{place}: {publishers[0].node} would hear itself on {key!r}")
+        yield Wire(key, subject, message, (Leg(key, publishers[0], tuple(subscribers)),))
+
+
+def _insert(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOptions], place: str) -> Wire:
+    """The wire with the nodes of one rewrite inserted before its subscribers."""
+    placeholder = "".join(_PLACEHOLDER.findall(entry["wire"]))
+    into = _endpoints(f"{entry['role']}.{entry['input']}", placeholder, wire.subject, nodes, place, wire.message, False)
+    out = _endpoints(f"{entry['role']}.{entry['output']}", placeholder, wire.subject, nodes, place, wire.message, True)
+    for entrance, exit_ in zip(into, out, strict=True):
+        on_wire = {wire.legs[0].publisher.node, *wire.interposers, *(end.node for end in wire.legs[-1].subscribers)}
+        if entrance.node in on_wire:
+            raise WiringError(f"{place}: {entrance.node} is on the wire {wire.key!r} already: that would be a loop")
+        *before, last = wire.legs
+        tap = f"{wire.key}/{TAP}/{len(before)}"
+        legs = (*before, Leg(tap, last.publisher, (entrance,)), Leg(wire.key, exit_, last.subscribers))
+        wire = Wire(wire.key, wire.subject, wire.message, legs)
+    return wire
+
+
+def _endpoints(
+    reference: object,
+    placeholder: str,
+    subject: str,
+    nodes: Mapping[str, NodeOptions],
+    place: str,
+    message: str,
+    output: bool,
+    optional: Mapping[str, Collection[str]] = MappingProxyType({}),
+) -> list[Endpoint]:
+    """The ports that `role.port` means for one subject."""
+    match = _ENDPOINT.fullmatch(str(reference))
+    if not match:
+        raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port")
+    role, port = match.groups()
+    roles = {*ROLES, *(node.role for node in nodes.values())}
+    if role not in roles:
+        raise WiringError(f"{place}: no role {role!r}{nearest(role, roles)}")
+    members = {name: node for name, node in nodes.items() if node.role == role}
+    if role == placeholder:
+        members = {subject: members[subject]}
+    elif placeholder and any(placeholder in node.options for node in members.values()):
+        members = {name: node for name, node in members.items() if node.options.get(placeholder) == subject}
+    found = []
+    for name, node in members.items():
+        ports = node.outputs if output else node.inputs
+        side = "output" if output else "input"
+        if port not in ports and port in optional.get(role, ()):
+            continue
+        if port not in ports:
+            raise WiringError(f"{place}: {name} has no {side} port {port!r}{nearest(port, ports)}")
+        if ports[port] != message:
+            raise WiringError(f"{place}: {name}.{port} carries {ports[port]!r} messages, the wire {message!r}")
+        found.append(Endpoint(name, port))
+    return found
+
+
+def _known(entry: Mapping[str, Any], known: set[str], place: str, *, required: bool = False) -> None:
+    if not isinstance(entry, Mapping):
+        raise WiringError(f"{place}: found {type(entry).__name__}, expected a table")
+    for key in entry:
+        if key not in known:
+            raise WiringError(f"{place}: unknown key {key!r}{nearest(key, known)}")
+    if required and (missing := sorted(known - entry.keys())):
+        raise WiringError(f"{place}: missing {', '.join(missing)}")
+
+
+def to_text(wiring: Wiring) -> str:
+    """The wiring as lines: each wire, its chain, rewrites marked."""
+    lines = []
+    for wire in wiring.wires:
+        mark = "*" if wire.interposers else " "
+        first, *rest = wire.legs
+        chain = f"{first.publisher.node} ─▶ " + "".join(f"[{leg.publisher.node}] ─▶ " for leg in rest)
+        lines.append(f"{mark} {wire.key:<34} {chain}{', '.join(end.node for end in wire.legs[-1].subscribers) or '(nobody)'}")
+        if rest:
+            lines += [f"      {leg.publisher.node} ── {leg.key} ──▶ {', '.join(e.node for e in leg.subscribers)}" for leg in wire.legs]
+    return "\n".join([*lines, "", f"{len(wiring.wires)} wires; * rewritten, [node] inserted"])
+
+
+def to_mermaid(wiring: Wiring) -> str:
+    """The wiring as a Mermaid flow chart; inserted nodes and tap legs are marked."""
+    lines = ["flowchart LR"]
+    interposers = sorted({node for wire in wiring.wires for node in wire.interposers})
+    lines += [f"    {node}{{{{{node}}}}}:::inserted" for node in interposers]
+    for wire, leg in wiring.legs():
+        arrow = "-.->" if leg.key != wire.key else "-->"
+        lines += [f'    {leg.publisher.node} {arrow}|"{leg.key}"| {end.node}' for end in leg.subscribers]
+    return "\n".join([*lines, "    classDef inserted fill:#c0392b,color:#fff"])

@@ -1,0 +1,105 @@
+"""The run folder: what a run leaves behind, and in which files."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import tempfile
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.errors import RunFolderError
+
+
+def create(out: Path | None, name: str) -> Path:
+    """A new, empty run folder: `out`, or one under runs/ named after the scenario and the time.
+
+    Raises RunFolderError when it holds something already, or cannot be made.
+    """
+    if out is None:
+        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+        base = Path("runs") / f"{name}-{stamp}"
+        out = next(p for p in (base, *(base.with_name(f"{base.name}-{i}") for i in range(2, 10_000))) if not p.exists())
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        occupied = any(out.iterdir())
+    except OSError as error:
+        raise RunFolderError(f"{out}: cannot be made a run folder: {error.strerror or error}") from None
+    if occupied:
+        raise RunFolderError(f"{out}: is not empty; name a new folder with --out, or remove what is there")
+    for part in ("logs", "figures"):
+        (out / part).mkdir()
+    return out.resolve()
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write a JSON file so that whoever reads it finds the old one or the new one, whole."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        json.dump(content, file, indent=2, allow_nan=False)
+        file.write("\n")
+    os.chmod(name, 0o644)
+    os.replace(name, path)
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file of a run folder; raises RunFolderError when it is missing or broken."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RunFolderError(f"{path}: missing; is {path.parent} a run folder?") from None
+    except (OSError, ValueError) as error:
+        raise RunFolderError(f"{path}: {error}") from None
+
+
+def versions() -> dict[str, str]:
+    """What the run ran on."""
+    packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy")
+    return {"python": platform.python_version(), "platform": platform.platform()} | {p: version(p) for p in packages}
+
+
+def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], latency_ms: Mapping[str, Any] | None) -> None:
+    """metrics.json and the tables, from what the nodes returned (the evaluator's `metrics` and `tables`).
+
+    latency_ms: measured on the wall clock, where that means something; it then takes the place of simulated time.
+    """
+    for outcome in results.values():
+        if "metrics" in outcome:
+            metrics = dict(outcome["metrics"])
+            if latency_ms is not None:
+                metrics |= latency_ms
+            write_json(folder / "metrics.json", finite(metrics))
+        for name, table in outcome.get("tables", {}).items():
+            write_table(folder / f"{name}.parquet", table)
+
+
+def write_table(path: Path, columns: Mapping[str, Any]) -> None:
+    """A table as Parquet; a NaN is a missing value."""
+    import pyarrow  # only the launcher writes tables; nodes must not pay for the import
+    from pyarrow import parquet
+
+    def column(values: Any) -> Any:
+        array = np.asarray(values)
+        if array.dtype.kind in "OU":
+            return pyarrow.array([str(value) for value in array], pyarrow.string()).dictionary_encode()
+        return pyarrow.array(array, from_pandas=True)
+
+    parquet.write_table(pyarrow.table({name: column(values) for name, values in columns.items()}), path)
+
+
+def finite(value: Any) -> Any:
+    """Plain JSON values: a number that is not finite becomes null."""
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value

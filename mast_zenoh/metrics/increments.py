@@ -1,0 +1,90 @@
+"""What an attack adds: over the baseline (IoB) and over what the agent would have known alone (IoE)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.metrics.record import PICTURE
+from mast_zenoh.metrics.scores import Table, mean_and_std
+from mast_zenoh.states import Floats
+
+COUNTS = ("fn", "fp", "tp")
+
+
+def increments(
+    baseline: Table,
+    attacked: Table,
+    *,
+    agent: str = "ego",
+    compromised: Sequence[str] = (),
+    estimator: str = PICTURE,
+    alone: str = "local",
+    first_frame: int | None = None,
+) -> dict[str, Any]:
+    """Increments of one attacked run, frame by frame, as mean and standard deviation over frames.
+
+    baseline, attacked: tables per frame (`Scores.per_frame`) of two runs of the same scene and seed
+    agent:              whose picture is looked at
+    compromised:        the agents whose wires were attacked
+    estimator, alone:   the agent's estimator under attack, and the one that nothing from outside can touch
+    first_frame:        frames before it are left out; None: all are taken, as in the paper
+
+    Returns {"frames": n, "fn" | "fp" | "tp": {"iob": {"mean", "std"}, "ioe": {"mean", "std"}}, "compromised": {agent:
+    {"fn" | "fp": {"mean", "std"}}}, "cafn" | "cafp": {"mean", "std"}}. IoB is the attacked picture less the
+    baseline's in the same frame; IoE is the attacked picture less the agent's own tracks in the same run. These are the
+    paper's columns "ERCC". Its columns CAFN and CAFP, of the compromised agents, are the increments over the baseline
+    of the agents' OWN tracks (`alone`), pooled over agents and frames; the originals took them from the command centre.
+    Only frames that both runs have are compared; without any, means and deviations are None.
+    Raises ValueError naming the table and series when a run has no scores of a series that is needed.
+    """
+    before = _counts(baseline, "baseline", agent, estimator)
+    after = _counts(attacked, "attacked", agent, estimator)
+    own = _counts(attacked, "attacked", agent, alone)
+    frames = _common(first_frame, before, after, own)
+    result: dict[str, Any] = {"frames": len(frames)}
+    for column, name in enumerate(COUNTS):
+        now = _at(after, frames)[:, column]
+        result[name] = {
+            "iob": mean_and_std(now - _at(before, frames)[:, column]),
+            "ioe": mean_and_std(now - _at(own, frames)[:, column]),
+        }
+    result["compromised"] = {}
+    pooled = [np.zeros((0, len(COUNTS)))]
+    for victim in compromised:
+        before = _counts(baseline, "baseline", victim, alone)
+        after = _counts(attacked, "attacked", victim, alone)
+        frames = _common(first_frame, before, after)
+        pooled.append(_at(after, frames) - _at(before, frames))
+        result["compromised"][victim] = {
+            name: mean_and_std(pooled[-1][:, column]) for column, name in enumerate(COUNTS) if name != "tp"
+        }
+    together = np.concatenate(pooled)
+    result["cafn"], result["cafp"] = mean_and_std(together[:, 0]), mean_and_std(together[:, 1])
+    return result
+
+
+def _counts(table: Table, which: str, agent: str, estimator: str) -> Table:
+    """The rows of one series."""
+    mask = (table["agent"] == agent) & (table["estimator"] == estimator)
+    if not mask.any():
+        known = sorted({f"{a}/{e}" for a, e in zip(table["agent"], table["estimator"], strict=True)})
+        raise ValueError(f"{which}: found {', '.join(known) or 'no series'}, expected one of {agent}/{estimator}")
+    return {name: table[name][mask] for name in ("frame", *COUNTS)}
+
+
+def _common(first_frame: int | None, *tables: Table) -> Floats:
+    """The frames that all tables have, ascending."""
+    frames = tables[0]["frame"]
+    for table in tables[1:]:
+        frames = np.intersect1d(frames, table["frame"])
+    return np.unique(frames if first_frame is None else frames[frames >= first_frame])
+
+
+def _at(table: Table, frames: Floats) -> Floats:
+    """(f, 3) counts fn, fp, tp in these frames."""
+    order = np.argsort(table["frame"], kind="stable")
+    rows = order[np.searchsorted(table["frame"][order], frames)]
+    return np.column_stack([table[name][rows] for name in COUNTS]).astype(np.float64)

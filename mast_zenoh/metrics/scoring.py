@@ -1,0 +1,209 @@
+"""Scores a recorded run: every agent, every estimator and every frame at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner
+from mast_zenoh.metrics.boxes import Boxes, centre_distance
+from mast_zenoh.metrics.record import Record, TruthTable
+from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUATED, Scores, Table
+from mast_zenoh.states import Bools, Floats, Ints
+
+
+class Scorer:
+    """Compares what agents believe with the truth (docs/metrics.md; DESIGN, "Metrics per agent").
+
+    For each agent and frame the truth is what lies within `range_m` of the agent (bird's-eye view) and is hit by at
+    least `min_points` lidar points of at least one agent; tracks beyond the same range are left out. A pair of the
+    assigner is a true positive (TP), a truth object without a track a false negative (FN), a track without a truth
+    object a false positive (FP). RMSE is over the bird's-eye centre distances of the pairs. An identity switch is
+    counted when the track that matches an object has another id than the one that matched it last.
+
+    assigner:      who belongs to whom; None: CenterDistanceAssigner()
+    include_self:  whether the object that the agent is counts as truth for it. If not, a track of it is not false
+                   either: it goes unevaluated
+    ignore_unseen: whether tracks of objects that are not evaluated (nobody sees them, or they are out of range) go
+                   unevaluated as well; by default they are false
+    skip_first, skip_last: frames left out at the beginning and at the end of the run
+
+    Raises ValueError for values that make no sense.
+    """
+
+    def __init__(
+        self,
+        *,
+        assigner: Assigner | None = None,
+        range_m: float = 100.0,
+        min_points: int = 5,
+        include_self: bool = True,
+        ignore_unseen: bool = False,
+        skip_first: int = 0,
+        skip_last: int = 0,
+    ) -> None:
+        if not range_m > 0.0:
+            raise ValueError(f"range_m: found {range_m}, expected more than 0")
+        if skip_first < 0 or skip_last < 0:
+            raise ValueError(f"skip_first, skip_last: found {skip_first}, {skip_last}, expected 0 or more")
+        self.assigner = assigner or CenterDistanceAssigner()
+        self.range_m = range_m
+        self.min_points = min_points
+        self.include_self = include_self
+        self.ignore_unseen = ignore_unseen
+        self.skip_first = skip_first
+        self.skip_last = skip_last
+
+    def score(self, record: Record) -> Scores:
+        """The scores of all frames of which the truth is known, less the skipped ones.
+
+        A frame without a message of an estimator counts as one in which it believed nothing. The order of rows, and
+        the order in which messages came, do not matter.
+        """
+        frames = record.frames()
+        frames = frames[self.skip_first : max(len(frames) - self.skip_last, self.skip_first)]
+        table = record.truth(frames)
+        tables = {series: record.tracks(series, frames) for series in record.series()}
+
+        # One series per agent and estimator; all are laid out in one row of groups and scored in one go.
+        names, truth, unevaluated, excused, tracks, score = [], [], [], [], [], []
+        for a, agent in enumerate(record.agents):
+            near, evaluated, excusing = self._split(table, a)
+            for series in tables:
+                if series.agent not in ("", agent):
+                    continue
+                mine = tables[series]
+                heard = self._near(mine.boxes, table.agent_position[:, a])
+                names.append((agent, series.estimator))
+                truth.append(table.boxes.select(evaluated))
+                unevaluated.append(table.boxes.select(near & ~evaluated))
+                excused.append(table.boxes.select(excusing))
+                tracks.append(mine.boxes.select(heard))
+                score.append(mine.score[heard])
+        f = len(frames)
+        layout = _Layout(
+            series=tuple(names),
+            frames=frames,
+            truth=_join(truth, f),
+            unevaluated=_join(unevaluated, f),
+            excused=_join(excused, f),
+            tracks=_join(tracks, f),
+            score=np.concatenate([np.zeros(0), *score]),
+        )
+        return _compare(self.assigner, layout)
+
+    def _split(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
+        """Of the truth's rows: those near an agent, those it is measured by, those whose tracks are excused."""
+        near = self._near(table.boxes, table.agent_position[:, agent])
+        own = table.boxes.id == table.agent_object[table.boxes.group, agent]
+        evaluated = near & (table.seen >= self.min_points)
+        if not self.include_self:
+            evaluated &= ~own
+        excused = ~evaluated if self.ignore_unseen else own & (not self.include_self)
+        return near, evaluated, excused
+
+    def _near(self, boxes: Boxes, agent_position: Floats) -> Bools:
+        """(n,) boxes in range of an agent that is at (f, 3); the group is the frame."""
+        return centre_distance(boxes.position, agent_position[boxes.group]) <= self.range_m
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Boxes of all series and frames in one row of groups; group = series · frames + frame.
+
+    truth:       what the series are measured by
+    unevaluated: other objects in range, for the figures
+    excused:     objects whose tracks are not false although they are not measured by
+    tracks:      tracks in range, with their score (n,)
+    """
+
+    series: tuple[tuple[str, str], ...]
+    frames: Ints
+    truth: Boxes
+    unevaluated: Boxes
+    excused: Boxes
+    tracks: Boxes
+    score: Floats
+
+
+def _join(parts: Iterable[Boxes], n_frames: int) -> Boxes:
+    """The boxes of all series, as a layout has them."""
+    return Boxes.join([part.in_group(k * n_frames + part.group) for k, part in enumerate(parts)])
+
+
+def _compare(assigner: Assigner, layout: _Layout) -> Scores:
+    truth, tracks, excused = layout.truth, layout.tracks, layout.excused
+    pairs = assigner.assign(truth, tracks)
+    of_truth, of_track = np.full(len(truth), -1, np.int64), np.full(len(tracks), -1, np.int64)
+    of_truth[pairs[:, 0]] = tracks.id[pairs[:, 1]]
+    of_track[pairs[:, 1]] = truth.id[pairs[:, 0]]
+    truth_outcome = np.full(len(truth), MISSED, np.int64)
+    truth_outcome[pairs[:, 0]] = MATCHED
+    track_outcome = np.full(len(tracks), FALSE, np.int64)
+    track_outcome[pairs[:, 1]] = MATCHED
+
+    left = np.flatnonzero(track_outcome == FALSE)
+    pardons = assigner.assign(excused, tracks.select(left))
+    track_outcome[left[pardons[:, 1]]] = UNEVALUATED
+    of_track[left[pardons[:, 1]]] = excused.id[pardons[:, 0]]
+
+    shape = len(layout.series), len(layout.frames)
+
+    def count(group: Ints) -> Ints:
+        return np.bincount(group, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
+
+    group = truth.group[pairs[:, 0]]
+    distance = centre_distance(truth.position[pairs[:, 0]], tracks.position[pairs[:, 1]])
+    squared_error: Floats = np.bincount(group, distance**2, minlength=shape[0] * shape[1]).astype(np.float64)
+    switched = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])
+    return Scores(
+        series=layout.series,
+        frames=layout.frames,
+        fn=count(truth.group[truth_outcome == MISSED]),
+        fp=count(tracks.group[track_outcome == FALSE]),
+        tp=count(group),
+        squared_error=squared_error.reshape(shape),
+        id_switches=count(group[switched]),
+        objects=_object_table(layout, (truth_outcome, of_truth), (track_outcome, of_track)),
+    )
+
+
+def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> Bools:
+    """(m,) pairs whose object was matched last, in the same series, by a track of another id."""
+    switched = np.zeros(len(group), bool)
+    series = group // max(n_frames, 1)
+    order = np.lexsort((group, truth_id, series))
+    same = (np.diff(series[order]) == 0) & (np.diff(truth_id[order]) == 0)
+    switched[order[1:]] = same & (np.diff(track_id[order]) != 0)
+    return switched
+
+
+def _object_table(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints]) -> Table:
+    """The table `Scores.objects`, by series, frame, kind, outcome and id; truth and track: outcome and matched id."""
+    parts = [layout.truth, layout.unevaluated, layout.tracks]
+    count = [len(part) for part in parts]
+    boxes = Boxes.join(parts)
+    is_track = np.repeat([False, False, True], count)
+    outcome = np.concatenate([truth[0], np.full(count[1], UNEVALUATED), track[0]])
+    match = np.concatenate([truth[1], np.full(count[1], -1), track[1]])
+    score = np.concatenate([np.full(count[0] + count[1], np.nan), layout.score])
+
+    order = np.lexsort((*boxes.position.T[::-1], boxes.id, outcome, is_track, boxes.group))
+    boxes = boxes.select(order)
+    series, frame = np.divmod(boxes.group, max(len(layout.frames), 1))
+    names = np.array(layout.series, str).reshape(-1, 2)
+    return {
+        "frame": layout.frames[frame],
+        "agent": names[series, 0],
+        "estimator": names[series, 1],
+        "kind": np.array(["truth", "track"])[is_track[order].astype(np.int64)],
+        "outcome": np.array(OUTCOMES)[outcome[order]],
+        "id": boxes.id,
+        "match_id": match[order],
+        **{name: boxes.position[:, axis] for axis, name in enumerate("xyz")},
+        **{name: boxes.size[:, axis] for axis, name in enumerate("lwh")},
+        "yaw": boxes.yaw,
+        "score": score[order],
+    }

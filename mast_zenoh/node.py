@@ -1,0 +1,132 @@
+"""What a node is: named ports and handlers, no I/O.
+
+    class Echo(Node):
+        role = "adversary"
+        inputs = {"detections": "detections"}
+        outputs = {"detections_out": "detections"}
+
+        def on_detections(self, message, context):
+            context.relay("detections_out", message)
+
+A node acts only on messages, and publishes only through its context. It never sees Zenoh, a socket, a clock or a
+global random generator: the runtime (`mast_zenoh.runtime`) owns them, so the same node runs in one process, on a
+mesh of processes, and on many hosts. What it publishes for a frame must depend on the set of messages of that frame,
+never on their order: `mast_zenoh.fusion.collation.Gather` is there for that.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from mast_zenoh.messages import Body, Message
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message as a node gets it.
+
+    message: header and columns (read-only arrays)
+    subject: the name in the wire's key: "infra_1" on agent/infra_1/tracks, "" on cc/picture
+    payload: the bytes as they came; None where they were never bytes (one process)
+    """
+
+    message: Message
+    subject: str
+    payload: bytes | None = None
+
+    @property
+    def frame(self) -> int:
+        """The frame that the message is about."""
+        return self.message.header.frame
+
+    @property
+    def time_ns(self) -> int:
+        """The time of that frame, ns since the scene began."""
+        return self.message.header.time_ns
+
+    @property
+    def body(self) -> Body:
+        """The columns."""
+        return self.message.body
+
+
+class Context(Protocol):
+    """What a node may do. `frame` and `time_ns` are those of the newest clock it has got; -1 and 0 before the first."""
+
+    name: str
+    seed: int
+    frame: int
+    time_ns: int
+    log: logging.Logger
+
+    def publish(
+        self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None
+    ) -> None:
+        """Publish columns on an output port; about the current frame unless said.
+
+        subject: which wire, where the port has several (the simulator's `pose` has one per agent)
+
+        A port that no wire is connected to swallows the message.
+        """
+        ...
+
+    def relay(self, port: str, received: Received, body: Body | None = None) -> None:
+        """Pass a message on with its header as it was, and its body as it was or changed."""
+        ...
+
+    def connected(self, port: str, subject: str | None = None) -> bool:
+        """Whether a wire is connected to an output port."""
+        ...
+
+    def rng(self, *purpose: str | int) -> np.random.Generator:
+        """The random stream of (this run's seed, this node, purpose): `streams.stream(seed, name, *purpose)`."""
+        ...
+
+
+class Node:
+    """Base of all nodes. A subclass names its role and ports, and has a handler `on_<port>` for each input.
+
+    Parameters of `__init__` come from the scenario, built by their annotations (`mast_zenoh.registry`).
+    """
+
+    role: ClassVar[str] = ""
+    #: input ports and output ports: name to message type
+    inputs: ClassVar[Mapping[str, str]] = {}
+    outputs: ClassVar[Mapping[str, str]] = {}
+
+    def start(self, context: Context) -> None:
+        """Called once, before the first frame."""
+
+    def joined(self, node: str, role: str, context: Context) -> None:
+        """Another node has come up (called before the first frame for those that are there already)."""
+
+    def left(self, node: str, role: str, context: Context) -> None:
+        """Another node has gone."""
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        """Called once, after the last frame; what it returns is collected by the launcher."""
+        return {}
+
+
+class Source(Node):
+    """A node that drives the scene: the runtime asks it for the next frame when it is time."""
+
+    period_ns: int = 100_000_000
+
+    def advance(self, context: Context) -> bool:
+        """Publish the next frame; False when there is none."""
+        raise NotImplementedError
+
+
+def handler_names(node: type[Node]) -> dict[str, str]:
+    """The handler's name of every input port; raises TypeError where a port has none."""
+    names = {port: f"on_{port}" for port in node.inputs}
+    missing = [name for name in names.values() if not callable(getattr(node, name, None))]
+    if missing:
+        raise TypeError(f"{node.__name__} has no {', '.join(missing)} for its input ports")
+    return names

@@ -1,0 +1,121 @@
+"""Builds objects from plain dicts: `dict(type="ClassName", parameter=…)`.
+
+Whatever subclasses a base can be named where that base is expected; there is nothing to register. Parameters are
+checked against the class's `__init__`: unknown names, missing ones and wrong types are refused with the path to them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh import attacks, fusion, metrics, scenes, sensing, tracking
+from mast_zenoh.errors import ConfigurationError, nearest
+
+#: Importing these defines the algorithms that can be named.
+ALGORITHMS = (attacks, fusion, metrics, scenes, sensing, tracking)
+
+
+def known_types(base: type) -> dict[str, type]:
+    """The concrete classes that can be named where `base` is expected, by name."""
+    found: dict[str, type] = {} if inspect.isabstract(base) else {base.__name__: base}
+    for subclass in base.__subclasses__():
+        found |= known_types(subclass)
+    return found
+
+
+def build(spec: object, base: type, path: str) -> Any:
+    """The object that `spec` describes, of a subclass of `base`.
+
+    `path` is where the spec stands in its scenario. Raises ConfigurationError naming the path.
+    """
+    if not isinstance(spec, Mapping):
+        raise ConfigurationError(f"{path}: found {spec!r}, expected a dict(type=…) naming a {base.__name__}")
+    types_ = known_types(base)
+    if "type" not in spec:
+        if len(types_) == 1:
+            spec = {"type": next(iter(types_)), **spec}
+        else:
+            raise ConfigurationError(f"{path}: no type given{nearest('', types_)}")
+    name = spec["type"]
+    if not isinstance(name, str) or name not in types_:
+        raise ConfigurationError(f"{path}.type: no {base.__name__} named {name!r}{nearest(str(name), types_)}")
+    return construct(types_[name], {key: value for key, value in spec.items() if key != "type"}, path)
+
+
+def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
+    """An object of `cls` from plain values; nested dicts are built where a class is annotated."""
+    parameters = {k: p for k, p in inspect.signature(cls).parameters.items() if p.kind is not p.VAR_KEYWORD}
+    hints = typing.get_type_hints(cls.__init__)
+    for key in arguments:
+        if key not in parameters:
+            hint = nearest(str(key), parameters)
+            raise ConfigurationError(f"{path}.{key}: {cls.__name__} has no such parameter{hint}")
+    missing = [k for k, p in parameters.items() if p.default is p.empty and k not in arguments]
+    if missing:
+        raise ConfigurationError(f"{path}: {cls.__name__} needs {', '.join(missing)}")
+    values = {key: _value(value, hints.get(key, Any), f"{path}.{key}") for key, value in arguments.items()}
+    try:
+        return cls(**values)
+    except (ValueError, TypeError) as error:
+        raise ConfigurationError(f"{path}: {cls.__name__}: {error}") from None
+
+
+def _value(value: object, hint: Any, path: str) -> Any:
+    """`value` as the annotation `hint` wants it."""
+    if hint is Any or (isinstance(hint, type) and hint not in (float, int) and isinstance(value, hint)):
+        return value
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        options = typing.get_args(hint)
+        if value is None and type(None) in options:
+            return None
+        options = tuple(option for option in options if option is not type(None))
+        for option in options[:-1]:
+            try:
+                return _value(value, option, path)
+            except ConfigurationError:
+                continue
+        return _value(value, options[-1], path)
+    if origin is typing.Literal:
+        if value not in typing.get_args(hint):
+            known = [str(option) for option in typing.get_args(hint)]
+            raise ConfigurationError(f"{path}: found {value!r}{nearest(str(value), known)}")
+        return value
+    if origin in (tuple, list):
+        return _sequence(value, hint, path)
+    if origin is dict or hint in (dict, Mapping) or origin is Mapping:
+        return _expect(value, Mapping, "a dict", path)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if hint in (int, float, str, bool):
+        if type(value) is not hint:
+            raise ConfigurationError(f"{path}: found {value!r}, expected {_PLAIN[hint]}")
+        return value
+    if isinstance(value, str) and hasattr(hint, "load"):
+        return hint.load(Path(value))
+    return build(value, hint, path)
+
+
+_PLAIN = {int: "a whole number", float: "a number", str: "a string", bool: "True or False"}
+
+
+def _sequence(value: object, hint: Any, path: str) -> Any:
+    items = list(_expect(value, (list, tuple), "a list", path))
+    arguments = typing.get_args(hint)
+    if typing.get_origin(hint) is list or (len(arguments) == 2 and arguments[1] is Ellipsis):
+        arguments = (arguments[0],) * len(items)
+    if len(arguments) != len(items):
+        raise ConfigurationError(f"{path}: found {len(items)} values, expected {len(arguments)}")
+    built = [_value(item, hint_, f"{path}[{i}]") for i, (item, hint_) in enumerate(zip(items, arguments, strict=True))]
+    return built if typing.get_origin(hint) is list else tuple(built)
+
+
+def _expect(value: object, kind: Any, words: str, path: str) -> Any:
+    if not isinstance(value, kind):
+        raise ConfigurationError(f"{path}: found {value!r}, expected {words}")
+    return value

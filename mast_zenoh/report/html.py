@@ -1,0 +1,205 @@
+"""The report of a run, and of several runs compared: one HTML file that needs nothing else, and its figures as PNG."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from mast_zenoh import __version__
+from mast_zenoh.report.illustrations import run_figures, study_figures
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.table import HEADINGS, Figures, SummaryRow, cells, summary_table
+from mast_zenoh.report.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view
+from mast_zenoh.report.wiring import wire_rows
+from mast_zenoh.report.words import headline, reading, study_headline, study_reading
+
+#: Of HEADINGS, the groups that say something of a single run: there is no baseline to compare it with.
+_ONE_RUN = (0, 1, 3)
+
+
+def write_report(run_folder: Path, frame: int | None = None) -> Path:
+    """Write `report.html` and `figures/*.png` into the folder of a run, from whatever the run left there.
+
+    frame: which frame the pictures show; by default the one that `view.choose_frame` picks
+    Returns the path of the report. Raises RunFolderError if the folder is not that of a run, or has no such frame.
+    """
+    run = RunFolder.load(run_folder)
+    return _write_run(run, _shown(run, frame, None), chosen=frame is None)[1]
+
+
+def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int | None = None) -> Path:
+    """Write `report.html` and `figures/*.png` into `study_folder`, comparing runs, and every run's own report.
+
+    runs:  folders of runs of one scene and seed by label, in the order to show them; the one labelled `baseline`,
+           or else the first, is what the others are compared with
+    frame: which frame all pictures show; by default the one that `view.choose_common_frame` picks
+    Returns the path of the report. Raises RunFolderError like `write_report`.
+    """
+    folders = {label: RunFolder.load(path) for label, path in runs.items()}
+    reference = "baseline" if "baseline" in folders else next(iter(folders))
+    chosen = choose_common_frame(list(folders.values()), folders[reference])
+    shown = {label: _shown(run, frame, chosen) for label, run in folders.items()}
+    rows = _summary(folders, reference)
+    pages: list[dict[str, Any]] = []
+    for label, run in folders.items():
+        page, path = _write_run(run, shown[label], chosen=False)
+        link = quote(os.path.relpath(path, study_folder).replace(os.sep, "/"))
+        pages.append({"label": label, "anchor": f"run-{len(pages) + 1}", "link": link} | page)
+    views = {label: view for label, view in shown.items() if view is not None}
+    made = study_figures(folders, rows, views, reference, chosen=frame is None)
+    for each in made.values():
+        each.save(study_folder / "figures")
+    content = {
+        "title": "Runs compared",
+        "headline": study_headline(folders, rows),
+        "reading": study_reading(folders, rows),
+        "facts": _study_facts(folders),
+        "figures": made,
+        "rows": _table_rows(rows, range(len(HEADINGS))),
+        "headings": HEADINGS,
+        "pages": pages,
+    }
+    return _render("study.html.j2", content, study_folder)
+
+
+def _shown(run: RunFolder, frame: int | None, common: int | None) -> FrameView | None:
+    """The view to show of a run: of the frame asked for, else of the common one, else of the run's own choice."""
+    if frame is not None:
+        return frame_view(run, check_frame(run, frame))
+    chosen = choose_frame(run) if common is None else common
+    return None if chosen is None else frame_view(run, chosen)
+
+
+def _summary(runs: Mapping[str, RunFolder], baseline: str | None = None) -> list[SummaryRow]:
+    ego = next((run.ego for run in runs.values() if run.ego), "ego")
+    metrics = {label: run.metrics for label, run in runs.items()}
+    counts = {label: run.counts for label, run in runs.items()}
+    return summary_table(metrics, counts=counts, agent=ego, baseline=baseline)
+
+
+def _write_run(run: RunFolder, view: FrameView | None, *, chosen: bool) -> tuple[dict[str, Any], Path]:
+    """Write a run's own report; returns what a page tells of the run, and the path."""
+    label = str(run.run.get("name") or run.run.get("id") or run.path.name)
+    row = _summary({label: run})[0]
+    made = run_figures(run, view, chosen=chosen)
+    for each in made.values():
+        each.save(run.path / "figures")
+    timings = run.run.get("timings")
+    content = {
+        "title": f"Run {run.run.get('id', label)}",
+        "headline": headline(run, row),
+        "reading": reading(run, row),
+        "facts": _facts(run),
+        "status": run.run.get("status", "unknown"),
+        "message": run.run.get("message"),
+        "missing": run.missing,
+        "figures": made,
+        "rows": _table_rows([row], _ONE_RUN) if run.metrics else [],
+        "headings": [HEADINGS[group] for group in _ONE_RUN],
+        "wires": wire_rows(run),
+        "nodes": [(name, _node(run, name)) for name in run.run.get("nodes", {})],
+        "command": _command(run),
+        "versions": run.run.get("versions", {}),
+        "scenario": json.dumps(run.scenario, indent=2) if run.scenario else None,
+        "timings": json.dumps(timings, indent=2) if timings else None,
+    }
+    return content, _render("run.html.j2", content, run.path)
+
+
+def _table_rows(
+    rows: Sequence[SummaryRow], groups: Sequence[int]
+) -> list[tuple[str, list[list[tuple[str, str | None]]]]]:
+    """Rows for the page: a label, and for each of `groups` of HEADINGS the texts with their spread."""
+
+    def spread(values: Sequence[Figures]) -> list[str | None]:
+        return [None if value.std is None else f"{value.std:.2f}" for value in values]
+
+    found = []
+    for row in rows:
+        texts = cells(row)
+        counts = [spread((scores.fn, scores.fp, scores.tp)) for scores in (row.picture, row.local)]
+        nothing = (Figures(), Figures())
+        spreads = [counts[0] + spread(nothing), counts[1], spread(row.over_baseline or nothing), spread(row.over_local)]
+        found.append((row.run, [list(zip(texts[group], spreads[group], strict=True)) for group in groups]))
+    return found
+
+
+def _facts(run: RunFolder) -> list[str]:
+    told = [f"run {run.run['id']}"] if "id" in run.run else []
+    told += [str(run.run["status"])] if "status" in run.run else []
+    told += [f"scene {run.recording.name}"] if run.recording else []
+    told += [_frames(run)] if "frames" in run.metrics else []
+    told += [f"seed {run.run['seed']}"] if "seed" in run.run else []
+    told += [f"{run.run['mode']} on {run.run.get('runtime', 'mesh')}"] if "mode" in run.run else []
+    speed = run.run.get("timings", {}).get("frames_per_second") or run.metrics.get("frames_per_second")
+    told += [f"{speed:.0f} frames/s"] if speed else []
+    latency = run.metrics.get("latency_ms", {}).get("sim_to_picture", {})
+    if latency.get("p50") is not None and latency.get("p99"):  # lock-step has no latency: scene time stands still
+        told.append(f"simulator to picture {latency['p50']:.1f} ms (99 %: {latency['p99']:.1f} ms)")
+    return told
+
+
+def _study_facts(runs: Mapping[str, RunFolder]) -> list[str]:
+    told = [f"{len(runs)} runs"]
+    scenes = {run.recording.name for run in runs.values() if run.recording}
+    seeds = {str(run.run["seed"]) for run in runs.values() if "seed" in run.run}
+    frames = {_frames(run) for run in runs.values() if "frames" in run.metrics}
+    told += [f"scene {', '.join(sorted(scenes))}"] if scenes else []
+    told += [f"seed {', '.join(sorted(seeds))}"] if seeds else []
+    told += [f"each {frames.pop()}"] if len(frames) == 1 else []
+    bad = [label for label, run in runs.items() if run.run.get("status") != "ok"]
+    return told + ([f"not ended well: {', '.join(bad)}"] if bad else [])
+
+
+def _frames(run: RunFolder) -> str:
+    scored = run.metrics.get("scored_frames")
+    return f"{run.metrics['frames']} frames" + (f", scored from {scored[0]} to {scored[-1]}" if scored else "")
+
+
+def _node(run: RunFolder, name: str) -> dict[str, Any]:
+    told = run.run["nodes"][name]
+    return {key: told.get(key) for key in ("pid", "exit", "restarts")} | {
+        "role": run.role(name),
+        "ended": told.get("ended") or "not known",
+        "last_frame": told.get("last_frame"),
+        "troubles": _troubles(told),
+    }
+
+
+def _troubles(told: Mapping[str, Any]) -> str:
+    """What a node counted and lived through; empty: nothing."""
+    refused, failed = (sum((told.get(key) or {}).values()) for key in ("rejected", "failures"))
+    counts = (
+        (refused, "malformed messages refused"),
+        (told.get("foreign") or 0, "messages from outside the run"),
+        (failed, "handler failures"),
+    )
+    return ", ".join(f"{number} {what}" for number, what in counts if number)
+
+
+def _command(run: RunFolder) -> str | None:
+    command = run.run.get("command")
+    return shlex.join(map(str, command)) if isinstance(command, list) else command
+
+
+@cache
+def _templates() -> Environment:
+    return Environment(
+        loader=PackageLoader("mast_zenoh.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+
+
+def _render(template: str, content: dict[str, Any], folder: Path) -> Path:
+    page = _templates().get_template(template).render(content, version=__version__)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "report.html"
+    path.write_text(page, "utf-8")
+    return path

@@ -1,0 +1,170 @@
+"""Who sat on which wire: the rows of the table of all wires, and where the diagram puts nodes and lines."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from mast_zenoh.report.runfolder import RunFolder
+
+#: Roles along the flow of a frame, left to right; the agents stand one above the other.
+FLOW = ("simulator", "agent", "broker", "command_center")
+#: Roles that only listen, what every node gets, and what is for listeners only: in the table, not in the drawing.
+_LISTENERS = ("evaluator", "recorder", "visualizer")
+_UNDRAWN = ("clock", "truth", "attack_report")
+
+#: Inches: a node's width and height, between columns, between the rows of two agents.
+WIDE, HIGH, GAP, ROW = 1.5, 0.34, 0.75, 0.72
+
+
+@dataclass(frozen=True, slots=True)
+class WireRow:
+    """One wire in the table.
+
+    taps: key expressions of the hidden legs that the rewrite made
+    """
+
+    key: str
+    message: str
+    publisher: str
+    interposers: tuple[str, ...]
+    subscribers: tuple[str, ...]
+    taps: tuple[str, ...]
+
+    @property
+    def intercepted(self) -> bool:
+        """Whether a node sits on the wire."""
+        return bool(self.interposers)
+
+
+def wire_rows(run: RunFolder) -> list[WireRow]:
+    """All wires: the intercepted ones first, then by key."""
+    found = [
+        WireRow(
+            wire["key"],
+            wire.get("message", ""),
+            wire.get("publisher", ""),
+            tuple(wire.get("interposers", ())),
+            tuple(wire.get("subscribers", ())),
+            tuple(leg["key"] for leg in wire.get("legs", ()) if leg["key"] != wire["key"]),
+        )
+        for wire in run.wiring.get("wires", [])
+    ]
+    return sorted(found, key=lambda row: (not row.intercepted, row.key))
+
+
+class Spot(NamedTuple):
+    """A node in the drawing. One that sits on wires in two places has a spot in each.
+
+    after: the column after which a node on a wire stands, -1 for all others
+    """
+
+    node: str
+    after: int = -1
+
+
+@dataclass(slots=True)
+class Line:
+    """What runs from one node to another: the message types, and whether one of their wires is intercepted."""
+
+    messages: list[str] = field(default_factory=list)
+    intercepted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where everything is drawn, in inches, y downwards.
+
+    places: (x, y) of the centre of every spot
+    lines:  by (from, to)
+    floor:  y of the line along which messages go back
+    """
+
+    places: dict[Spot, tuple[float, float]]
+    lines: dict[tuple[Spot, Spot], Line]
+    floor: float
+
+
+def layout(run: RunFolder) -> Layout | None:
+    """Place the nodes of a run in columns by the flow of a frame; None: there is nothing to draw.
+
+    Nodes on a wire stand between its ends, half a row above the agent whose wire it is. Nodes outside the flow
+    (a coordinator) stand above those that they talk to.
+    """
+    wires = [wire for wire in run.wiring.get("wires", []) if wire.get("message") not in _UNDRAWN]
+    lines = _lines(run, wires)
+    spots = sorted({spot for pair in lines for spot in pair})
+    if not spots:
+        return None
+    agents = sorted({s.node for s in spots if run.role(s.node) == "agent"}, key=lambda n: (n != run.ego, _natural(n)))
+    row = {agent: float(index) for index, agent in enumerate(agents)}
+    middle = max(len(agents) - 1, 0) / 2
+
+    seats: dict[Spot, tuple[int, float]] = {}  # of nodes on wires: how far along the chain, which row
+    room: dict[int, int] = defaultdict(int)
+    for wire in wires:
+        after, chain = _gap(run, wire), wire.get("interposers", ())
+        beside = next((row[end] for end in (wire["publisher"], *wire["subscribers"][:1]) if end in row), middle)
+        for order, node in enumerate(chain):
+            seats.setdefault(Spot(node, after), (order, beside - 0.5))
+        room[after] = max(room[after], len(chain))
+    left = [0.0]
+    for index in range(len(FLOW)):
+        left.append(left[-1] + (WIDE + GAP) * (1 + room[index]))
+
+    places: dict[Spot, tuple[float, float]] = {}
+    stacked: dict[str, int] = defaultdict(int)
+    for spot in spots:
+        role = run.role(spot.node)
+        if spot in seats:
+            order, level = seats[spot]
+            places[spot] = left[spot.after] + (WIDE + GAP) * (order + 1), level * ROW
+        elif spot.node in row:
+            places[spot] = left[1], row[spot.node] * ROW
+        elif role in FLOW:
+            places[spot] = left[FLOW.index(role)], (middle + stacked[role]) * ROW
+            stacked[role] += 1
+    above = min((y for _, y in places.values()), default=0.0) - 1.4 * ROW
+    for index, spot in enumerate([spot for spot in spots if spot not in places]):
+        near = [
+            places[other][0] for pair in lines if spot in pair for other in pair if other in places and other != spot
+        ]
+        places[spot] = (sum(near) / len(near) if near else left[1]) + index * (WIDE + 0.2), above
+    return Layout(places, lines, max(y for _, y in places.values()) + 0.8)
+
+
+def _gap(run: RunFolder, wire: Mapping[str, Any]) -> int:
+    """The column after which nodes on a wire stand."""
+    ends = [run.role(end) for end in (wire["publisher"], *wire["subscribers"][:1])]
+    return min((FLOW.index(role) for role in ends if role in FLOW), default=len(FLOW) - 1)
+
+
+def _lines(run: RunFolder, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], Line]:
+    seated: dict[str, int] = {}
+    for wire in wires:
+        for node in wire.get("interposers", ()):
+            seated[node] = min(seated.get(node, len(FLOW)), _gap(run, wire))
+    lines: dict[tuple[Spot, Spot], Line] = defaultdict(Line)
+    for wire in wires:
+        chain = wire.get("interposers", ())
+
+        def spot(node: str, wire: Mapping[str, Any] = wire, chain: Sequence[str] = chain) -> Spot:
+            return Spot(node, _gap(run, wire) if node in chain else seated.get(node, -1))
+
+        for leg in wire.get("legs") or [{"from": wire["publisher"], "to": wire["subscribers"]}]:
+            for to in leg["to"]:
+                if run.role(to) in _LISTENERS:
+                    continue
+                line = lines[spot(leg["from"]), spot(to)]
+                line.intercepted |= bool(chain)
+                if wire["message"] not in line.messages:
+                    line.messages.append(wire["message"])
+    return dict(lines)
+
+
+def _natural(name: str) -> tuple[str, int]:
+    """Sort key that puts infra_2 before infra_10."""
+    stem = name.rstrip("0123456789")
+    return stem, int(name[len(stem) :] or 0)

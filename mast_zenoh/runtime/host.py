@@ -1,0 +1,241 @@
+"""Hosts one node, without I/O: messages in, messages out. Both runtimes are shells around this.
+
+The host decodes and checks what comes in, holds a message back until the clock of the step it was sent in has
+come, calls the node's handlers, numbers what the node publishes, and counts: per key what was sent and what has been
+handled (lock-step waits for these to balance), per source what was malformed.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mast_zenoh import codec
+from mast_zenoh.errors import ConfigurationError, MessageError, nearest
+from mast_zenoh.keyexpr import Input, Ports
+from mast_zenoh.messages import SCHEMAS, Body, Header, Message
+from mast_zenoh.node import Node, Received, handler_names
+from mast_zenoh.streams import stream
+
+MAX_HELD = 10_000  #: messages held back for a clock that has not come; more are dropped and counted
+
+
+class Outgoing(NamedTuple):
+    """A message on its way out: its key, its content, and the step it is sent in.
+
+    `payload` is bytes on a mesh; in one process the message itself. `flaw` says why a receiver would refuse it.
+    """
+
+    key: str
+    payload: bytes | Message
+    step: int
+    flaw: str = ""
+
+
+class Host:
+    """One node with its ports connected; see the module's docstring.
+
+    frame, time_ns: of the newest clock; outbox: what the node has published since it was last emptied;
+    observe: called with the key and header of every sound message;
+    sent, handled: messages by key; rejected: malformed messages by (key, reason); failures: handler errors by port.
+    """
+
+    def __init__(self, name: str, node: Node, ports: Ports, seed: int, *, encode: bool) -> None:
+        self.name = name
+        self.node = node
+        self.frame = -1
+        self.time_ns = 0
+        self.log = logging.getLogger(f"mast.{name}")
+        self.outbox: list[Outgoing] = []
+        self.sent: Counter[str] = Counter()
+        self.handled: Counter[str] = Counter()
+        self.rejected: Counter[tuple[str, str]] = Counter()
+        self.failures: Counter[str] = Counter()
+        self.observe: Callable[[str, Header], None] | None = None
+        self._ports = ports
+        self.seed = seed
+        self._encode = encode
+        self._seq: Counter[str] = Counter()
+        self._held: dict[int, list[tuple[str, Input, Received, bool]]] = {}
+        self._n_held = 0
+        self._keys_of_port: dict[str, list[str]] = {}
+        for (port, _), key in ports.outputs.items():
+            self._keys_of_port.setdefault(port, []).append(key)
+        self._clocked = any(hears.message == "clock" for hears in ports.inputs.values())
+        self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
+
+    # -- what the runtime calls ----------------------------------------------------------------------------------
+
+    def start(self, peers: Mapping[str, str]) -> None:
+        """Begin: `peers` are the other nodes that are up, name to role."""
+        self.node.start(self)
+        for peer, role in sorted(peers.items()):
+            self.node.joined(peer, role, self)
+
+    def joined(self, peer: str, role: str) -> None:
+        """Another node has come up."""
+        self._guard("joined", self.node.joined, peer, role, self)
+
+    def left(self, peer: str, role: str) -> None:
+        """Another node has gone."""
+        self._guard("left", self.node.left, peer, role, self)
+
+    def finish(self) -> dict[str, Any]:
+        """End: the node's results."""
+        results = self._guard("finish", self.node.finish, self)
+        return results if isinstance(results, dict) else {}
+
+    def deliver(self, key: str, payload: bytes | Message, step: int, *, counted: bool = True, flaw: str = "") -> None:
+        """A message has come on `key`, sent in `step` of its sender (-1: not known, it is taken at once).
+
+        `counted`: it was sent by a node of this run, so that lock-step waits until it is handled.
+        """
+        hears = self._ports.inputs.get(key)
+        if hears is None:
+            return
+        try:
+            if flaw:
+                raise MessageError(flaw)
+            message = codec.decode(payload, hears.message) if isinstance(payload, bytes) else payload
+            if message.header.source != hears.source:
+                raise MessageError(f"{hears.message}: source {message.header.source[:40]!r}, expected {hears.source!r}")
+        except MessageError as error:
+            self._reject(key, str(error), counted)
+            return
+        if self.observe:
+            self.observe(key, message.header)
+        received = Received(message, hears.subject, payload if isinstance(payload, bytes) else None)
+        if hears.message == "clock":
+            self._clock(key, hears, received, counted)
+        elif step > self.frame and self._clocked:
+            self._hold(step, key, hears, received, counted)
+        else:
+            self._handle(key, hears, received, counted)
+
+    def reset_counts(self) -> None:
+        """Start counting anew (a node has died or joined; done at a frame boundary)."""
+        self.sent.clear()
+        self.handled.clear()
+
+    # -- what the node calls: its Context ------------------------------------------------------------------------
+
+    def publish(
+        self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None
+    ) -> None:
+        """See node.Context."""
+        schema = self._output(port)
+        key = self._key(port, subject)
+        header_frame = self.frame if frame is None else frame
+        header_time = self.time_ns if time_ns is None else time_ns
+        if schema == "clock":
+            self.frame, self.time_ns = header_frame, header_time
+        if key is None:
+            return
+        header = Header(schema, self.name, header_frame, header_time, self._seq[key])
+        message = codec.conform(header, body)
+        self._seq[key] += 1
+        self._send(key, message)
+
+    def relay(self, port: str, received: Received, body: Body | None = None) -> None:
+        """See node.Context."""
+        self._output(port)
+        key = self._ports.outputs.get((port, received.subject))
+        if key is None:
+            return
+        if body is None:
+            payload = received.payload or codec.encode(received.message) if self._encode else received.message
+            self.outbox.append(Outgoing(key, payload, self.frame))
+            self.sent[key] += 1
+        else:
+            self._send(key, codec.conform(received.message.header, body))
+
+    def connected(self, port: str, subject: str | None = None) -> bool:
+        """See node.Context."""
+        return self._key(port, subject) is not None
+
+    def rng(self, *purpose: str | int) -> np.random.Generator:
+        """See node.Context."""
+        return stream(self.seed, self.name, *purpose)
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _output(self, port: str) -> str:
+        if port not in self.node.outputs:
+            raise ConfigurationError(f"{self.name}: no output port {port!r}{nearest(port, self.node.outputs)}")
+        return self.node.outputs[port]
+
+    def _key(self, port: str, subject: str | None) -> str | None:
+        if subject is not None:
+            return self._ports.outputs.get((port, subject))
+        keys = self._keys_of_port.get(port, [])
+        if len(keys) > 1:
+            raise ConfigurationError(f"{self.name}: port {port!r} has {len(keys)} wires: say which by subject=…")
+        return keys[0] if keys else None
+
+    def _send(self, key: str, message: Message) -> None:
+        if self._encode:
+            self.outbox.append(Outgoing(key, codec.encode(message), self.frame))
+        else:
+            flaw = ""
+            try:
+                codec.check_values(message)
+            except MessageError as error:
+                flaw = str(error)
+            self.outbox.append(Outgoing(key, message, self.frame, flaw))
+        self.sent[key] += 1
+
+    def _clock(self, key: str, hears: Input, received: Received, counted: bool) -> None:
+        if received.frame <= self.frame:
+            self._reject(key, f"clock: frame {received.frame} after frame {self.frame}", counted)
+            return
+        self.frame, self.time_ns = received.frame, received.time_ns
+        self._handle(key, hears, received, counted)
+        for step in sorted(step for step in self._held if step <= self.frame):
+            for held_key, held_hears, held, held_counted in self._held.pop(step):
+                self._n_held -= 1
+                self._handle(held_key, held_hears, held, held_counted)
+
+    def _hold(self, step: int, key: str, hears: Input, received: Received, counted: bool) -> None:
+        if self._n_held >= MAX_HELD:
+            self._reject(key, f"{hears.message}: more than {MAX_HELD} messages wait for their clock", counted)
+            return
+        self._held.setdefault(step, []).append((key, hears, received, counted))
+        self._n_held += 1
+
+    def _handle(self, key: str, hears: Input, received: Received, counted: bool) -> None:
+        self._guard(hears.port, self._handlers[hears.port], received, self)
+        if counted:
+            self.handled[key] += 1
+
+    def _reject(self, key: str, reason: str, counted: bool) -> None:
+        if counted:
+            self.handled[key] += 1
+        kind = reason.split(":", 1)[0]
+        if not any(known == key for known, _ in self.rejected):
+            self.log.warning("rejected a message on %s: %s (further ones on this key are only counted)", key, reason)
+        self.rejected[key, kind] += 1
+
+    def _guard(self, what: str, call: Any, *arguments: Any) -> Any:
+        """Call a handler; its error costs this one message, is logged once per port, and counted."""
+        try:
+            return call(*arguments)
+        except Exception:
+            if not self.failures[what]:
+                self.log.exception("the handler of %s failed (further failures are only counted)", what)
+            self.failures[what] += 1
+            return None
+
+
+def port_schemas(node: type[Node]) -> tuple[Mapping[str, str], Mapping[str, str]]:
+    """(inputs, outputs) of a node class, checked: every message type exists, every input has a handler."""
+    for side in (node.inputs, node.outputs):
+        for port, schema in side.items():
+            if schema not in SCHEMAS:
+                raise ConfigurationError(
+                    f"{node.__name__}: port {port!r} has no message type {schema!r}{nearest(schema, SCHEMAS)}"
+                )
+    return node.inputs, node.outputs

@@ -1,0 +1,77 @@
+"""When may the next frame begin? Lock-step by quiescence, as a state machine without I/O.
+
+Every runtime reports how many messages its node has sent and has handled, per key, both at once, whenever its inbox is
+empty. The mesh is quiet when every subscriber of every key has handled all that its publisher has sent. A report is made
+after everything that the counted messages caused has been sent, so reports that balance cannot hide a message under way.
+
+Counting is by epoch. When a node dies or joins, a new epoch begins: all counters start from zero, and a message counts only
+in the epoch in which it was sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from mast_zenoh.keyexpr import Wiring
+
+
+class Pacer:
+    """Judges quiescence among the members of the current epoch.
+
+    members: name to role of the nodes that take part, the driving node included
+    """
+
+    def __init__(self, wiring: Wiring) -> None:
+        self.epoch = 0
+        self.members: dict[str, str] = {}
+        self._flows = [
+            (leg.key, leg.publisher.node, end.node) for _, leg in wiring.legs() for end in leg.subscribers
+        ]
+        self._reports: dict[str, tuple[Mapping[str, int], Mapping[str, int]]] = {}
+        self._watched: list[tuple[str, str, str]] = []
+
+    def begin_epoch(self, members: Mapping[str, str]) -> int:
+        """A new epoch with these members; nobody has reported in it yet. Returns its number."""
+        self.epoch += 1
+        self.members = dict(members)
+        self._reports.clear()
+        self._watched = [flow for flow in self._flows if flow[1] in members and flow[2] in members]
+        return self.epoch
+
+    def report(self, node: str, epoch: int, sent: Mapping[str, int], handled: Mapping[str, int]) -> None:
+        """A node's counters by key. Those of another epoch or of a stranger say nothing."""
+        if epoch == self.epoch and node in self.members:
+            self._reports[node] = (sent, handled)
+
+    def drop(self, nodes: Iterable[str]) -> None:
+        """These members are gone: the rest of the epoch goes on without waiting for them."""
+        for node in nodes:
+            self.members.pop(node, None)
+            self._reports.pop(node, None)
+        self._watched = [flow for flow in self._watched if flow[1] in self.members and flow[2] in self.members]
+
+    @property
+    def silent(self) -> set[str]:
+        """Members that have not reported in this epoch."""
+        return self.members.keys() - self._reports.keys()
+
+    def quiet(self) -> bool:
+        """Whether nothing is under way anywhere."""
+        reports = self._reports
+        if len(reports) < len(self.members):
+            return False
+        for key, publisher, subscriber in self._watched:
+            if reports[publisher][0].get(key, 0) != reports[subscriber][1].get(key, 0):
+                return False
+        return True
+
+    def owing(self) -> Iterable[str]:
+        """Why the mesh is not quiet, in words: for the error when it stays so."""
+        for node in sorted(self.silent):
+            yield f"{node} has not reported"
+        for key, publisher, subscriber in self._watched:
+            if publisher in self._reports and subscriber in self._reports:
+                sent = self._reports[publisher][0].get(key, 0)
+                handled = self._reports[subscriber][1].get(key, 0)
+                if sent != handled:
+                    yield f"{subscriber} has handled {handled} of {sent} messages of {publisher} on {key}"

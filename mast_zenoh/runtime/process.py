@@ -1,0 +1,79 @@
+"""The `main` of every node's file: `python nodes/agent.py --run-folder DIR --name infra_1 --endpoint tcp/127.0.0.1:7447`.
+
+The process leaves when it is told to stop, when it gets SIGTERM, and when its standard input closes: the launcher holds the
+other end, so that a launcher that dies, however it dies, takes its nodes with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import logging
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+
+from mast_zenoh import registry
+from mast_zenoh.errors import MastError
+from mast_zenoh.keyexpr import Wiring
+from mast_zenoh.node import Node, Source
+from mast_zenoh.runtime.driver import Driver
+from mast_zenoh.runtime.mesh import MeshNode
+from mast_zenoh.runtime.session import open_client
+from mast_zenoh.scenario import Resolved
+
+ORPHAN_GRACE_S = 2.0
+
+
+def main(node: type[Node]) -> None:
+    """Run one node of this class as this process; ends the process."""
+    faulthandler.enable()
+    parser = argparse.ArgumentParser(description=(node.__doc__ or "").strip())
+    parser.add_argument("--run-folder", type=Path, required=True, help="holds scenario.json, wiring.json, scene.npz")
+    parser.add_argument("--name", required=True, help="which node of the scenario this is")
+    parser.add_argument("--endpoint", required=True, help="of the router, e.g. tcp/127.0.0.1:7447")
+    parser.add_argument("--run", required=True, help="id of the run: all keys begin with mast/RUN/")
+    parser.add_argument("--stay", action="store_true", help="do not leave when standard input closes")
+    arguments = parser.parse_args()
+    logging.basicConfig(
+        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr
+    )
+    try:
+        run(node, arguments)
+    except MastError as error:
+        logging.getLogger("mast").error("%s", error)
+        sys.exit(error.exit_code)
+
+
+def run(node: type[Node], arguments: argparse.Namespace) -> None:
+    """Build the node from its run folder and host it until it is told to stop."""
+    os.chdir(arguments.run_folder)
+    resolved = Resolved.read(Path())
+    spec = resolved.nodes[arguments.name]
+    built = registry.construct(node, spec.config, f"{arguments.run_folder}/scenario.json: {arguments.name}")
+    wiring = Wiring.from_json(resolved.wiring)
+    with open_client(arguments.endpoint) as session:
+        common = (arguments.run, arguments.name, built, wiring, resolved.seed, session)
+        if isinstance(built, Source):
+            roles = {name: node_spec.role for name, node_spec in resolved.nodes.items()}
+            hosted: MeshNode = Driver(*common, expected=roles, mode=resolved.mode, rate=resolved.rate)
+        else:
+            hosted = MeshNode(*common)
+        if resolved.mode == "realtime":
+            hosted.note_arrivals()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
+        signal.signal(signal.SIGTERM, lambda *_: hosted.inbox.put(("stop", "terminated")))
+        if not arguments.stay:
+            threading.Thread(target=_leave_with_launcher, args=(hosted,), daemon=True).start()
+        hosted.run_until_stopped()
+
+
+def _leave_with_launcher(hosted: MeshNode) -> None:
+    """Wait for the end of standard input; then leave, at the latest after a grace."""
+    while os.read(0, 4096):
+        pass
+    hosted.inbox.put(("stop", "orphaned"))
+    threading.Event().wait(ORPHAN_GRACE_S)
+    os._exit(3)

@@ -1,0 +1,21 @@
+"""Scenes: where the truth comes from. A scene is prepared once per seed as a `Recording`, and replayed."""
+
+from mast_zenoh.scenes.av2 import AV2Log
+from mast_zenoh.scenes.avstack import AVstackScene
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.cache import cache_folder, prepare
+from mast_zenoh.scenes.intersection import Intersection
+from mast_zenoh.scenes.names import parse_scene
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+
+__all__ = [
+    "AV2Log",
+    "AVstackScene",
+    "Intersection",
+    "Recording",
+    "Scene",
+    "SceneAgent",
+    "cache_folder",
+    "parse_scene",
+    "prepare",
+]

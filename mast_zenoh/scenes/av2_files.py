@@ -1,0 +1,160 @@
+"""Reading the files of an Argoverse 2 sensor log (Wilson et al.: Argoverse 2, NeurIPS Datasets and Benchmarks 2021)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.errors import SceneError
+from mast_zenoh.geometry import rotation_from_quaternion
+from mast_zenoh.states import CLASS_INDEX, Floats, Ints
+
+POSES = "city_SE3_egovehicle.feather"
+_POSE = {**dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float"), "timestamp_ns": "int"}
+_BOX = {
+    **_POSE,
+    **dict.fromkeys(("length_m", "width_m", "height_m"), "float"),
+    "track_uuid": "text",
+    "category": "text",
+    "num_interior_pts": "int",
+}
+
+#: Categories by class. The two halves of an articulated lorry are two objects, as in the data.
+_CATEGORIES = {
+    "car": ("REGULAR_VEHICLE",),
+    "truck": ("LARGE_VEHICLE", "BOX_TRUCK", "TRUCK", "TRUCK_CAB", "VEHICULAR_TRAILER"),
+    "bus": ("BUS", "SCHOOL_BUS", "ARTICULATED_BUS"),
+    "motorcycle": ("MOTORCYCLE", "MOTORCYCLIST"),
+    "bicycle": ("BICYCLE", "BICYCLIST"),
+    "pedestrian": ("PEDESTRIAN", "OFFICIAL_SIGNALER", "STROLLER", "WHEELCHAIR"),
+}
+CLASS_OF_CATEGORY = {category: CLASS_INDEX[name] for name, group in _CATEGORIES.items() for category in group}
+#: What does not take part in traffic, and the ego, whose box is made from its pose.
+LEFT_OUT = (
+    "BOLLARD",
+    "CONSTRUCTION_BARREL",
+    "CONSTRUCTION_CONE",
+    "EGO_VEHICLE",
+    "MESSAGE_BOARD_TRAILER",
+    "MOBILE_PEDESTRIAN_CROSSING_SIGN",
+    "MOBILE_PEDESTRIAN_SIGN",
+    "SIGN",
+    "STOP_SIGN",
+    "TRAFFIC_LIGHT_TRAILER",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """N annotated boxes in the frame of the recording car, by time and then by track.
+
+    frame: (N,) row of `times_ns` (F,);  track: (N,) number of the track, from 1, in the order of their names
+    position: (N, 3) m;  rotation: (N, 3, 3) active;  size: (N, 3) m l w h;  class_id: (N,);  points: (N,) lidar returns
+    """
+
+    times_ns: Ints
+    frame: Ints
+    track: Ints
+    position: Floats
+    rotation: Floats
+    size: Floats
+    class_id: NDArray[np.uint8]
+    points: Ints
+
+
+def find_log(path: Path) -> tuple[Path, Path]:
+    """The annotations and the poses of the log at `path`: its folder, or a folder that holds a single log."""
+    if not path.is_dir():
+        raise SceneError(f"{path}: no such folder")
+    folders = [folder for folder in (path, *sorted(path.iterdir())) if folder.is_dir() and (folder / POSES).is_file()]
+    if len(folders) != 1:
+        raise SceneError(f"{path}: {len(folders)} logs with a file {POSES}, expected one")
+    annotations = sorted(folders[0].glob("annotations*.feather"))
+    if len(annotations) != 1:
+        raise SceneError(f"{folders[0]}: {len(annotations)} files annotations*.feather, expected one")
+    return annotations[0], folders[0] / POSES
+
+
+def read_poses(path: Path, times_ns: Ints) -> tuple[Floats, Floats]:
+    """Position (F, 3) m and active rotation (F, 3, 3) of the recording car in the city at `times_ns` (F,)."""
+    columns = _read(path, _POSE)
+    order = np.argsort(columns["timestamp_ns"], kind="stable")
+    known = columns["timestamp_ns"][order]
+    if np.any(np.diff(known) == 0):
+        raise SceneError(f"{path}: timestamp_ns {known[np.flatnonzero(np.diff(known) == 0)[0]]} is there twice")
+    at = np.searchsorted(known, times_ns)
+    missing = (at == len(known)) | (known[np.minimum(at, len(known) - 1)] != times_ns)
+    if missing.any():
+        raise SceneError(f"{path}: no pose at timestamp_ns {times_ns[missing][0]} of the annotations")
+    return _poses(path, {name: values[order[at]] for name, values in columns.items()})
+
+
+def read_boxes(path: Path) -> Boxes:
+    """The annotated road users of a log; what is `LEFT_OUT` is left out, an unknown category has an unknown class."""
+    columns = _read(path, _BOX)
+    times = np.unique(columns["timestamp_ns"])
+    if len(times) == 0:
+        raise SceneError(f"{path}: no row")
+    # Times come from all rows: a frame in which nobody is about is a frame.
+    keep = ~np.isin(columns["category"], LEFT_OUT)
+    columns = {name: values[keep] for name, values in columns.items()}
+    track = np.unique(columns["track_uuid"], return_inverse=True)[1].astype(np.int64) + 1
+    frame = np.searchsorted(times, columns["timestamp_ns"])
+    order = np.lexsort((track, frame))
+    frame, track = frame[order], track[order]
+    columns = {name: values[order] for name, values in columns.items()}
+    twice = np.flatnonzero((np.diff(frame) == 0) & (np.diff(track) == 0))
+    if len(twice):
+        name, time = columns["track_uuid"][twice[0]], times[frame[twice[0]]]
+        raise SceneError(f"{path}: track {name} is there twice at timestamp_ns {time}")
+    size = np.stack([columns[name] for name in ("length_m", "width_m", "height_m")], axis=1)
+    if len(size) and (size.min() <= 0 or columns["num_interior_pts"].min() < 0):
+        raise SceneError(f"{path}: a size is not more than 0, or num_interior_pts is negative")
+    position, rotation = _poses(path, columns)
+    class_id = np.array([CLASS_OF_CATEGORY.get(name, 0) for name in columns["category"]], np.uint8)
+    return Boxes(times, frame, track, position, rotation, size, class_id, columns["num_interior_pts"])
+
+
+def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:
+    """The expected columns of a feather file, complete and finite."""
+    # Imported here because it takes long, and most processes of a run read no feather file.
+    import pyarrow
+    from pyarrow import feather
+
+    try:
+        table = feather.read_table(path, memory_map=False)
+    except (pyarrow.ArrowException, OSError) as error:
+        raise SceneError(f"{path}: not a feather file: {error}") from error
+    columns: dict[str, NDArray[Any]] = {}
+    for name, kind in expected.items():
+        if name not in table.column_names:
+            raise SceneError(f"{path}: no column {name}; found {', '.join(table.column_names)}")
+        column = table[name]
+        if column.null_count:
+            raise SceneError(f"{path}: column {name} has {column.null_count} empty values")
+        try:
+            if kind == "text":
+                values: NDArray[Any] = np.array(column.cast(pyarrow.string()).to_pylist(), dtype=np.str_)
+            else:
+                values = column.cast(pyarrow.float64() if kind == "float" else pyarrow.int64()).to_numpy()
+        except pyarrow.ArrowException as error:
+            raise SceneError(f"{path}: column {name}: {error}") from error
+        if kind == "float" and not np.isfinite(values).all():
+            row = int(np.flatnonzero(~np.isfinite(values))[0])
+            raise SceneError(f"{path}: column {name}, row {row} is {values[row]}, expected a finite number")
+        columns[name] = values
+    return columns
+
+
+def _poses(path: Path, columns: dict[str, NDArray[Any]]) -> tuple[Floats, Floats]:
+    quaternion = np.stack([columns[name] for name in ("qw", "qx", "qy", "qz")], axis=1).astype(np.float64)
+    length = np.linalg.norm(quaternion, axis=1)
+    if np.any(np.abs(length - 1.0) > 1e-3):
+        row = int(np.abs(length - 1.0).argmax())
+        raise SceneError(f"{path}: the quaternion {quaternion[row].tolist()} has not the length 1")
+    position = np.stack([columns[name] for name in ("tx_m", "ty_m", "tz_m")], axis=1).astype(np.float64)
+    return position, rotation_from_quaternion(quaternion)

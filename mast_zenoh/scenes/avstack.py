@@ -1,0 +1,267 @@
+"""Recorded scenes in the CARLA multi-agent layout of AVstack."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import beside
+from mast_zenoh.scenes.avstack_decode import Calibration, ObjectState, read_calibration, read_objects, read_seen
+from mast_zenoh.scenes.avstack_layout import Layout, opened
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.observe import World, detect, recorded, see
+from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
+from mast_zenoh.scenes.velocities import fill_velocity
+from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+from mast_zenoh.states import Floats, Ints, ObjectStates
+
+#: The id of agent 0 as an object; agent k, where it is an object, has this plus k. The layout numbers agents and
+#: objects apart, both from 0, and its original reader gives the ego this id.
+EGO_ID = 99999
+
+_SEEN_POINTS = 5  # returns from which an object counts as seen
+_MISFIT_M = 0.05  # m, between what a calibration says of a sensor's place and what the agent's state says
+_DETECTOR = DetectionModel()
+#: Columns of a camera's frame (x right, y down, z forward) from those of ours (x forward, y left, z up).
+_OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+class AVstackScene(Scene):
+    """A scene in the CARLA multi-agent layout, with what lies beside it (docs/scenes.md).
+
+    path:             a run folder, a folder above a single run, or a tar archive of either
+    n_infrastructure: of the static agents, the first so many; None: all
+    n_mobile:         of the mobile agents besides the ego, the first so many; None: all
+    replay:           take the detections in `detections.jsonl`, if there is one; else they are made by `detector`
+    detector:         what makes detections of what the lidars see
+
+    The first mobile agent is "ego", further ones are "mobile_k", static ones "infra_k", k being their number in the
+    files. An object's lidar returns come from `visibility.jsonl`; else the objects in a lidar's object files are seen,
+    with as many returns as ray casting gives, at least 5 and scaled by their visible fraction; else, where a lidar has
+    no object files, from ray casting alone.
+    """
+
+    def __init__(
+        self,
+        *,
+        path: str,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        replay: bool = True,
+        detector: Detector = _DETECTOR,
+    ) -> None:
+        self.path = Path(path)
+        self.n_infrastructure = n_infrastructure
+        self.n_mobile = n_mobile
+        self.replay = replay
+        self.detector = detector
+
+    def inputs(self) -> Sequence[Path]:
+        """The archive or the folder."""
+        return (self.path,)
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        """See `Scene.record`."""
+        with opened(self.path) as layout:
+            return self._record(layout, seed, frames)
+
+    def _record(self, layout: Layout, seed: int, frames: int | None) -> Recording:
+        numbers = list(layout.frames())
+        if frames is not None:
+            if not 1 <= frames <= len(numbers):
+                raise ConfigurationError(f"{self.path}: {frames} frames asked for, the scene has {len(numbers)}")
+            numbers = numbers[:frames]
+        times, actors, objects = _read_states(layout, numbers)
+        agents = self._agents(actors[0], layout.run)
+        world, ground = _world(layout, self.path.name, numbers, times, agents, actors, objects)
+        points = _points(layout, world, numbers, agents)
+        file = layout.beside("detections.jsonl") if self.replay else None
+        if file is None:
+            return recorded(world, points, *detect(world, points, self.detector, seed, ground))
+        rotation = world.agent_rotation @ np.stack([agent.sensor.mount_rotation for agent in world.agents])
+        return recorded(world, points, *beside.read_detections(file, numbers, agents, rotation))
+
+    def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
+        """Numbers of the agents: the ego, then the other mobile ones, then the static ones."""
+        mobile = [number for number, state in actors.items() if state.size is not None]
+        static = [number for number, state in actors.items() if state.size is None]
+        if not mobile:
+            raise SceneError(f"{run / 'objects'}: no actor has a box, expected the ego at least")
+        for name, wanted, there in (
+            ("n_infrastructure", self.n_infrastructure, len(static)),
+            ("n_mobile", self.n_mobile, len(mobile) - 1),
+        ):
+            if wanted is not None and not 0 <= wanted <= there:
+                raise ConfigurationError(f"{self.path}: {name} is {wanted}, the scene has {there}")
+        others = mobile[1:] if self.n_mobile is None else mobile[1 : 1 + self.n_mobile]
+        return [mobile[0], *others, *(static if self.n_infrastructure is None else static[: self.n_infrastructure])]
+
+
+def _read_states(
+    layout: Layout, numbers: list[int]
+) -> tuple[Ints, list[dict[int, ObjectState]], list[dict[int, ObjectState]]]:
+    """Times (F,) ns, and for every frame the actors by number and the objects by id, actors with a box among them."""
+    times: list[float] = []
+    all_actors: list[dict[int, ObjectState]] = []
+    all_objects: list[dict[int, ObjectState]] = []
+    actor_files = layout.frames()
+    for frame in numbers:
+        path = actor_files[frame]
+        time, actors = read_objects(path, frame)
+        by_number = {state.id: state for state in sorted(actors, key=lambda state: state.id)}
+        others_path = path.with_name(path.name.replace("-actors-", "-npcs-"))
+        others_time, others = read_objects(others_path, frame)
+        if others_time != time:
+            raise SceneError(f"{others_path}: time {others_time} s, but {time} s in {path.name}")
+        if times and time <= times[-1]:
+            raise SceneError(f"{path}: time {time} s is not later than {times[-1]} s in the frame before")
+        if all_actors and list(by_number) != list(all_actors[0]):
+            raise SceneError(f"{path}: actors {list(by_number)}, but {list(all_actors[0])} in the first frame")
+        if len(by_number) != len(actors):
+            raise SceneError(f"{path}: two actors have the same ID")
+        objects = {state.id: state for state in others if state.size is not None}
+        if len(objects) != len(others):
+            raise SceneError(f"{others_path}: two objects have the same ID, or one has no box")
+        objects |= {EGO_ID + number: state for number, state in by_number.items() if state.size is not None}
+        times.append(time)
+        all_actors.append(by_number)
+        all_objects.append(dict(sorted(objects.items())))
+    return np.round(np.array(times) * 1e9).astype(np.int64), all_actors, all_objects
+
+
+def _world(
+    layout: Layout,
+    name: str,
+    numbers: list[int],
+    times: Ints,
+    agents: list[int],
+    actors: list[dict[int, ObjectState]],
+    objects: list[dict[int, ObjectState]],
+) -> tuple[World, Floats]:
+    """The scene without visibility and detections; and the ground (F, A) m about each agent."""
+    start = np.cumsum([0, *map(len, objects)])
+    flat = [(number, state) for frame in objects for number, state in frame.items()]
+    position = np.array([state.centre for _, state in flat])
+    velocity = np.array([np.full(3, np.nan) if state.velocity is None else state.velocity for _, state in flat])
+    ids = np.array([number for number, _ in flat], np.int64)
+    truth = truth_states(
+        {
+            "id": ids,
+            "position": position,
+            "velocity": fill_velocity(ids, position, velocity, np.repeat(times, np.diff(start))),
+            "size": np.array([state.size for _, state in flat]),
+            "yaw": np.array([state.yaw for _, state in flat]),
+            "class_id": np.array([state.class_id for _, state in flat], np.uint8),
+        }
+    )
+    agent_position = np.array([[frame[number].position for number in agents] for frame in actors])
+    agent_velocity = np.zeros_like(agent_position)
+    for column, number in enumerate(agents):
+        if actors[0][number].size is not None:
+            agent_velocity[:, column] = truth.velocity[ids == EGO_ID + number]
+    agent_rotation = np.array([[frame[number].rotation for number in agents] for frame in actors])
+    file = layout.beside("buildings.json")
+    buildings = beside.read_buildings(file, layout.beside("scene.json")) if file else ((), np.zeros(0))
+    world = World(
+        name=name,
+        agents=tuple(
+            _agent(layout, numbers, number, k == 0, actors[0][number], agent_position[:, k], agent_rotation[:, k])
+            for k, number in enumerate(agents)
+        ),
+        period_ns=int(np.median(np.diff(times))) if len(times) > 1 else 100_000_000,
+        times_ns=times,
+        truth=truth,
+        truth_start=start,
+        agent_position=agent_position,
+        agent_rotation=agent_rotation,
+        agent_velocity=agent_velocity,
+        buildings=buildings[0],
+        building_height=buildings[1],
+    )
+    bottoms = truth.position[:, 2] - truth.size[:, 2] / 2
+    level = np.array([np.median(bottoms[a:b]) for a, b in itertools.pairwise(start)])
+    return world, np.repeat(level[:, None], len(agents), axis=1)
+
+
+def _agent(
+    layout: Layout,
+    numbers: list[int],
+    number: int,
+    first: bool,
+    state: ObjectState,
+    position: Floats,
+    rotation: Floats,
+) -> SceneAgent:
+    """An agent with its first lidar and its first camera; position (F, 3) and rotation (F, 3, 3) are the agent's."""
+    mobile = state.size is not None
+    lidars = layout.sensors("lidar", number)
+    if not lidars:
+        raise SceneError(f"{layout.run / 'data'}: no folder lidar-<k>-{number} of agent {number}")
+    files = layout.calibrations(lidars[0], numbers)
+    mount_position, mount_rotation = _mount(read_calibration(files[numbers[0]]), position[0], rotation[0])
+    for k, path in enumerate(files.values()):
+        found, expected = read_calibration(path).position, position[k] + rotation[k] @ mount_position
+        if np.abs(found - expected).max() > _MISFIT_M:
+            raise SceneError(
+                f"{path}: the lidar is at {np.round(found, 2).tolist()}, expected {np.round(expected, 2).tolist()}: "
+                "it is mounted on the agent, and not elsewhere than in the first frame"
+            )
+    lidar = LidarSensor() if mobile else LidarSensor.infrastructure()
+    camera = Camera()
+    cameras = layout.sensors("camera", number)
+    if cameras:
+        path = layout.calibrations(cameras[0], numbers)[numbers[0]]
+        calibration = read_calibration(path)
+        if calibration.focal is None or calibration.width is None or calibration.height is None:
+            raise SceneError(f"{path}: img_shape is missing, expected the calibration of a camera")
+        place, turn = _mount(calibration, position[0], rotation[0])
+        camera = Camera(place, turn @ _OPTICAL, calibration.width, calibration.height, calibration.focal)
+    return SceneAgent(
+        "ego" if first else f"mobile_{number}" if mobile else f"infra_{number}",
+        "mobile" if mobile else "static",
+        EGO_ID + number if mobile else -1,
+        replace(lidar, mount_position=mount_position, mount_rotation=mount_rotation),
+        camera,
+    )
+
+
+def _mount(calibration: Calibration, position: Floats, rotation: Floats) -> tuple[Floats, Floats]:
+    """Where a sensor is in its agent's frame, from where both are in the world.
+
+    Some writers give the sensor in the agent's frame, some in the world: their product is the same.
+    """
+    return rotation.T @ (calibration.position - position), rotation.T @ calibration.rotation
+
+
+def _points(layout: Layout, world: World, numbers: list[int], agents: list[int]) -> NDArray[np.int32]:
+    """(N, A) lidar returns, from the best that there is."""
+    truth: ObjectStates = world.truth
+    file = layout.beside("visibility.jsonl")
+    if file is not None:
+        return beside.read_visibility(file, numbers, agents, truth.id, world.truth_start)
+    cast = see(world)
+    points = cast.copy()
+    listed: set[int] = set()
+    for column, number in enumerate(agents):
+        files = layout.seen(layout.sensors("lidar", number)[0], numbers)
+        if files is None:
+            continue
+        points[:, column] = 0
+        for k, (frame, path) in enumerate(files.items()):
+            seen = read_seen(path, frame)
+            listed |= seen.keys()
+            for row in range(*world.rows(k).indices(len(truth))):
+                fraction = seen.get(int(truth.id[row]), -1.0)
+                if fraction != -1.0:
+                    share = 1.0 if fraction is None else fraction
+                    points[row, column] = max(_SEEN_POINTS, round(share * int(cast[row, column])))
+    # Writers that never list the agents among the objects say nothing about whether they are seen.
+    unlisted = (truth.id >= EGO_ID) & ~np.isin(truth.id, sorted(listed))
+    points[unlisted] = cast[unlisted]
+    return points

@@ -1,0 +1,304 @@
+"""A generated scene: a signalised junction with traffic, seen by an ego that drives through and by poles around it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.geometry import rotation_from_yaw, rotation_from_yaw_pitch
+from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.buildings import rows_of_buildings
+from mast_zenoh.scenes.junction import BIKE, CROSSER, ROAD, WALKER, Arm, arms_of, plan
+from mast_zenoh.scenes.observe import World, detect, recorded, see
+from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
+from mast_zenoh.scenes.traffic import Motion, Movers, Network, Traffic
+from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+from mast_zenoh.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates
+from mast_zenoh.streams import stream
+
+_DETECTOR = DetectionModel()
+_WARM_UP_S = 60.0  # until queues and gaps have formed
+_SEARCH_S = 45.0  # in which a start is looked for, so that the ego drives through
+_WINDOW_S = 15.0  # for which the ego is looked at
+_POLE_HEIGHT_M = 15.0
+_POLE_PITCH_DEG = 30.0
+_MAX_POLES, _MAX_MOBILE = 16, 20
+
+# kind: user, class, (l, w, h) m smallest and largest, wished speed m/s, acceleration, braking m/s^2, headway s, gap m
+_KINDS = {
+    "car": (ROAD, "car", (4.0, 1.7, 1.4), (5.0, 1.95, 1.8), (10.5, 14.0), 1.6, 2.0, 1.2, 2.0),
+    "truck": (ROAD, "truck", (7.0, 2.35, 2.8), (9.0, 2.5, 3.6), (9.5, 12.5), 1.0, 1.8, 1.5, 2.5),
+    "bus": (ROAD, "bus", (11.0, 2.5, 3.0), (12.0, 2.5, 3.3), (9.5, 12.0), 1.0, 1.6, 1.5, 2.5),
+    "bicycle": (BIKE, "bicycle", (1.7, 0.55, 1.6), (1.9, 0.7, 1.85), (4.0, 6.0), 0.9, 1.8, 1.0, 1.2),
+    "crosser": (CROSSER, "pedestrian", (0.5, 0.5, 1.5), (0.7, 0.7, 1.9), (1.1, 1.6), 1.0, 1.5, 0.4, 0.5),
+    "walker": (WALKER, "pedestrian", (0.5, 0.5, 1.5), (0.7, 0.7, 1.9), (0.9, 1.6), 1.0, 1.5, 0.4, 0.5),
+}
+
+
+class Intersection(Scene):
+    """A signalised junction of about 200 x 200 m; needs no data.
+
+    scene_index:      which junction: arms, lanes, buildings, how much traffic; 0, 1, 2, …
+    n_infrastructure: poles with a lidar 15 m up, looking 30 degrees down, 0 to 16; the first stand near the stop lines
+    n_mobile:         further agents among the motor vehicles, 0 to 20
+    n_vehicles:       motor vehicles, of which the ego is one; None: as the junction has it, about 20
+    n_bicycles, n_pedestrians: None: as the junction has it
+    rate_hz:          frames per second
+    detector:         what makes detections of what the lidars see
+
+    150 frames unless `record` is asked for another number. The seed decides the traffic and the detections, never the
+    junction; the number of agents decides neither.
+    """
+
+    def __init__(
+        self,
+        *,
+        scene_index: int = 0,
+        n_infrastructure: int = 4,
+        n_mobile: int = 0,
+        n_vehicles: int | None = None,
+        n_bicycles: int | None = None,
+        n_pedestrians: int | None = None,
+        rate_hz: float = 10.0,
+        detector: Detector = _DETECTOR,
+    ) -> None:
+        for name, value, limit in (
+            ("scene_index", scene_index, None),
+            ("n_infrastructure", n_infrastructure, _MAX_POLES),
+            ("n_mobile", n_mobile, _MAX_MOBILE),
+            ("n_bicycles", n_bicycles or 0, None),
+            ("n_pedestrians", n_pedestrians or 0, None),
+        ):
+            if value < 0 or (limit is not None and value > limit):
+                expected = "0 or more" if limit is None else f"0 to {limit}"
+                raise ConfigurationError(f"Intersection: {name} is {value}, expected {expected}")
+        if n_vehicles is not None and n_vehicles < 1 + n_mobile:
+            raise ConfigurationError(
+                f"Intersection: n_vehicles is {n_vehicles}, expected {1 + n_mobile} or more: the ego and n_mobile"
+            )
+        if not 1.0 <= rate_hz <= 100.0:
+            raise ConfigurationError(f"Intersection: rate_hz is {rate_hz}, expected 1 to 100")
+        self.scene_index = scene_index
+        self.n_infrastructure = n_infrastructure
+        self.n_mobile = n_mobile
+        self.n_vehicles = n_vehicles
+        self.n_bicycles = n_bicycles
+        self.n_pedestrians = n_pedestrians
+        self.rate_hz = rate_hz
+        self.detector = detector
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        """See `Scene.record`."""
+        frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
+        if frames < 1:
+            raise ConfigurationError(f"Intersection: {frames} frames, expected at least 1")
+        layout = stream(self.scene_index, "intersection")
+        arms = _arms(self.scene_index, layout)
+        density = layout.uniform(3.2, 4.8)  # motor vehicles per lane
+        network = Network.of(plan(arms), green_s=float(layout.uniform(11.0, 16.0)), red_s=2.0)
+        buildings, heights = rows_of_buildings(arms, layout)
+        lanes = sum(arm.lanes for arm in arms)
+        movers, kinds = _movers(
+            network,
+            {
+                "vehicle": self._of("n_vehicles", max(round(lanes * density), 1 + _MAX_MOBILE)),
+                "bicycle": self._of("n_bicycles", int(layout.integers(3, 7))),
+                "pedestrian": self._of("n_pedestrians", int(layout.integers(7, 14))),
+            },
+            stream(seed, "intersection", self.scene_index, "movers"),
+        )
+        motion, ego, others = self._drive(network, movers, seed, frames)
+        motorised = [ego, *others[: self.n_mobile]]
+        world = _world(
+            f"intersection-{self.scene_index}",
+            round(1e9 / self.rate_hz),
+            movers,
+            kinds,
+            motion,
+            motorised,
+            _poles(arms, self.n_infrastructure),
+            (buildings, heights),
+        )
+        points = see(world)
+        return recorded(world, points, *detect(world, points, self.detector, seed))
+
+    def _of(self, name: str, usual: int) -> int:
+        wanted: int | None = getattr(self, name)
+        return usual if wanted is None else wanted
+
+    def _drive(self, network: Network, movers: Movers, seed: int, frames: int) -> tuple[Motion, int, list[int]]:
+        """The motion in the recorded frames, the ego, and the other motor vehicles, those at the junction first."""
+        steps = int(np.ceil(10.0 / self.rate_hz - 1e-9))
+        dt = 1.0 / (self.rate_hz * steps)
+        traffic = Traffic(network, movers, seed, f"intersection/{self.scene_index}")
+        traffic.run(round(_WARM_UP_S * self.rate_hz), steps, dt)
+        window, search = round(_WINDOW_S * self.rate_hz), round(_SEARCH_S * self.rate_hz)
+        # What is chosen depends on the window alone, so that fewer frames are the beginning of more.
+        motion = traffic.run(search + max(window, frames), steps, dt)
+        motorised = np.flatnonzero(movers.user == ROAD)
+        cars = motorised[movers.size_class[motorised] == 0]
+        begin, ego = _passage(network, motion.frames(slice(search + window)), cars, window)
+        motion = motion.frames(slice(begin, begin + frames))
+        distance = np.hypot(*np.moveaxis(motion.position[:window, motorised], -1, 0)).mean(axis=0)
+        others = [int(row) for row in motorised[np.argsort(distance, kind="stable")] if row != ego]
+        return motion, ego, others
+
+
+def _arms(scene_index: int, random: np.random.Generator) -> tuple[Arm, ...]:
+    """Four arms, three as a T, or three as a Y, turned, bent and as wide as chance has it."""
+    kind = ("cross", "tee", "cross", "cross", "wye")[scene_index % 5]
+    degrees, bend = {
+        "cross": ((0.0, 90.0, 180.0, 270.0), 9.0),
+        "tee": ((0.0, 90.0, 180.0), 8.0),
+        "wye": ((0.0, 120.0, 240.0), 10.0),
+    }[kind]
+    angles = np.array(degrees) + random.uniform(-bend, bend, len(degrees)) + random.uniform(0.0, 360.0)
+    main, cross = int(random.choice([1, 2, 2, 3])), int(random.choice([1, 1, 2]))
+    return arms_of(list(np.radians(angles)), [main, cross, main, cross][: len(degrees)])
+
+
+def _movers(network: Network, count: dict[str, int], random: np.random.Generator) -> tuple[Movers, list[str]]:
+    """Everything that moves, spread over the lanes; and the class of each."""
+    vehicle = random.choice(["car", "truck", "bus"], size=count["vehicle"], p=[0.84, 0.1, 0.06])
+    vehicle[0] = "car"  # there is always one that the ego can be
+    pedestrian = random.choice(["crosser", "walker"], size=count["pedestrian"], p=[0.5, 0.5])
+    names = [*vehicle, *["bicycle"] * count["bicycle"], *pedestrian]
+    places = {user: _places(network, user, random) for user in (ROAD, BIKE, CROSSER, WALKER)}
+    long_places = [place for place in places[ROAD] if network.passable[place[0], 1]]
+    rows: list[tuple[int, float]] = []
+    for i, name in enumerate(names):
+        user = _KINDS[name][0]
+        free = long_places if name in ("truck", "bus") else places[user]
+        if not free and user == CROSSER:  # no room at the crossings: this one walks on the pavement
+            names[i], user, free = "walker", WALKER, places[WALKER]
+        elif not free and name in ("truck", "bus"):  # no lane on which a long vehicle gets round: this one is short
+            names[i], free = "car", places[ROAD]
+        if not free:
+            raise ConfigurationError(
+                f"Intersection: no room for {sum(_KINDS[k][0] == user for k in names)} x {names[i]}"
+            )
+        place = free[-1]
+        for remaining in (places[user], long_places):
+            if place in remaining:
+                remaining.remove(place)
+        rows.append(place)
+    kinds = [_KINDS[name] for name in names]
+    part = random.random((len(names), 4))
+    low, high = np.array([kind[2] for kind in kinds]), np.array([kind[3] for kind in kinds])
+    slow, fast = np.array([kind[4] for kind in kinds]).T
+    acceleration, braking, headway, gap = np.array([kind[5:] for kind in kinds], np.float64).T
+    movers = Movers(
+        size=np.round(low + (high - low) * part[:, :3], 2),
+        user=np.array([kind[0] for kind in kinds]),
+        speed=slow + (fast - slow) * part[:, 3],
+        acceleration=acceleration,
+        braking=braking,
+        headway=headway,
+        gap=gap,
+        path=np.array([path for path, _ in rows]),
+        start=np.array([s for _, s in rows]),
+    )
+    return movers, [kind[1] for kind in kinds]
+
+
+def _places(network: Network, user: int, random: np.random.Generator) -> list[tuple[int, float]]:
+    """Where movers of a kind can start without touching each other: (path, m along it), shuffled."""
+    spacing = {ROAD: 18.0, BIKE: 8.0, CROSSER: 2.2, WALKER: 4.0}[user]
+    places = []
+    for row, lane in enumerate(network.lanes):
+        if lane.user == user and not lane.connector and (user == WALKER or network.passable[row].any()):
+            # A crossing whose two landings are both full would never empty: one place on one of them stays free.
+            room = lane.path.length - (spacing if user in (ROAD, WALKER) else 1.0)
+            places += [(row, float(s)) for s in np.arange(0.5 * spacing if user == ROAD else 0.6, room, spacing)]
+    return [places[k] for k in random.permutation(len(places))]
+
+
+def _passage(network: Network, motion: Motion, cars: Ints, window: int) -> tuple[int, int]:
+    """The frame to begin with and the ego: a car that crosses the junction in the window, well under way."""
+    crossing: Bools = network.origin[motion.path[:, cars]] >= 0
+    travelled = np.concatenate([np.zeros((1, len(cars))), np.cumsum(motion.speed[:, cars], axis=0)])
+    begins = np.arange(0, len(motion.speed) - window + 1, 5)
+    best: tuple[float, int, int] | None = None
+    for begin in begins:
+        inside = crossing[begin : begin + window]
+        middle = (inside * np.arange(window)[:, None]).sum(axis=0) / np.maximum(inside.sum(axis=0), 1)
+        # Best: across at 60 % of the window, and far travelled; a car that does not cross comes last.
+        worth = travelled[begin + window] - travelled[begin]
+        worth = worth / travelled[-1].max(initial=1e-9) - np.abs(middle / window - 0.6) - 10.0 * ~inside.any(axis=0)
+        k = int(worth.argmax())
+        if best is None or worth[k] > best[0]:
+            best = float(worth[k]), int(begin), int(cars[k])
+    assert best is not None
+    return best[1], best[2]
+
+
+def _poles(arms: tuple[Arm, ...], count: int) -> list[tuple[Floats, float]]:
+    """Position (2,) m and heading rad of the poles: on the pavements, near the stop lines first, facing the middle."""
+    places = []
+    for beyond, side in ((8.0, 1.0), (24.0, -1.0), (40.0, 1.0), (56.0, -1.0), (72.0, 1.0), (88.0, -1.0)):
+        local = [np.array([[arm.stop + beyond, side * (arm.half_width + 1.2)]]) for arm in arms]
+        places += [arm.world(point)[0] for arm, point in zip(arms, local, strict=True)]
+    return [(place, float(np.arctan2(-place[1], -place[0]))) for place in places[:count]]
+
+
+def _world(
+    name: str,
+    period_ns: int,
+    movers: Movers,
+    classes: list[str],
+    motion: Motion,
+    motorised: list[int],
+    poles: list[tuple[Floats, float]],
+    buildings: tuple[tuple[Floats, ...], Floats],
+) -> World:
+    """The scene's truth and its agents, flat ground at z = 0."""
+    frames, n = motion.yaw.shape
+    heights = movers.size[:, 2]
+    agents = []
+    for k, row in enumerate(motorised):
+        # The lidar stands on the roof; a bus is higher than a car.
+        mount = np.array([0.0, 0.0, max(1.8, float(heights[row]) + 0.2)])
+        camera = Camera(mount_position=mount - [0.0, 0.0, 0.2])
+        agents.append(
+            SceneAgent("ego" if k == 0 else f"mobile_{k}", "mobile", row, LidarSensor(mount_position=mount), camera)
+        )
+    for k in range(len(poles)):
+        pole = Camera(mount_position=np.zeros(3))
+        agents.append(SceneAgent(f"infra_{k + 1}", "static", -1, LidarSensor.infrastructure(), pole))
+
+    position = np.zeros((frames, len(agents), 3))
+    rotation = np.zeros((frames, len(agents), 3, 3))
+    velocity = np.zeros((frames, len(agents), 3))
+    heading = np.stack([np.cos(motion.yaw), np.sin(motion.yaw), np.zeros_like(motion.yaw)], axis=-1)
+    moving = heading * motion.speed[..., None]
+    for k, row in enumerate(motorised):
+        position[:, k, :2] = motion.position[:, row]
+        rotation[:, k] = [rotation_from_yaw(float(yaw)) for yaw in motion.yaw[:, row]]
+        velocity[:, k] = moving[:, row]
+    for k, (place, yaw) in enumerate(poles, start=len(motorised)):
+        position[:, k] = (*place, _POLE_HEIGHT_M)
+        rotation[:, k] = rotation_from_yaw_pitch(yaw, np.radians(_POLE_PITCH_DEG))
+    centre = np.concatenate([motion.position, np.broadcast_to(heights[:, None] / 2, (frames, n, 1))], axis=-1)
+    truth: ObjectStates = truth_states(
+        {
+            "id": np.tile(np.arange(n, dtype=np.int64), frames),
+            "position": centre.reshape(-1, 3),
+            "velocity": moving.reshape(-1, 3),
+            "size": np.tile(movers.size, (frames, 1)),
+            "yaw": (motion.yaw.reshape(-1) + np.pi) % (2 * np.pi) - np.pi,
+            "class_id": np.tile(np.array([CLASS_INDEX[name] for name in classes], np.uint8), frames),
+        }
+    )
+    return World(
+        name=name,
+        agents=tuple(agents),
+        period_ns=period_ns,
+        times_ns=np.arange(frames, dtype=np.int64) * period_ns,
+        truth=truth,
+        truth_start=np.arange(frames + 1, dtype=np.int64) * n,
+        agent_position=position,
+        agent_rotation=rotation,
+        agent_velocity=velocity,
+        buildings=buildings[0],
+        building_height=buildings[1],
+    )

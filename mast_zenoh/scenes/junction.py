@@ -1,0 +1,194 @@
+"""The ground plan of a generated junction: arms, lanes, turns, crossings, pavements. No traffic yet.
+
+Traffic drives on the right. In the frame of an arm, x points away from the centre and y to the left of that, so that
+lanes towards the centre have y > 0. Every lane away from the centre ends in a turning loop, out of sight of the
+junction, and comes back as the lane towards it: nothing ever leaves the scene, so it can be as long as one likes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.scenes.paths import Path, arc, bend, oval, rounded, straight
+from mast_zenoh.states import Floats
+
+LANE = 3.5  # m, width of a lane
+BIKE_LANE = 2.0
+KERB = 5.0  # m, from where the kerbs of two arms meet to the crossing
+CROSSING = 4.0  # m, width of a pedestrian crossing
+REACH = 105.0  # m, where the turning loops begin
+LOOP_SHIFT = 30.0  # m, over which lanes spread before the turning loop
+PAVEMENT_END = 85.0
+PAVEMENT = 6.0  # m, width of a pavement
+OPPOSITE_DEG = 20.0  # arms within this of half a turn apart have no corner between them
+
+#: Who uses a path.
+ROAD, BIKE, CROSSER, WALKER = range(4)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One road of the junction: direction rad from the centre, lanes each way, and m from centre to stop line."""
+
+    angle: float
+    lanes: int
+    stop: float
+
+    @property
+    def half_width(self) -> float:
+        """m, from the middle of the road to its kerb."""
+        return self.lanes * LANE + BIKE_LANE
+
+    def offset(self, slot: int) -> float:
+        """m, from the middle of the road to the middle of a lane; slot `lanes` is the bicycle lane."""
+        return (slot + 0.5) * LANE if slot < self.lanes else self.lanes * LANE + BIKE_LANE / 2
+
+    def world(self, local: Floats) -> Floats:
+        """(k, 2) points of the arm's frame in the world."""
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        turned: Floats = local @ np.array([[c, s], [-s, c]])
+        return turned
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """One path of the plan.
+
+    user:   ROAD, BIKE, CROSSER or WALKER
+    path:   where it goes
+    follow: rows of the lanes one may go on to
+    arm:    of an approach: the arm it belongs to; of a connector: the arm it comes from
+    target: of a connector: the arm it goes to (that of its crossing, for pedestrians); -1 for an approach
+    turn:   rad, of a connector, positive to the left
+    """
+
+    user: int
+    path: Path
+    follow: tuple[int, ...]
+    arm: int
+    target: int
+    turn: float
+
+    @property
+    def connector(self) -> bool:
+        """Whether the path crosses the junction or a road, and so needs the right of way."""
+        return self.target >= 0
+
+
+def arms_of(angles: list[float], lanes: list[int]) -> tuple[Arm, ...]:
+    """The arms at `angles` rad (ascending) with `lanes` each way; stop lines are set back behind the crossings."""
+    bare = [Arm(angle, count, 0.0) for angle, count in zip(angles, lanes, strict=True)]
+    arms = []
+    for i, arm in enumerate(bare):
+        left, right = bare[(i + 1) % len(bare)], bare[i - 1]
+        mouth = 4.0
+        for other, gap in ((left, left.angle - arm.angle), (right, arm.angle - right.angle)):
+            gap %= 2 * np.pi
+            if gap < np.pi - np.radians(OPPOSITE_DEG):
+                meet = (other.half_width + arm.half_width * np.cos(gap)) / np.sin(gap)
+                mouth = max(mouth, float(meet))
+        arms.append(Arm(arm.angle, arm.lanes, mouth + KERB + CROSSING + 1.5))
+    return tuple(arms)
+
+
+def plan(arms: tuple[Arm, ...]) -> tuple[Lane, ...]:
+    """All lanes of a junction with these arms."""
+    lanes: list[Lane] = []
+    approach: dict[tuple[int, int], int] = {}
+    for a, arm in enumerate(arms):
+        for slot in range(arm.lanes + 1):
+            approach[a, slot] = len(lanes)
+            lanes.append(Lane(BIKE if slot == arm.lanes else ROAD, _approach(arm, slot), (), a, -1, 0.0))
+    for (a, slot), row in approach.items():
+        for b, exit_slot in _exits(arms, a, slot):
+            start = arms[a].world(np.array([[arms[a].stop, arms[a].offset(slot)]]))[0]
+            end = arms[b].world(np.array([[arms[b].stop, -arms[b].offset(exit_slot)]]))[0]
+            path = Path.through(bend(start, arms[a].angle + np.pi, end, arms[b].angle))
+            lanes.append(Lane(lanes[row].user, path, (approach[b, exit_slot],), a, b, _turn(arms, a, b)))
+            lanes[row] = _leading_to(lanes[row], len(lanes) - 1)
+    for a, arm in enumerate(arms):
+        lanes += _crossing(arm, a, len(lanes))
+    for a in range(len(arms)):
+        lanes.append(Lane(WALKER, Path.through(_pavement(arms, a)), (len(lanes),), a, -1, 0.0))
+    return tuple(lanes)
+
+
+def _leading_to(lane: Lane, row: int) -> Lane:
+    return Lane(lane.user, lane.path, (*lane.follow, row), lane.arm, lane.target, lane.turn)
+
+
+def _turn(arms: tuple[Arm, ...], a: int, b: int) -> float:
+    return float(wrap_angle(np.array(arms[b].angle - arms[a].angle - np.pi)))
+
+
+def _exits(arms: tuple[Arm, ...], a: int, slot: int) -> list[tuple[int, int]]:
+    """(arm, slot) to go to from a lane: straight from every lane, left from the inner, right from the outer."""
+    arm = arms[a]
+    turns = {b: _turn(arms, a, b) for b in range(len(arms)) if b != a}
+    ahead = [b for b, turn in turns.items() if abs(turn) < np.radians(35)]
+    left = [b for b, turn in turns.items() if turn >= np.radians(35)]
+    right = [b for b, turn in turns.items() if turn <= -np.radians(35)]
+    if slot == arm.lanes:
+        return [(b, arms[b].lanes) for b in ahead + right]
+    exits = [(b, min(slot, arms[b].lanes - 1)) for b in ahead]
+    if slot == 0:
+        exits += [(b, 0) for b in left]
+    if slot == arm.lanes - 1:
+        exits += [(b, arms[b].lanes - 1) for b in right]
+    # A middle lane of a road that ends here turns left beside the inner one.
+    return exits or [(b, min(slot, arms[b].lanes - 1)) for b in (left or right)[:1]]
+
+
+def _approach(arm: Arm, slot: int) -> Path:
+    """Out from the exit line, round the turning loop, and back to the stop line."""
+    offset, radius = arm.offset(slot), 9.0 + 4.8 * slot
+    t = np.linspace(0.0, 1.0, 121)
+    shift = offset + (radius - offset) * (10 * t**3 - 15 * t**4 + 6 * t**5)
+    spread = np.stack([REACH + LOOP_SHIFT * t, -shift], axis=1)
+    out = straight(np.array([arm.stop, -offset]), spread[0])
+    half = np.concatenate([out, spread])
+    loop = arc(np.array([REACH + LOOP_SHIFT, 0.0]), radius, -np.pi / 2, np.pi)
+    return Path.through(arm.world(np.concatenate([half, loop, half[::-1] * [1.0, -1.0]])))
+
+
+def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
+    """Two tracks over the road, with a landing on either pavement; those who have crossed turn and come back."""
+    x, half, track = arm.stop - 1.5 - CROSSING / 2, arm.half_width + 0.2, 0.9
+    over = straight(np.array([x + track, -half]), np.array([x + track, half]))
+    out, back = np.array([x + track, half + 0.5]), np.array([x - track, half])
+    landing = np.concatenate([straight(over[-1], out), arc(np.array([x, half + 0.5]), track, 0.0, np.pi), back[None]])
+    paths = []
+    for mirror in (1.0, -1.0):  # the way back is the way there, turned about the middle of the road
+        middle = np.array([x, 0.0])
+        paths += [(over - middle) * mirror + middle, (landing - middle) * mirror + middle]
+    lanes = []
+    for k, local in enumerate(paths):
+        path = Path.through(arm.world(local))
+        lanes.append(Lane(CROSSER, path, (first + (k + 1) % 4,), a, -1 if k % 2 else a, 0.0))
+    return lanes
+
+
+def corners(arms: tuple[Arm, ...], a: int, beyond: float) -> Floats:
+    """(1 or 2, 2) m, where the left side of arm `a` becomes the right side of the next, `beyond` m behind the kerbs.
+
+    One point where they meet, two where the arms lie opposite each other and nothing meets.
+    """
+    here, after = arms[a], arms[(a + 1) % len(arms)]
+    gap = (after.angle - here.angle) % (2 * np.pi)
+    y, z = here.half_width + beyond, after.half_width + beyond
+    if abs(gap - np.pi) > np.radians(OPPOSITE_DEG):
+        return here.world(np.array([[(z + y * np.cos(gap)) / np.sin(gap), y]]))
+    ends = here.world(np.array([[here.stop + 3.0, y]])), after.world(np.array([[after.stop + 3.0, -z]]))
+    return np.concatenate(ends)
+
+
+def _pavement(arms: tuple[Arm, ...], a: int) -> Floats:
+    """The loop of those who walk round the corner between arm `a` and the next, and back."""
+    here, after = arms[a], arms[(a + 1) % len(arms)]
+    beyond = 3.5
+    start = here.world(np.array([[PAVEMENT_END, here.half_width + beyond]]))
+    end = after.world(np.array([[PAVEMENT_END, -after.half_width - beyond]]))
+    return oval(rounded(np.concatenate([start, corners(arms, a, beyond), end]), 5.0), 0.9)

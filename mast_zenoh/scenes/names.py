@@ -1,0 +1,34 @@
+"""Short names of scenes, as given on the command line: `intersection`, `avstack:PATH`, `av2:PATH`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mast_zenoh.errors import ConfigurationError, nearest
+
+#: Short name to the type of the scene that takes the rest as its path.
+_WITH_PATH = {"avstack": "AVstackScene", "av2": "AV2Log"}
+_KNOWN = ("intersection", "intersection:INDEX", "avstack:PATH", "av2:PATH")
+
+
+def parse_scene(text: str) -> dict[str, Any]:
+    """The configuration of the scene that a short name stands for.
+
+    `intersection` and `intersection:INDEX` (a generated junction), `avstack:PATH` (CARLA multi-agent layout),
+    `av2:PATH` (Argoverse 2 log). Raises ConfigurationError for anything else, naming what is known.
+    """
+    name, colon, rest = text.partition(":")
+    if name == "intersection" and not colon:
+        return {"type": "Intersection"}
+    if name == "intersection" and rest.isdecimal():
+        return {"type": "Intersection", "scene_index": int(rest)}
+    if name in _WITH_PATH and rest:
+        return {"type": _WITH_PATH[name], "path": rest}
+    if name == "sumo":
+        raise ConfigurationError(f"scene {text!r}: SUMO networks cannot be read; known: {', '.join(_KNOWN)}")
+    if name in _WITH_PATH:
+        raise ConfigurationError(f"scene {text!r}: names no path, expected {name}:PATH")
+    if name == "intersection":
+        raise ConfigurationError(f"scene {text!r}: {rest!r} is not an index, expected intersection:INDEX, 0 or more")
+    hint = nearest(name, ("intersection", *_WITH_PATH))
+    raise ConfigurationError(f"scene {text!r}: unknown name {name!r}{hint} (known: {', '.join(_KNOWN)})")

@@ -1,0 +1,123 @@
+"""What the agents of a scene see and detect, for scenes that do not bring it along."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.sensing import Detector, Walls, lidar_points, sensor_pose
+from mast_zenoh.states import DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.streams import stream
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A scene before anybody looks at it; the fields are those of `Recording`.
+
+    The rows of each frame are in the order of their ids.
+    """
+
+    name: str
+    agents: tuple[SceneAgent, ...]
+    period_ns: int
+    times_ns: Ints
+    truth: ObjectStates
+    truth_start: Ints
+    agent_position: Floats
+    agent_rotation: Floats
+    agent_velocity: Floats
+    buildings: tuple[Floats, ...] = ()
+    building_height: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def rows(self, frame: int) -> slice:
+        """The truth rows of a frame."""
+        return slice(int(self.truth_start[frame]), int(self.truth_start[frame + 1]))
+
+    def sensor_pose(self, frame: int, agent: int) -> tuple[Floats, Floats]:
+        """Position (3,) m and rotation (3, 3) of the lidar of `agent` (row of `agents`) in the world."""
+        mount = self.agents[agent].sensor
+        return sensor_pose(
+            self.agent_position[frame, agent],
+            self.agent_rotation[frame, agent],
+            mount.mount_position,
+            mount.mount_rotation,
+        )
+
+
+def see(world: World, columns: Sequence[int] | None = None) -> NDArray[np.int32]:
+    """(N, A) lidar returns of each truth row at each agent, by ray casting; only for `columns` if they are given."""
+    points = np.zeros((len(world.truth), len(world.agents)), np.int32)
+    walls = Walls.of_buildings(world.buildings, world.building_height)
+    for frame in range(len(world.times_ns)):
+        rows = world.rows(frame)
+        truth = world.truth.select(rows)
+        for column in range(len(world.agents)) if columns is None else columns:
+            agent = world.agents[column]
+            own = np.flatnonzero((truth.id == agent.object_id) & (truth.id >= 0))
+            points[rows, column] = lidar_points(
+                agent.sensor,
+                *world.sensor_pose(frame, column),
+                truth.position,
+                truth.size,
+                truth.yaw,
+                walls,
+                int(own[0]) if len(own) else -1,
+            )
+    return points
+
+
+def detect(
+    world: World, points: NDArray[np.int32], detector: Detector, seed: int, ground: Floats | None = None
+) -> tuple[Detections, Ints, Ints]:
+    """What every agent detects in every frame: `detections`, `detection_start` and `detection_truth_id`.
+
+    Each (agent, frame) draws from a stream of its own, so that one agent more changes nothing for the others.
+    ground: (F, A) m, z of the ground about each agent; None: 0.
+    """
+    found: list[Detections] = []
+    ids: list[Ints] = []
+    for frame in range(len(world.times_ns)):
+        rows = world.rows(frame)
+        truth = world.truth.select(rows)
+        for column, agent in enumerate(world.agents):
+            detections, truth_id = detector.detect(
+                truth,
+                points[rows, column],
+                agent.sensor,
+                *world.sensor_pose(frame, column),
+                0.0 if ground is None else float(ground[frame, column]),
+                stream(seed, "detector", agent.name, frame),
+            )
+            found.append(detections)
+            ids.append(truth_id)
+    flat = Detections(*(np.concatenate([getattr(part, name) for part in found]) for name in DETECTION_COLUMNS))
+    return flat, np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
+
+
+def recorded(
+    world: World, points: NDArray[np.int32], detections: Detections, detection_start: Ints, detection_truth_id: Ints
+) -> Recording:
+    """The finished, validated recording."""
+    recording = Recording(
+        name=world.name,
+        agents=world.agents,
+        period_ns=world.period_ns,
+        times_ns=world.times_ns,
+        truth=world.truth,
+        truth_start=world.truth_start,
+        points=points,
+        agent_position=world.agent_position,
+        agent_rotation=world.agent_rotation,
+        agent_velocity=world.agent_velocity,
+        detections=detections,
+        detection_start=detection_start,
+        detection_truth_id=detection_truth_id,
+        buildings=world.buildings,
+        building_height=world.building_height,
+    )
+    recording.validate()
+    return recording

@@ -1,0 +1,246 @@
+"""A scene, prepared: everything of one (scene, seed), columnar, made once and replayed."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.errors import SceneError
+from mast_zenoh.sensing.camera import Camera
+from mast_zenoh.sensing.lidar import LidarSensor
+from mast_zenoh.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
+
+#: Columns of the truth that a recording keeps; covariance and score say nothing about truth.
+TRUTH_COLUMNS = ("id", "position", "velocity", "size", "yaw", "class_id")
+
+_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class SceneAgent:
+    """One agent of a scene.
+
+    name:      "ego", "mobile_1", …, "infra_1", …
+    kind:      "mobile" or "static"
+    object_id: id of the object that the agent itself is; -1: none (a pole)
+    sensor:    its lidar
+    camera:    its camera, for pictures
+    """
+
+    name: str
+    kind: str
+    object_id: int
+    sensor: LidarSensor
+    camera: Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """F frames of a scene with A agents, N truth rows, D detections and B buildings.
+
+    name:               of the scene
+    agents:             A agents, the ego first
+    period_ns:          int, ns, between two frames
+    times_ns:           (F,) int64, ns, time of each frame, ascending
+    truth:              N rows, world frame, the rows of a frame together; covariance zero, score one
+    truth_start:        (F + 1,) int64: frame f has the rows truth_start[f] to truth_start[f + 1]
+    points:             (N, A) int32, lidar returns of each truth row at each agent
+    agent_position:     (F, A, 3) m, world frame
+    agent_rotation:     (F, A, 3, 3) active, agent to world
+    agent_velocity:     (F, A, 3) m/s, world frame
+    detections:         D rows, each in the frame of the sensor that made it (agent pose, then the sensor's mount)
+    detection_start:    (F * A + 1,) int64: agent a in frame f has the rows [f * A + a] to [f * A + a + 1]
+    detection_truth_id: (D,) int64, id of the object detected, -1 for clutter; for scoring only, never an input
+    buildings:          B outlines, each (k, 2) m, world frame, closed without repeating the first corner
+    building_height:    (B,) m, z of each building's top in the world frame
+    """
+
+    name: str
+    agents: tuple[SceneAgent, ...]
+    period_ns: int
+    times_ns: Ints
+    truth: ObjectStates
+    truth_start: Ints
+    points: NDArray[np.int32]
+    agent_position: Floats
+    agent_rotation: Floats
+    agent_velocity: Floats
+    detections: Detections
+    detection_start: Ints
+    detection_truth_id: Ints
+    buildings: tuple[Floats, ...]
+    building_height: Floats
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.times_ns)
+
+    @property
+    def agent_names(self) -> tuple[str, ...]:
+        """Names of the agents, in column order."""
+        return tuple(agent.name for agent in self.agents)
+
+    def _rows(self, frame: int) -> slice:
+        return slice(int(self.truth_start[frame]), int(self.truth_start[frame + 1]))
+
+    def truth_at(self, frame: int) -> ObjectStates:
+        """All objects of a frame, world frame; views, not copies."""
+        return self.truth.select(self._rows(frame))
+
+    def points_at(self, frame: int) -> NDArray[np.int32]:
+        """(n, A) lidar returns of the rows of `truth_at(frame)` at each agent."""
+        return self.points[self._rows(frame)]
+
+    def _detection_rows(self, frame: int, agent: int) -> slice:
+        index = frame * len(self.agents) + agent
+        return slice(int(self.detection_start[index]), int(self.detection_start[index + 1]))
+
+    def detections_at(self, frame: int, agent: int) -> Detections:
+        """What the sensor of `agent` (row of `agents`) detects in a frame, sensor frame; views, not copies."""
+        return self.detections.select(self._detection_rows(frame, agent))
+
+    def detection_truth_id_at(self, frame: int, agent: int) -> Ints:
+        """(n,) ids behind `detections_at(frame, agent)`, -1 for clutter; for scoring only."""
+        return self.detection_truth_id[self._detection_rows(frame, agent)]
+
+    def validate(self) -> None:
+        """Raises SceneError, naming the column and the frame, unless every shape, offset and number is sound."""
+        f, a, n, d = len(self.times_ns), len(self.agents), len(self.truth), len(self.detections)
+        if f == 0 or a == 0:
+            raise SceneError(f"{self.name}: {f} frames and {a} agents, expected at least one of each")
+        expected: dict[str, tuple[int, ...]] = {
+            "times_ns": (f,),
+            "truth_start": (f + 1,),
+            "points": (n, a),
+            "agent_position": (f, a, 3),
+            "agent_rotation": (f, a, 3, 3),
+            "agent_velocity": (f, a, 3),
+            "detection_start": (f * a + 1,),
+            "detection_truth_id": (d,),
+            "building_height": (len(self.buildings),),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise SceneError(f"{self.name}: {name} has shape {getattr(self, name).shape}, expected {shape}")
+        if len(set(self.agent_names)) != a:
+            raise SceneError(f"{self.name}: agent names repeat: {', '.join(self.agent_names)}")
+        late = np.flatnonzero(np.diff(self.times_ns) <= 0)
+        if len(late):
+            raise SceneError(f"{self.name}: frame {late[0] + 1} is not later than frame {late[0]}")
+        for name, start, rows in (("truth", self.truth_start, n), ("detections", self.detection_start, d)):
+            if start[0] != 0 or start[-1] != rows or np.any(np.diff(start) < 0):
+                raise SceneError(f"{self.name}: the offsets of {name} do not cover its {rows} rows in order")
+        for name, columns in (("truth", self.truth.columns()), ("detections", self.detections.columns())):
+            for column, values in columns.items():
+                self._finite(f"{name}.{column}", values)
+        for name in ("agent_position", "agent_rotation", "agent_velocity", "building_height"):
+            self._finite(name, getattr(self, name))
+        for index, outline in enumerate(self.buildings):
+            self._finite(f"buildings[{index}]", outline)
+            if outline.ndim != 2 or outline.shape[1:] != (2,) or len(outline) < 3:
+                raise SceneError(f"{self.name}: buildings[{index}] has shape {outline.shape}, expected (k >= 3, 2)")
+        if n and self.truth.class_id.max() >= len(CLASSES):
+            raise SceneError(f"{self.name}: truth.class_id {self.truth.class_id.max()} is not in CLASSES")
+        for frame in range(f):
+            ids = self.truth_at(frame).id
+            if len(np.unique(ids)) != len(ids):
+                raise SceneError(f"{self.name}: frame {frame} has two truth rows of one id")
+
+    def _finite(self, name: str, values: NDArray[Any]) -> None:
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            raise SceneError(
+                f"{self.name}: {name}{bad[0].tolist()} is {values[tuple(bad[0])]}, expected a finite number"
+            )
+
+    def save(self, path: Path) -> None:
+        """Write everything to one .npz file; no pickle inside."""
+        head = {
+            "format": _FORMAT,
+            "name": self.name,
+            "period_ns": self.period_ns,
+            "agents": [_agent_to_json(agent) for agent in self.agents],
+        }
+        arrays: dict[str, NDArray[Any]] = {"head": np.array(json.dumps(head))}
+        arrays |= {f"truth.{name}": getattr(self.truth, name) for name in TRUTH_COLUMNS}
+        arrays |= {f"detections.{name}": getattr(self.detections, name) for name in DETECTION_COLUMNS}
+        arrays |= {name: getattr(self, name) for name in _ARRAYS}
+        arrays["building_start"] = np.cumsum([0, *map(len, self.buildings)])
+        arrays["building_corners"] = np.concatenate([np.zeros((0, 2)), *self.buildings])
+        with path.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> Recording:
+        """Read what `save` wrote. Raises SceneError when the file is missing, broken or of another format."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            head = json.loads(str(arrays["head"]))
+            if head["format"] != _FORMAT:
+                raise SceneError(f"{path}: format {head['format']}, expected {_FORMAT}")
+            start = arrays["building_start"]
+            recording = cls(
+                name=head["name"],
+                agents=tuple(map(_agent_from_json, head["agents"])),
+                period_ns=int(head["period_ns"]),
+                truth=truth_states({name: arrays[f"truth.{name}"] for name in TRUTH_COLUMNS}),
+                detections=Detections(*(arrays[f"detections.{name}"] for name in DETECTION_COLUMNS)),
+                buildings=tuple(np.split(arrays["building_corners"], start[1:-1])) if len(start) > 1 else (),
+                **{name: arrays[name] for name in _ARRAYS},
+            )
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            raise SceneError(f"{path}: not a prepared scene: {error}") from error
+        recording.validate()
+        return recording
+
+
+_ARRAYS = tuple(
+    field.name
+    for field in fields(Recording)
+    if field.name not in ("name", "agents", "period_ns", "truth", "detections", "buildings")
+)
+
+
+def truth_states(columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
+    """Truth of the given TRUTH_COLUMNS; the covariances are one zero matrix, seen n times, not n matrices."""
+    n = len(columns["id"])
+    return ObjectStates(
+        **{name: columns[name] for name in TRUTH_COLUMNS},
+        covariance=np.broadcast_to(np.zeros((9, 9)), (n, 9, 9)),
+        score=np.ones(n),
+    )
+
+
+def _agent_to_json(agent: SceneAgent) -> dict[str, Any]:
+    def plain(part: LidarSensor | Camera) -> dict[str, Any]:
+        values = {field.name: getattr(part, field.name) for field in fields(part)}
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
+
+    return {
+        "name": agent.name,
+        "kind": agent.kind,
+        "object_id": agent.object_id,
+        "sensor": plain(agent.sensor),
+        "camera": plain(agent.camera),
+    }
+
+
+def _agent_from_json(data: Mapping[str, Any]) -> SceneAgent:
+    def arrays(part: Mapping[str, Any]) -> dict[str, Any]:
+        return {k: np.array(v, np.float64) if isinstance(v, list) else v for k, v in part.items()}
+
+    return SceneAgent(
+        data["name"],
+        data["kind"],
+        int(data["object_id"]),
+        LidarSensor(**arrays(data["sensor"])),
+        Camera(**arrays(data["camera"])),
+    )

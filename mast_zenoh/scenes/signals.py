@@ -1,0 +1,193 @@
+"""Who is in whose way at a junction, and traffic lights that never let two of them go at once.
+
+A *mover* of some length on some path sweeps an area, here a chain of discs. Two connectors (ways over the junction)
+are in conflict when their swept areas meet. Lights are found from the conflicts: groups of connectors that get along
+share a phase, every group is in at least one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from mast_zenoh.scenes.junction import BIKE, CROSSER, ROAD, Lane
+from mast_zenoh.scenes.paths import Path
+from mast_zenoh.states import Bools, Floats, Ints
+
+#: Length and width m of the largest mover of each kind: short road vehicles, long ones, bicycles, pedestrians.
+SHORT, LONG = 0, 1
+_FOOTPRINT = {
+    (ROAD, SHORT): (5.2, 2.0),
+    (ROAD, LONG): (12.0, 2.55),
+    (BIKE, SHORT): (1.9, 0.7),
+    (CROSSER, SHORT): (0.7, 0.7),
+}
+_CLEARANCE = 0.2  # m
+#: s, by which those who start late may still be under way when the light has turned red.
+LATE_S = 3.0
+#: m/s of the slowest mover of each kind, and s that it has at least to start in.
+_SLOWEST = {ROAD: 8.0, BIKE: 4.0, CROSSER: 1.1}
+_START_S = 4.0
+_TAIL = 15.0  # m of the lanes beside a turn that its sweep must not reach
+
+
+def _sweep(path: Path, footprint: tuple[float, float], begin: float = 0.0, end: float = np.inf) -> tuple[Floats, float]:
+    """Centres (k, 2) m and radius m of discs that cover everything a box of `footprint` covers along a path."""
+    length, width = footprint
+    count = max(1, round(length / 1.6))
+    at = np.linspace(0.0, path.length, len(path.points))
+    used = slice(None, None, 4)  # every metre
+    inside = (at[used] >= begin) & (at[used] <= end)
+    along = ((np.arange(count) + 0.5) / count - 0.5) * length
+    forward = np.stack([np.cos(path.yaw[used]), np.sin(path.yaw[used])], axis=1)[inside]
+    discs = path.points[used][inside][:, None, :] + forward[:, None, :] * along[None, :, None]
+    return discs.reshape(-1, 2), float(np.hypot(length / count / 2, width / 2))
+
+
+def _meet(one: tuple[Floats, float], other: tuple[Floats, float]) -> bool:
+    return bool(cdist(one[0], other[0]).min(initial=np.inf) < one[1] + other[1] + _CLEARANCE)
+
+
+def _footprints(lane: Lane) -> list[int]:
+    return [SHORT, LONG] if lane.user == ROAD else [SHORT]
+
+
+def origins(lanes: Sequence[Lane]) -> Ints:
+    """(P,) the lane that each connector begins in; -1 for what is no connector."""
+    result = np.full(len(lanes), -1)
+    for row, lane in enumerate(lanes):
+        if not lane.connector:
+            for target in lane.follow:
+                if lanes[target].connector:
+                    result[target] = row
+    return result
+
+
+def conflicts(lanes: Sequence[Lane]) -> Bools:
+    """(2 P, 2 P) whether mover class c on path p, row 2 p + c, is in the way of another, for connectors.
+
+    Ways that begin in one lane are not in conflict: who follows there keeps a distance to who is ahead.
+    """
+    result = np.zeros((2 * len(lanes), 2 * len(lanes)), bool)
+    swept = [
+        (2 * row + size, row, _sweep(lane.path, _FOOTPRINT[lane.user, size]))
+        for row, lane in enumerate(lanes)
+        if lane.connector
+        for size in _footprints(lane)
+    ]
+    origin = origins(lanes)
+    for k, (i, row, one) in enumerate(swept):
+        for j, other_row, other in swept[k + 1 :]:
+            if row != other_row and origin[row] != origin[other_row] and _meet(one, other):
+                result[i, j] = result[j, i] = True
+    return result
+
+
+def passable(lanes: Sequence[Lane]) -> Bools:
+    """(P, 2) whether a mover class may use a path: its sweep keeps clear of the lanes beside it, and it gets on again.
+
+    A long vehicle swings out in a tight turn and would hit those who wait beside it. A lane from which no way leads
+    on for long vehicles is none for them.
+    """
+    result = np.ones((len(lanes), 2), bool)
+    waiting = {
+        row: [
+            _sweep(lane.path, _FOOTPRINT[lane.user, SHORT], end=_TAIL),
+            _sweep(lane.path, _FOOTPRINT[lane.user, SHORT], begin=lane.path.length - _TAIL),
+        ]
+        for row, lane in enumerate(lanes)
+        if not lane.connector and lane.user in (ROAD, BIKE)
+    }
+    origin = origins(lanes)
+    for row, lane in enumerate(lanes):
+        result[row, LONG] = lane.user == ROAD
+        if lane.connector and lane.user == ROAD:
+            for size in _footprints(lane):
+                sweep = _sweep(lane.path, _FOOTPRINT[ROAD, size])
+                beside = [k for k in waiting if k != origin[row] and k not in lane.follow]
+                result[row, size] = not any(_meet(sweep, tail) for k in beside for tail in waiting[k])
+    for _ in lanes:
+        for row, lane in enumerate(lanes):
+            result[row] &= result[list(lane.follow)].any(axis=0)
+    return result
+
+
+def shared(lanes: Sequence[Lane]) -> Floats:
+    """(P, P) m, how far one on path q is still in the way of those on path p, counted along q.
+
+    Infinite for p = q; for two ways out of one lane up to where they part; -inf for all others.
+    """
+    result = np.full((len(lanes), len(lanes)), -np.inf)
+    np.fill_diagonal(result, np.inf)
+    for lane in lanes:
+        for p in lane.follow:
+            for q in lane.follow:
+                if p != q:
+                    one, other = lanes[p].path, lanes[q].path
+                    apart = cdist(other.points, one.points).min(axis=1) > 3.2
+                    result[p, q] = other.length * float(np.argmax(apart)) / len(apart) if apart.any() else other.length
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class Lights:
+    """Fixed-time traffic lights.
+
+    green:    (phases, P) which connectors have green in which phase
+    begin:    (phases,) s, when each begins in the cycle
+    length:   (phases,) s, of green; then everything is red until the next phase
+    cycle:    s
+    """
+
+    green: Bools
+    begin: Floats
+    length: Floats
+    cycle: float
+
+    def now(self, time: float) -> tuple[Bools, float]:
+        """(P,) which connectors have green at `time` s, and for how many seconds more."""
+        at = time % self.cycle
+        phase = int(np.searchsorted(self.begin, at, side="right")) - 1
+        left = float(self.begin[phase] + self.length[phase] - at)
+        return (self.green[phase], left) if left > 0 else (np.zeros_like(self.green[phase]), 0.0)
+
+
+def lights(lanes: Sequence[Lane], conflict: Bools, green_s: float, red_s: float) -> Lights:
+    """Lights for a junction: phases of `green_s` s or more, each followed by `red_s` s of red for all."""
+    groups: dict[tuple[int, int, int], list[int]] = {}
+    for row, lane in enumerate(lanes):
+        if lane.connector:
+            groups.setdefault((lane.user, lane.arm, lane.target), []).append(row)
+
+    def along(group: tuple[int, int, int]) -> tuple[int, float, tuple[int, int, int]]:
+        # Straight on first, then left, then right; motor vehicles before bicycles before pedestrians.
+        turn = lanes[groups[group][0]].turn
+        return (0 if abs(turn) < 0.6 else 1 if turn > 0 else 2, float(group[0]), group)
+
+    def agree(group: tuple[int, int, int], phase: list[int]) -> bool:
+        rows = np.array([2 * row + SHORT for row in groups[group]])
+        return not conflict[np.ix_(rows, 2 * np.array(phase, np.int64) + SHORT)].any()
+
+    order = sorted(groups, key=along)
+    waiting = list(order)
+    phases: list[list[int]] = []
+    while waiting:
+        phase: list[int] = []
+        for group in waiting + [group for group in order if group not in waiting]:
+            if agree(group, phase):
+                phase += groups[group]
+        waiting = [group for group in waiting if groups[group][0] not in phase]
+        phases.append(phase)
+    green = np.zeros((len(phases), len(lanes)), bool)
+    for index, phase in enumerate(phases):
+        green[index, phase] = True
+    # Long enough for the slowest to get over, with time to start.
+    length = [
+        max(green_s, *(lanes[row].path.length / _SLOWEST[lanes[row].user] - LATE_S + _START_S for row in phase))
+        for phase in phases
+    ]
+    end = np.cumsum(np.array(length) + red_s)
+    return Lights(green, end - length - red_s, np.array(length), float(end[-1]))

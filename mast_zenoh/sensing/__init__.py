@@ -1,0 +1,21 @@
+"""Sensing: what a lidar sees, what a detector makes of it, and the frames in between."""
+
+from mast_zenoh.sensing.camera import Camera
+from mast_zenoh.sensing.detector import CleanDetector, DetectionModel, Detector
+from mast_zenoh.sensing.frames import sensor_pose, to_sensor, to_world
+from mast_zenoh.sensing.lidar import LidarSensor, in_view
+from mast_zenoh.sensing.raycast import Walls, lidar_points
+
+__all__ = [
+    "Camera",
+    "CleanDetector",
+    "DetectionModel",
+    "Detector",
+    "LidarSensor",
+    "Walls",
+    "in_view",
+    "lidar_points",
+    "sensor_pose",
+    "to_sensor",
+    "to_world",
+]

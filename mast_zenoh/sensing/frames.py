@@ -1,0 +1,39 @@
+"""Between sensor, agent and world frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mast_zenoh import geometry
+from mast_zenoh.states import Detections, Floats
+
+
+def sensor_pose(
+    agent_position: Floats, agent_rotation: Floats, mount_position: Floats, mount_rotation: Floats
+) -> tuple[Floats, Floats]:
+    """Position (3,) m and active rotation (3, 3) of a sensor in the world: the agent's pose, then the mount."""
+    return agent_position + agent_rotation @ mount_position, agent_rotation @ mount_rotation
+
+
+def to_world(detections: Detections, sensor_position: Floats, sensor_rotation: Floats) -> Detections:
+    """Detections of a sensor's frame in the world frame; position (3,) m, active rotation (3, 3) of the sensor.
+
+    The yaw of a detection is about the world's vertical in both frames (`states.Detections`), so only the sensor's
+    heading is added, also when the sensor is pitched.
+    """
+    return replace(
+        detections,
+        position=geometry.to_world(detections.position, sensor_position, sensor_rotation),
+        yaw=geometry.wrap_angle(detections.yaw + geometry.heading(sensor_rotation)),
+        covariance=sensor_rotation @ detections.covariance @ sensor_rotation.T,
+    )
+
+
+def to_sensor(detections: Detections, sensor_position: Floats, sensor_rotation: Floats) -> Detections:
+    """Detections of the world frame in a sensor's frame; inverse of `to_world`."""
+    return replace(
+        detections,
+        position=geometry.to_local(detections.position, sensor_position, sensor_rotation),
+        yaw=geometry.wrap_angle(detections.yaw - geometry.heading(sensor_rotation)),
+        covariance=sensor_rotation.T @ detections.covariance @ sensor_rotation,
+    )

@@ -1,0 +1,69 @@
+"""A lidar: where its beams go, and what it has in view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mast_zenoh.geometry import to_local
+from mast_zenoh.states import Bools, Floats
+
+
+@dataclass(frozen=True, eq=False)
+class LidarSensor:
+    """A spinning or sector lidar. The defaults are the roof lidar of the paper's mobile agents.
+
+    mount_position:    (3,) m, of the lidar in the agent's frame
+    mount_rotation:    (3, 3), active, lidar to agent
+    azimuth_*_deg:     the sector, counter-clockwise from x; one beam in the middle of every step
+    elevation_*_deg:   the lowest and the highest channel, both included, evenly spaced
+    max_range_m:       no return from beyond
+    """
+
+    mount_position: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.8]))
+    mount_rotation: Floats = field(default_factory=lambda: np.eye(3))
+    azimuth_min_deg: float = -180.0
+    azimuth_max_deg: float = 180.0
+    azimuth_step_deg: float = 0.2
+    elevation_min_deg: float = -17.6
+    elevation_max_deg: float = 2.4
+    channels: int = 64
+    max_range_m: float = 100.0
+
+    @classmethod
+    def infrastructure(cls) -> LidarSensor:
+        """The paper's pole lidar: a 90 degree sector, -25 to 30 degrees in the frame of the agent, which is pitched."""
+        return cls(np.zeros(3), np.eye(3), -45.0, 45.0, 0.2, -25.0, 30.0, 64, 100.0)
+
+    @property
+    def azimuths(self) -> Floats:
+        """(m,) rad, ascending, of the beams in one channel."""
+        count = round((self.azimuth_max_deg - self.azimuth_min_deg) / self.azimuth_step_deg)
+        azimuths: Floats = np.radians(self.azimuth_min_deg + self.azimuth_step_deg * (np.arange(count) + 0.5))
+        return azimuths
+
+    @property
+    def elevations(self) -> Floats:
+        """(channels,) rad, ascending."""
+        return np.radians(np.linspace(self.elevation_min_deg, self.elevation_max_deg, self.channels))
+
+
+def in_view(points_world: Floats, sensor_position: Floats, sensor_rotation: Floats, lidar: LidarSensor) -> Bools:
+    """(n,) whether (n, 3) world points lie in the sector, between the channels and in range of a lidar.
+
+    sensor_position (3,) m, sensor_rotation (3, 3) active, of the lidar itself (`sensing.sensor_pose`). Occlusion is
+    not looked at.
+    """
+    local = to_local(np.asarray(points_world, np.float64), sensor_position, sensor_rotation)
+    ground = np.hypot(local[:, 0], local[:, 1])
+    elevation = np.degrees(np.arctan2(local[:, 2], ground))
+    azimuth = np.degrees(np.arctan2(local[:, 1], local[:, 0]))
+    # The sector may begin below -180 degrees, so azimuths are counted from its beginning.
+    turned = (azimuth - lidar.azimuth_min_deg) % 360.0
+    return (
+        (np.hypot(ground, local[:, 2]) <= lidar.max_range_m)
+        & (elevation >= lidar.elevation_min_deg)
+        & (elevation <= lidar.elevation_max_deg)
+        & (turned <= lidar.azimuth_max_deg - lidar.azimuth_min_deg)
+    )

@@ -1,0 +1,181 @@
+"""What a lidar sees: every beam that may hit a box is cast, the nearest hit wins, walls in between stop it.
+
+The test is exact for upright boxes and vertical walls. It is fast because a box is only tried against the beams of
+its own angular window, and walls only against the beams that hit a box.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.geometry import box_corners, to_local, wrap_angle
+from mast_zenoh.sensing.lidar import LidarSensor
+from mast_zenoh.states import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """w vertical walls, opaque from far below the ground up to `top`.
+
+    start, end: (w, 2) m, world frame
+    top:        (w,) m, z of the upper edge in the world frame
+    """
+
+    start: Floats
+    end: Floats
+    top: Floats
+
+    @classmethod
+    def of_buildings(cls, outlines: tuple[Floats, ...], height: Floats) -> Walls:
+        """The walls of closed outlines, each (k, 2), and the z of their tops (B,)."""
+        if not outlines:
+            return cls(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+        return cls(
+            np.concatenate(outlines),
+            np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines]),
+            np.repeat(np.asarray(height, np.float64), [len(outline) for outline in outlines]),
+        )
+
+
+def lidar_points(
+    lidar: LidarSensor,
+    sensor_position: Floats,
+    sensor_rotation: Floats,
+    position: Floats,
+    size: Floats,
+    yaw: Floats,
+    walls: Walls | None = None,
+    own: int = -1,
+) -> NDArray[np.int32]:
+    """(n,) lidar returns of each of n upright boxes.
+
+    sensor_position (3,) m and sensor_rotation (3, 3) active: the lidar's pose in the world (`sensing.sensor_pose`).
+    position (n, 3) m centre, size (n, 3) m l w h, yaw (n,) rad: the boxes in the world.
+    own: row of the box that carries the lidar; it is in nobody's way and gets no return. -1: none.
+    """
+    points = np.zeros(len(position), np.int32)
+    # Directions and the sensor's origin in each box's frame: box <- world <- sensor.
+    c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros(len(yaw)), np.ones(len(yaw))
+    to_box = np.stack([np.stack([c, s, zero], 1), np.stack([-s, c, zero], 1), np.stack([zero, zero, one], 1)], 1)
+    origin = np.einsum("nij,nj->ni", to_box, sensor_position - position)
+    half = size / 2
+    nearest = np.linalg.norm(np.maximum(np.abs(origin) - half, 0.0), axis=1)
+    near = nearest <= lidar.max_range_m
+    if own >= 0:
+        near[own] = False
+    rows = np.flatnonzero(near)
+    if not len(rows):
+        return points
+    corners = to_local(
+        box_corners(position[rows], size[rows], yaw[rows]).reshape(-1, 3), sensor_position, sensor_rotation
+    )
+    box, azimuth, channels = _columns(lidar, corners.reshape(-1, 8, 3), nearest[rows])
+    hits = _hits(lidar, to_box[rows] @ sensor_rotation, origin[rows], half[rows], box, azimuth, channels)
+    box, distance, direction = _nearest(*hits)
+    seen = np.ones(len(box), bool)
+    if walls is not None and len(walls.top):
+        ends = sensor_position + (direction * distance[:, None]) @ sensor_rotation.T
+        seen = ~_behind_walls(sensor_position, ends, box, len(rows), walls)
+    points[rows] = np.bincount(box[seen], minlength=len(rows))
+    return points
+
+
+def _columns(lidar: LidarSensor, corners: Floats, nearest: Floats) -> tuple[Ints, Ints, Ints]:
+    """The (box, azimuth) pairs to try, and the range of channels (2,) of each; bounds that are never too narrow.
+
+    corners (n, 8, 3) in the sensor frame, nearest (n,) distance of each box.
+    """
+    azimuths, elevations = lidar.azimuths, lidar.elevations
+    centre = corners.mean(axis=1)
+    middle = np.arctan2(centre[:, 1], centre[:, 0])
+    offset = wrap_angle(np.arctan2(corners[..., 1], corners[..., 0]) - middle[:, None])
+    low, high = offset.min(axis=1), offset.max(axis=1)
+    around = high - low >= np.pi  # the sensor's axis goes through the box: any azimuth may hit it
+    low, high = np.where(around, -np.pi, low), np.where(around, np.pi, high)
+
+    # Elevation from height and distance: sin(elevation) = z / d, with d between nearest and farthest.
+    farthest = np.linalg.norm(corners, axis=2).max(axis=1)
+    z_low, z_high = corners[..., 2].min(axis=1), corners[..., 2].max(axis=1)
+    near = np.maximum(nearest, 1e-6)
+    sin_low = np.clip(z_low / np.where(z_low < 0, near, farthest), -1, 1)
+    sin_high = np.clip(z_high / np.where(z_high > 0, near, farthest), -1, 1)
+    first = np.searchsorted(elevations, np.arcsin(sin_low) - 1e-9)
+    last = np.searchsorted(elevations, np.arcsin(sin_high) + 1e-9, side="right")
+
+    # Beam k lies at azimuths[0] + k * step; k is taken modulo a full turn, what is not in the sector is left out.
+    step = np.radians(lidar.azimuth_step_deg)
+    turn = max(round(2 * np.pi / step), len(azimuths))
+    begin = np.ceil((middle + low - azimuths[0]) / step - 1e-9).astype(np.int64)
+    count = np.floor((middle + high - azimuths[0]) / step + 1e-9).astype(np.int64) - begin + 1
+    count = np.where(last > first, np.clip(count, 0, turn), 0)
+    box = np.repeat(np.arange(len(corners)), count)
+    azimuth = (np.arange(len(box)) - np.repeat(np.cumsum(count) - count, count) + begin[box]) % turn
+    inside = azimuth < len(azimuths)
+    box, azimuth = box[inside], azimuth[inside]
+    return box, azimuth, np.stack([first, last], axis=1)[box]
+
+
+def _hits(
+    lidar: LidarSensor, rotation: Floats, origin: Floats, half: Floats, box: Ints, azimuth: Ints, channels: Ints
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Slab test of every beam in the columns: box, beam, distance and direction (sensor frame) of those that hit."""
+    azimuths, elevations = lidar.azimuths, lidar.elevations
+    horizontal = np.stack([np.cos(azimuths), np.sin(azimuths)])[:, azimuth]
+    count = channels[:, 1] - channels[:, 0]
+    column = np.repeat(np.arange(len(box)), count)
+    channel = np.arange(len(column)) - np.repeat(np.cumsum(count) - count - channels[:, 0], count)
+    flat, rise = np.cos(elevations)[channel], np.sin(elevations)[channel]
+    enter = np.zeros(len(column))
+    leave = np.full(len(column), lidar.max_range_m)
+    for axis in range(3):
+        along = rotation[box, axis, 0] * horizontal[0] + rotation[box, axis, 1] * horizontal[1]
+        direction = flat * along[column] + rise * rotation[box, axis, 2][column]
+        # A beam exactly parallel to a face counts as one that leans by nothing measurable.
+        direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+        centre = (-origin[box, axis])[column] / direction
+        reach = half[box, axis][column] / np.abs(direction)
+        np.maximum(enter, centre - reach, out=enter)
+        np.minimum(leave, centre + reach, out=leave)
+    hit = np.flatnonzero(enter <= leave)
+    column, channel = column[hit], channel[hit]
+    directions = np.stack(
+        [flat[hit] * horizontal[0][column], flat[hit] * horizontal[1][column], rise[hit]],
+        axis=1,
+    )
+    return box[column], azimuth[column] * lidar.channels + channel, enter[hit], directions
+
+
+def _nearest(box: Ints, beam: Ints, distance: Floats, direction: Floats) -> tuple[Ints, Floats, Floats]:
+    """Of the hits, the nearest of each beam: box, distance, direction."""
+    order = np.lexsort((distance, beam))
+    first = order[np.flatnonzero(np.diff(beam[order], prepend=-1))]
+    return box[first], distance[first], direction[first]
+
+
+def _behind_walls(origin: Floats, ends: Floats, box: Ints, boxes: int, walls: Walls) -> NDArray[np.bool_]:
+    """(n,) whether a wall stands between `origin` and the hits `ends` (n, 3), which lie on box `box` (n,)."""
+    blocked = np.zeros(len(ends), bool)
+    sight = ends[:, :2] - origin[:2]
+    # Only walls whose bounding box meets that of all sight lines to one box can stand in front of that box.
+    low, high = np.tile(origin[:2], (boxes, 1)), np.tile(origin[:2], (boxes, 1))
+    np.minimum.at(low, box, ends[:, :2])
+    np.maximum.at(high, box, ends[:, :2])
+    wall_low, wall_high = np.minimum(walls.start, walls.end), np.maximum(walls.start, walls.end)
+    meets = np.logical_and.reduce((wall_low[None] <= high[:, None]) & (wall_high[None] >= low[:, None]), axis=2)
+    hit, wall = np.nonzero(meets[box])
+    span = walls.end[wall] - walls.start[wall]
+    offset = walls.start[wall] - origin[:2]
+    sx, sy = sight[hit, 0], sight[hit, 1]
+    cross = sx * span[:, 1] - sy * span[:, 0]
+    cross = np.where(np.abs(cross) < 1e-12, np.nan, cross)  # parallel: never crosses
+    along_sight = (offset[:, 0] * span[:, 1] - offset[:, 1] * span[:, 0]) / cross
+    along_wall = (offset[:, 0] * sy - offset[:, 1] * sx) / cross
+    height = origin[2] + along_sight * (ends[hit, 2] - origin[2])
+    crosses = (
+        (along_sight > 0) & (along_sight < 1) & (along_wall >= 0) & (along_wall <= 1) & (height <= walls.top[wall])
+    )
+    blocked[hit[crosses]] = True
+    return blocked

@@ -1,0 +1,161 @@
+"""Columnar object states: one row per object, one array per quantity; no Python object per track."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+#: Object classes; a message carries the index into this tuple.
+CLASSES = ("unknown", "car", "truck", "bus", "motorcycle", "bicycle", "pedestrian")
+CLASS_INDEX = {name: index for index, name in enumerate(CLASSES)}
+
+#: Order of the rows and columns of every covariance.
+COVARIANCE_ORDER = ("x", "y", "z", "l", "w", "h", "vx", "vy", "vz")
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectStates:
+    """n objects in one frame of reference (the world frame unless said): right-handed, x forward/east, z up.
+
+    id:         (n,) int64, unique within one producer
+    position:   (n, 3) float64, m, centre of the box
+    velocity:   (n, 3) float64, m/s
+    size:       (n, 3) float64, m, length width height
+    yaw:        (n,) float64, rad, heading of the length axis, counter-clockwise from x
+    covariance: (n, 9, 9) float64, of [x y z l w h vx vy vz]
+    score:      (n,) float64, existence probability in [0, 1]
+    class_id:   (n,) uint8, index into CLASSES
+    """
+
+    id: Ints
+    position: Floats
+    velocity: Floats
+    size: Floats
+    yaw: Floats
+    covariance: Floats
+    score: Floats
+    class_id: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @classmethod
+    def empty(cls) -> ObjectStates:
+        """No objects."""
+        return cls.of(np.zeros((0, 3)))
+
+    @classmethod
+    def of(
+        cls,
+        position: Floats,
+        *,
+        id: Ints | None = None,
+        velocity: Floats | None = None,
+        size: Floats | None = None,
+        yaw: Floats | None = None,
+        covariance: Floats | None = None,
+        score: Floats | None = None,
+        class_id: NDArray[np.uint8] | None = None,
+    ) -> ObjectStates:
+        """States at `position` (n, 3); what is not given is zero (ids count from 0, scores are 1)."""
+        n = len(position)
+        return cls(
+            id=np.arange(n, dtype=np.int64) if id is None else np.asarray(id, np.int64),
+            position=np.asarray(position, np.float64).reshape(n, 3),
+            velocity=np.zeros((n, 3)) if velocity is None else np.asarray(velocity, np.float64),
+            size=np.zeros((n, 3)) if size is None else np.asarray(size, np.float64),
+            yaw=np.zeros(n) if yaw is None else np.asarray(yaw, np.float64),
+            covariance=np.zeros((n, 9, 9)) if covariance is None else np.asarray(covariance, np.float64),
+            score=np.ones(n) if score is None else np.asarray(score, np.float64),
+            class_id=np.zeros(n, np.uint8) if class_id is None else np.asarray(class_id, np.uint8),
+        )
+
+    @classmethod
+    def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
+        """The states in a message body (further columns are left out)."""
+        return cls(*(columns[name] for name in STATE_COLUMNS))
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The states as message columns, by name; the arrays are shared, not copied."""
+        return {name: getattr(self, name) for name in STATE_COLUMNS}
+
+    def select(self, index: NDArray[Any] | slice) -> ObjectStates:
+        """The rows that a mask, an index array or a slice picks."""
+        return ObjectStates(*(getattr(self, name)[index] for name in STATE_COLUMNS))
+
+    def with_(self, **columns: NDArray[Any]) -> ObjectStates:
+        """A copy with some columns replaced."""
+        return replace(self, **columns)
+
+
+@dataclass(frozen=True, slots=True)
+class Detections:
+    """n detections of one sensor in one frame, in the sensor frame or (after `sensing.to_world`) in the world frame.
+
+    position:   (n, 3) float64, m, centre of the box
+    size:       (n, 3) float64, m, length width height
+    yaw:        (n,) float64, rad, about the world's vertical; in the sensor frame less the sensor's heading
+    score:      (n,) float64, confidence in [0, 1]
+    class_id:   (n,) uint8, index into CLASSES
+    covariance: (n, 3, 3) float64, m^2, of the position; all zero where the detector gives none
+    """
+
+    position: Floats
+    size: Floats
+    yaw: Floats
+    score: Floats
+    class_id: NDArray[np.uint8]
+    covariance: Floats
+
+    def __len__(self) -> int:
+        return len(self.yaw)
+
+    @classmethod
+    def empty(cls) -> Detections:
+        """No detections."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), np.zeros((0, 3, 3)))
+
+    @classmethod
+    def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Detections:
+        """The detections in a message body (further columns are left out)."""
+        return cls(*(columns[name] for name in DETECTION_COLUMNS))
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The detections as message columns, by name; the arrays are shared, not copied."""
+        return {name: getattr(self, name) for name in DETECTION_COLUMNS}
+
+    def select(self, index: NDArray[Any] | slice) -> Detections:
+        """The rows that a mask, an index array or a slice picks."""
+        return Detections(*(getattr(self, name)[index] for name in DETECTION_COLUMNS))
+
+
+STATE_COLUMNS = tuple(field.name for field in fields(ObjectStates))
+DETECTION_COLUMNS = tuple(field.name for field in fields(Detections))
+
+
+def concatenate(parts: Sequence[ObjectStates]) -> ObjectStates:
+    """All rows of `parts`, in order."""
+    if not parts:
+        return ObjectStates.empty()
+    return ObjectStates(*(np.concatenate([getattr(part, name) for part in parts]) for name in STATE_COLUMNS))
+
+
+def propagate(states: ObjectStates, dt: float) -> ObjectStates:
+    """Objects moved `dt` seconds along their velocity (constant velocity, covariance without process noise)."""
+    if len(states) == 0 or dt == 0.0:
+        return states
+    transition = np.eye(9)
+    transition[0:3, 6:9] = np.eye(3) * dt
+    return replace(
+        states,
+        position=states.position + states.velocity * dt,
+        covariance=transition @ states.covariance @ transition.T,
+    )

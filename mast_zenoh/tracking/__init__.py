@@ -1,0 +1,17 @@
+"""Tracking: from detections, or from states, at successive times to tracks with lasting ids (docs/tracking.md)."""
+
+from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment, GreedyAssignment
+from mast_zenoh.tracking.base import Tracker
+from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
+from mast_zenoh.tracking.filterpy_tracker import FilterpyBoxTracker3D
+from mast_zenoh.tracking.view import SensorView
+
+__all__ = [
+    "Assignment",
+    "BipartiteAssignment",
+    "FilterpyBoxTracker3D",
+    "GreedyAssignment",
+    "KalmanBoxTracker3D",
+    "SensorView",
+    "Tracker",
+]

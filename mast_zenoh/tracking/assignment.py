@@ -1,0 +1,81 @@
+"""Which measurement belongs to which track: one-to-one choices among gated pairs."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from mast_zenoh.states import Bools, Floats, Ints
+
+
+class Assignment(ABC):
+    """Chooses pairs such that every row and every column is used at most once."""
+
+    def match(self, row: Ints, column: Ints, cost: Floats) -> Ints:
+        """(k,) int64, ascending: the chosen ones of p pairs.
+
+        row, column: (p,) int64 >= 0, no pair twice; cost: (p,), what choosing the pair costs against leaving both ends
+        alone. Pairs of cost >= 0 are never chosen.
+        """
+        useful: Ints = (cost < 0.0).nonzero()[0]
+        if len(useful) == 0:
+            return useful
+        row, column, cost = row[useful], column[useful], cost[useful]
+        # A pair whose row and column occur in no other is chosen by any sensible rule: most pairs of a frame are.
+        chosen = np.bincount(row)[row] + np.bincount(column)[column] == 2
+        rest = (~chosen).nonzero()[0]
+        if len(rest):
+            chosen[rest] = self._choose(row[rest], column[rest], cost[rest])
+        best: Ints = useful[chosen]
+        return best
+
+    @abstractmethod
+    def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
+        """(p,) bool: the chosen ones of p contested pairs of negative cost."""
+
+
+class BipartiteAssignment(Assignment):
+    """The choice of least total cost (Jonker and Volgenant's algorithm, SciPy's `linear_sum_assignment`)."""
+
+    def __init__(self) -> None:
+        pass
+
+    def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
+        r, rows = _ranks(row)
+        c, columns = _ranks(column)
+        # Zero stands for "both left alone", so that the complete matching of least cost contains the best partial one.
+        table = np.zeros((rows, columns))
+        table[r, c] = cost
+        solved = np.full(rows, -1)
+        i, j = linear_sum_assignment(table)
+        solved[i] = j
+        return np.asarray(solved[r] == c)
+
+
+class GreedyAssignment(Assignment):
+    """The cheapest pair first, then the cheapest of what remains; ties by row and column."""
+
+    def __init__(self) -> None:
+        pass
+
+    def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
+        chosen = np.zeros(len(cost), bool)
+        rows: set[int] = set()
+        columns: set[int] = set()
+        for pair in np.lexsort((column, row, cost)).tolist():
+            r, c = int(row[pair]), int(column[pair])
+            if r not in rows and c not in columns:
+                rows.add(r)
+                columns.add(c)
+                chosen[pair] = True
+        return chosen
+
+
+def _ranks(values: Ints) -> tuple[Ints, int]:
+    """The rank of each value among the different ones, and how many there are of those; values >= 0."""
+    present = np.zeros(values.max() + 1, np.int64)
+    present[values] = 1
+    ranks = present.cumsum()
+    return ranks[values] - 1, int(ranks[-1])

@@ -1,0 +1,40 @@
+"""What a tracker is."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from mast_zenoh.states import Detections, Ints, ObjectStates
+from mast_zenoh.tracking.view import SensorView
+
+
+class Tracker(ABC):
+    """Turns what is seen at successive times into tracks with lasting ids.
+
+    One tracker serves one source: `step` takes the detections of a sensor, `step_states` full states, such as fused
+    ones. Both may be called on one tracker, also for the same time.
+    """
+
+    @abstractmethod
+    def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
+        """The confirmed tracks at `time_ns`, sorted by id.
+
+        time_ns:    ns, not earlier than in the call before (ValueError)
+        detections: n detections in the tracker's frame of reference, a fixed one (the world frame)
+        view:       what the sensor could see; without it, a miss counts as if every object had been in view
+
+        Ids are unique and never used again. The result does not depend on the order of the detections.
+        """
+
+    @abstractmethod
+    def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
+        """As `step`, for n measured full states; their (9, 9) covariances must be positive definite."""
+
+    @property
+    @abstractmethod
+    def matched(self) -> Ints:
+        """(n,) per track of the last result, the row of the last input that it was updated with; -1: it coasts."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Back to the state of a newly made tracker."""

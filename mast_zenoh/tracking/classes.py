@@ -1,0 +1,35 @@
+"""What is known of road users by class, before any is seen. Rows are in the order of `states.CLASSES`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.states import CLASS_INDEX, CLASSES
+
+#: Per class:
+#: speed_along, speed_across  m/s, standard deviation of a new object's speed along and across its heading: urban to
+#:                            motorway traffic, in either direction
+#: acceleration               m^2/s^3, spectral density: after 1 s of unknown driving the speed is off by its root
+#: jump                       factor on the tracker's `jump_std_m`
+#: family                     classes that detectors confuse
+_TABLE = {
+    "unknown": (10.0, 10.0, 3.0, 0.5, 0),
+    "car": (12.0, 1.5, 3.0, 1.0, 1),
+    "truck": (10.0, 1.5, 2.0, 1.0, 1),
+    "bus": (10.0, 1.5, 2.0, 1.0, 1),
+    "motorcycle": (12.0, 1.5, 3.0, 0.6, 2),
+    "bicycle": (5.0, 1.5, 2.0, 0.6, 2),
+    "pedestrian": (1.5, 1.5, 0.5, 0.3, 3),
+}
+_COLUMNS = np.array([_TABLE[name] for name in CLASSES]).T
+
+SPEED_ALONG, SPEED_ACROSS, ACCELERATION, JUMP, _FAMILY = _COLUMNS
+
+#: (7,) bool: moves along its length axis, but for a slip.
+ROLLS = np.array([name not in ("unknown", "pedestrian") for name in CLASSES])
+
+#: (7, 7) log-likelihood that an object of class row is detected as class column, up to a constant: detectors mostly
+#: agree, often confuse within a family, rarely beyond.
+CONFUSION = np.where(_FAMILY[:, None] == _FAMILY[None, :], -1.0, -3.0)
+np.fill_diagonal(CONFUSION, 0.0)
+CONFUSION[CLASS_INDEX["unknown"], :] = CONFUSION[:, CLASS_INDEX["unknown"]] = 0.0

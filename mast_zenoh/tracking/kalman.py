@@ -1,0 +1,102 @@
+"""The Kalman filter of the box trackers, batched.
+
+State [x y z l w h vx vy vz] (`states.COVARIANCE_ORDER`). Position and velocity follow the white-acceleration model
+(Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.2.2), sizes a
+random walk.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from functools import lru_cache
+
+import numpy as np
+
+from mast_zenoh.states import Floats
+
+POSITION = slice(0, 3)
+BOX = slice(0, 6)
+VELOCITY = slice(6, 9)
+WHOLE = slice(0, 9)
+
+
+def process_noise(dt: float, acceleration: Floats, vertical: float, size_drift: float) -> Floats:
+    """(n, 9, 9) covariance Q that `dt` s add.
+
+    acceleration: (n,) m^2/s^3, spectral density of the horizontal acceleration; vertical: that of the vertical one
+    size_drift: m^2/s, variance that each size gains per second
+    """
+    horizontal, rest = _unit_noise(dt, vertical, size_drift)
+    return np.asarray(acceleration[:, None, None] * horizontal + rest)
+
+
+@lru_cache(maxsize=8)
+def _unit_noise(dt: float, vertical: float, size_drift: float) -> tuple[Floats, Floats]:
+    """(9, 9) covariances of horizontal motion at unit density, and of the rest. Cached, as steps are mostly alike."""
+    horizontal, rest = np.zeros((2, 9, 9))
+    for axis, matrix, density in ((0, horizontal, 1.0), (1, horizontal, 1.0), (2, rest, vertical)):
+        matrix[axis, axis] = density * dt**3 / 3
+        matrix[axis, axis + 6] = matrix[axis + 6, axis] = density * dt**2 / 2
+        matrix[axis + 6, axis + 6] = density * dt
+    rest[(3, 4, 5), (3, 4, 5)] = size_drift * dt
+    horizontal.setflags(write=False)
+    rest.setflags(write=False)
+    return horizontal, rest
+
+
+class BoxFilter(ABC):
+    """Predicts and corrects the means (n, 9) and covariances (n, 9, 9) of n tracks."""
+
+    @abstractmethod
+    def predict(self, mean: Floats, covariance: Floats, dt: float, noise: Floats) -> tuple[Floats, Floats]:
+        """Means and covariances after `dt` s with process noise (n, 9, 9)."""
+
+    @abstractmethod
+    def correct(
+        self, mean: Floats, covariance: Floats, part: slice, measured: Floats, noise: Floats
+    ) -> tuple[Floats, Floats]:
+        """Means and covariances after `part` of the state was measured as (n, m) with noise covariance (n, m, m)."""
+
+    @abstractmethod
+    def correct_speed(
+        self, mean: Floats, covariance: Floats, direction: Floats, noise: Floats
+    ) -> tuple[Floats, Floats]:
+        """Means and covariances after the speed along `direction` was found to be 0.
+
+        direction: (n, 2), horizontal unit vectors; noise: (n,) (m/s)^2, variance of what was found
+        """
+
+
+class BatchedFilter(BoxFilter):
+    """All tracks at once."""
+
+    def predict(self, mean: Floats, covariance: Floats, dt: float, noise: Floats) -> tuple[Floats, Floats]:
+        mean = mean.copy()
+        mean[:, POSITION] += dt * mean[:, VELOCITY]
+        # F P F^T, by the only block of F that is off the diagonal.
+        covariance = covariance.copy()
+        covariance[:, POSITION, :] += dt * covariance[:, VELOCITY, :]
+        covariance[:, :, POSITION] += dt * covariance[:, :, VELOCITY]
+        covariance += noise
+        return mean, covariance
+
+    def correct(
+        self, mean: Floats, covariance: Floats, part: slice, measured: Floats, noise: Floats
+    ) -> tuple[Floats, Floats]:
+        cross = covariance[:, :, part]
+        gain = cross @ np.linalg.inv(cross[:, part] + noise)
+        mean = mean + (gain @ (measured - mean[:, part])[:, :, None])[:, :, 0]
+        covariance = covariance - gain @ cross.transpose(0, 2, 1)
+        # Nothing in this form damps an asymmetry of rounding: it would double every few frames.
+        return mean, 0.5 * (covariance + covariance.transpose(0, 2, 1))
+
+    def correct_speed(
+        self, mean: Floats, covariance: Floats, direction: Floats, noise: Floats
+    ) -> tuple[Floats, Floats]:
+        x, y = direction[:, 0, None], direction[:, 1, None]
+        cross = covariance[:, :, 6] * x + covariance[:, :, 7] * y
+        variance = cross[:, 6] * x[:, 0] + cross[:, 7] * y[:, 0] + noise
+        speed = mean[:, 6] * x[:, 0] + mean[:, 7] * y[:, 0]
+        mean = mean - cross * (speed / variance)[:, None]
+        scaled = cross / np.sqrt(variance)[:, None]
+        return mean, covariance - scaled[:, :, None] * scaled[:, None, :]

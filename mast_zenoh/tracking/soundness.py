@@ -1,0 +1,34 @@
+"""Covariances from outside, made fit for use: a filter must outlive whatever a source says of its own uncertainty."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.states import Floats
+
+#: m^2, (m/s)^2: no source knows anything better than this (1 cm), nor is so ignorant that numbers overflow.
+LEAST = 1e-4
+MOST = 1e8
+
+
+def sound(covariance: Floats) -> Floats:
+    """(n, k, k) symmetric and positive definite, from any finite (n, k, k).
+
+    What is so comes back as it was; of the rest the symmetric part, eigenvalues brought to within LEAST and MOST.
+    """
+    symmetric = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+    k = covariance.shape[1]
+    diagonal = np.einsum("nii->ni", symmetric)
+    if len(symmetric) == 0 or (diagonal.max() <= MOST and _definite(symmetric - 0.5 * LEAST * np.eye(k))):
+        return symmetric
+    values, vectors = np.linalg.eigh(np.clip(symmetric, -MOST, MOST))
+    return np.asarray((vectors * np.clip(values, LEAST, MOST)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
+
+
+def _definite(matrices: Floats) -> bool:
+    """Whether all (n, k, k) are positive definite."""
+    try:
+        np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        return False
+    return True

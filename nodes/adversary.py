@@ -1,0 +1,196 @@
+"""An adversary on a wire: takes what a publisher sent, and passes on what it wants its subscribers to believe.
+
+It sits on `detections` (between an agent's sensors and its perception) or on `tracks` (between the agent and the command
+centre); the key-expression map decides. Neither end can tell: keys, headers and the rows that it leaves alone are passed
+on as they came.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from mast_zenoh.attacks import Attack, PassThrough, Tampering, Targets
+from mast_zenoh.fusion.collation import LatestBefore
+from mast_zenoh.geometry import rotation_from_quaternion, states_to_local, states_to_world
+from mast_zenoh.messages import Body
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime.process import main
+from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
+from mast_zenoh.states import Detections, ObjectStates
+
+
+POSES_KEPT = 16  #: frames for which a message may be late on its wire and still be attacked
+
+
+class Adversary(Node):
+    """attack: what it does; agent: the compromised agent, on whose wire it sits."""
+
+    role = "adversary"
+    inputs = {
+        "clock": "clock",
+        "pose": "pose",
+        "detections": "detections",
+        "tracks": "tracks",
+        "directive": "directive",
+    }
+    outputs = {
+        "detections_out": "detections",
+        "tracks_out": "tracks",
+        "observation": "observation",
+        "report": "attack_report",
+    }
+
+    def __init__(self, attack: Attack, agent: str) -> None:
+        self.attack = attack
+        self.agent = agent
+        self.poses: dict[int, Body] = {}
+        self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque()}
+        self.directives: LatestBefore[Targets] = LatestBefore()
+
+    def start(self, context: Context) -> None:
+        """Its draws are its own."""
+        self.attack.bind(context.seed, context.name)
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        """A message whose pose has not come by now is passed on as it is: holding it back would be a trace."""
+        for queue in self.waiting.values():
+            while queue:
+                self.pass_on(queue.popleft(), context)
+
+    def on_pose(self, received: Received, context: Context) -> None:
+        """Where the victim is: what waited for it can be attacked."""
+        self.poses.setdefault(received.frame, received.body)
+        if len(self.poses) > POSES_KEPT:
+            del self.poses[min(self.poses)]
+        for queue in self.waiting.values():
+            self.proceed(queue, context)
+
+    def on_detections(self, received: Received, context: Context) -> None:
+        """The victim's detections, on their way to it."""
+        self.on_message(received, context)
+
+    def on_tracks(self, received: Received, context: Context) -> None:
+        """The victim's tracks, on their way to the command centre."""
+        self.on_message(received, context)
+
+    def on_directive(self, received: Received, context: Context) -> None:
+        """The coordinator's plan: followed from the frame after the one in which it comes."""
+        self.directives.add(context.frame, targets_of(received))
+
+    def on_message(self, received: Received, context: Context) -> None:
+        """A message on the wire: attacked as soon as the victim's pose is known, in the order of the wire."""
+        schema = received.message.header.schema
+        if isinstance(self.attack, PassThrough):
+            context.relay(f"{schema}_out", received)
+        else:
+            self.waiting[schema].append(received)
+            self.proceed(self.waiting[schema], context)
+
+    def proceed(self, queue: deque[Received], context: Context) -> None:
+        """Attack the first messages of a queue, up to one whose pose is not there yet."""
+        while queue and queue[0].frame in self.poses:
+            self.pass_on(queue.popleft(), context)
+
+    def pass_on(self, message: Received, context: Context) -> None:
+        """Attack a message if the pose of its frame is known."""
+        schema = message.message.header.schema
+        pose = self.poses.get(message.frame)
+        if pose is None:
+            context.relay(f"{schema}_out", message)
+        elif schema == "detections":
+            self.attack_detections(message, pose, context)
+        else:
+            self.attack_tracks(message, pose, context)
+
+    def attack_detections(self, received: Received, pose: Body, context: Context) -> None:
+        """Tamper in the world frame; rows left alone keep their bytes."""
+        body = received.body
+        sensor = sensor_pose(
+            pose["position"],
+            rotation_from_quaternion(pose["rotation"]),
+            body["mount_position"],
+            rotation_from_quaternion(body["mount_rotation"]),
+        )
+        seen = to_world(Detections.from_columns(body), *sensor)
+        covariance = np.zeros((len(seen), 9, 9))
+        covariance[:, :3, :3] = seen.covariance
+        objects = ObjectStates.of(
+            seen.position,
+            size=seen.size,
+            yaw=seen.yaw,
+            score=seen.score,
+            class_id=seen.class_id,
+            covariance=covariance,
+        )
+        tampering = self.tamper(received, objects, pose, context)
+        if len(tampering.report) == 0:
+            context.relay("detections_out", received)
+            return
+
+        def local(states: ObjectStates) -> Detections:
+            position_covariance = states.covariance[:, :3, :3]
+            world = Detections(
+                states.position, states.size, states.yaw, states.score, states.class_id, position_covariance
+            )
+            return to_sensor(world, *sensor)
+
+        columns = Detections.from_columns(body).columns()
+        moved, added = local(tampering.moved).columns(), local(tampering.added).columns()
+        for name, column in columns.items():
+            column = column.copy()
+            column[tampering.moved_index] = moved[name]
+            columns[name] = np.concatenate([column[tampering.keep], added[name]])
+        mount = {name: body[name] for name in ("mount_position", "mount_rotation")}
+        context.relay("detections_out", received, columns | mount)
+
+    def attack_tracks(self, received: Received, pose: Body, context: Context) -> None:
+        """Tell the coordinator what there is, then tamper."""
+        body = received.body
+        objects = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
+        context.publish(
+            "observation",
+            objects.columns() | {"agent_position": pose["position"]},
+            frame=received.frame,
+            time_ns=received.time_ns,
+        )
+        tampering = self.tamper(received, objects, pose, context)
+        if len(tampering.report) == 0:
+            context.relay("tracks_out", received)
+        else:
+            reference = {name: body[name] for name in ("origin", "rotation")}
+            forged = replace(
+                tampering,
+                moved=states_to_local(tampering.moved, **reference),
+                added=states_to_local(tampering.added, **reference),
+            )
+            sent = forged.applied_to(ObjectStates.from_columns(body))
+            context.relay("tracks_out", received, sent.columns() | reference)
+
+    def tamper(self, received: Received, objects: ObjectStates, pose: Body, context: Context) -> Tampering:
+        """What the attack does to one message, and a report of it."""
+        newest = self.directives.get(context.frame)
+        directive = newest[1] if newest else None
+        tampering = self.attack.step(received.frame, received.time_ns, objects, pose["position"], directive)
+        if len(tampering.report):
+            context.publish(
+                "report", tampering.report.columns(), frame=received.frame, time_ns=received.time_ns
+            )
+        return tampering
+
+
+def targets_of(received: Received) -> Targets:
+    """The targets in a directive."""
+    body = received.body
+
+    def states(prefix: str) -> ObjectStates:
+        names = ("id", "velocity", "size", "yaw", "class_id")
+        return ObjectStates.of(body[f"{prefix}_position"], **{name: body[f"{prefix}_{name}"] for name in names})
+
+    return Targets(states("add"), states("remove"), states("move"), body["move_offset"], received.time_ns)
+
+
+if __name__ == "__main__":
+    main(Adversary)

@@ -1,0 +1,116 @@
+"""An agent: tracks what its own sensors detect, and sees more through the picture.
+
+Two estimators. The safety-critical one (`tracks`) is made of the agent's own detections and pose alone; no message
+from outside reaches it. The mission-critical one (`mission`) also takes the newest picture of an earlier frame: this
+frame's may come before or after it, and nothing may depend on which.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.fusion.agent_pipeline import AgentPipeline, Pose
+from mast_zenoh.fusion.collation import Gather, LatestBefore
+from mast_zenoh.geometry import states_to_world
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime.process import main
+from mast_zenoh.sensing import LidarSensor
+from mast_zenoh.states import Detections, ObjectStates, propagate
+
+
+class Agent(Node):
+    """pipeline: its stages; lidar: its sensor; mobile: whether it moves; status_every: frames between two statuses;
+
+    picture_age_s: an older picture is not used any more.
+    """
+
+    role = "agent"
+    inputs = {"clock": "clock", "pose": "pose", "detections": "detections", "picture": "picture"}
+    outputs = {"tracks": "tracks", "mission": "tracks", "status": "status"}
+
+    def __init__(
+        self,
+        pipeline: AgentPipeline,
+        lidar: LidarSensor,
+        mobile: bool = False,
+        status_every: int = 10,
+        picture_age_s: float = 0.5,
+    ) -> None:
+        if status_every < 1:
+            raise ValueError(f"status_every: found {status_every}, expected 1 or more")
+        if picture_age_s < 0.0:
+            raise ValueError(f"picture_age_s: found {picture_age_s}, expected 0 or more")
+        self.pipeline = pipeline
+        self.lidar = lidar
+        self.mobile = mobile
+        self.status_every = status_every
+        self.picture_age_ns = round(picture_age_s * 1e9)
+        self.sensed: Gather[str, Received] = Gather({"clock", "pose", "detections"})
+        self.pictures: LatestBefore[tuple[int, ObjectStates]] = LatestBefore()
+        self.last: tuple[Pose, Pose] | None = None  # newest pose and mount
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        """Frames whose pose or detections never came are tracked with what there is."""
+        for frame, items in self.sensed.expired(received.frame):
+            self.perceive(frame, items, context)
+        self.sense("clock", received, context)
+
+    def on_pose(self, received: Received, context: Context) -> None:
+        """Where the agent is."""
+        self.sense("pose", received, context)
+
+    def on_detections(self, received: Received, context: Context) -> None:
+        """What its sensor detects."""
+        self.sense("detections", received, context)
+
+    def on_picture(self, received: Received, context: Context) -> None:
+        """The common picture: kept for the frames after the one in which it comes, which may be later than its own."""
+        self.pictures.add(context.frame, (received.time_ns, ObjectStates.from_columns(received.body)))
+
+    def sense(self, port: str, received: Received, context: Context) -> None:
+        """A frame is perceived when its clock, its pose and its detections are there."""
+        items = self.sensed.add(received.frame, port, received)
+        if items is not None:
+            self.perceive(received.frame, items, context)
+
+    def perceive(self, frame: int, items: dict[str, Received], context: Context) -> None:
+        """Both estimates of one frame; always one message each, even if empty."""
+        time_ns = next(iter(items.values())).time_ns
+        detections = Detections.empty()
+        if "detections" in items:
+            body = items["detections"].body
+            detections = Detections.from_columns(body)
+            mount = Pose(body["mount_position"], body["mount_rotation"])
+        elif self.last:
+            mount = self.last[1]
+        if "pose" in items:
+            pose = Pose(items["pose"].body["position"], items["pose"].body["rotation"])
+        elif self.last:
+            pose = self.last[0]
+        if self.last is None and not {"pose", "detections"} <= items.keys():
+            return  # never heard where it is or what its sensor is like
+        self.last = (pose, mount)
+        tracks, origin, rotation = self.pipeline.track(time_ns, detections, pose, mount, self.lidar)
+        reference = {"origin": origin, "rotation": rotation}
+        context.publish("tracks", tracks.columns() | reference, frame=frame, time_ns=time_ns)
+        if context.connected("mission"):
+            own = states_to_world(tracks, origin, rotation)
+            mission = self.pipeline.mission.estimate(own, self.picture_at(frame, time_ns))
+            world = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+            context.publish("mission", mission.columns() | world, frame=frame, time_ns=time_ns)
+        if frame % self.status_every == 0:
+            status = {"mobile": [self.mobile], "detections": [len(detections)], "tracks": [len(tracks)]}
+            context.publish("status", {k: np.array(v) for k, v in status.items()}, frame=frame, time_ns=time_ns)
+
+    def picture_at(self, frame: int, time_ns: int) -> ObjectStates:
+        """The newest picture that came in an earlier frame, moved to `time_ns`; empty if it is not fresh enough."""
+        newest = self.pictures.get(frame)
+        if newest is None:
+            return ObjectStates.empty()
+        then, states = newest[1]
+        age_ns = time_ns - then
+        return propagate(states, age_ns * 1e-9) if 0 <= age_ns <= self.picture_age_ns else ObjectStates.empty()
+
+
+if __name__ == "__main__":
+    main(Agent)

@@ -1,0 +1,76 @@
+"""The coordinator of the adversaries: sees what they all see, and gives them one plan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.attacks import Coordination, Targets
+from mast_zenoh.fusion.collation import Gather
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime.process import main
+from mast_zenoh.states import ObjectStates, concatenate
+
+
+class Coordinator(Node):
+    """coordination: how targets are chosen and moved; adversaries: the names of those it directs."""
+
+    role = "coordinator"
+    inputs = {"clock": "clock", "observations": "observation"}
+    outputs = {"directive": "directive"}
+
+    def __init__(self, coordination: Coordination, adversaries: tuple[str, ...]) -> None:
+        self.coordination = coordination
+        self.adversaries = frozenset(adversaries)
+        self.observed: Gather[str, Received] = Gather(adversaries)
+
+    def start(self, context: Context) -> None:
+        """Its draws are its own."""
+        self.coordination.bind(context.seed, context.name)
+
+    def left(self, node: str, role: str, context: Context) -> None:
+        """An adversary that has gone is waited for no longer."""
+        self.observed.expected.discard(node)
+
+    def joined(self, node: str, role: str, context: Context) -> None:
+        """One of its adversaries that has come (back) is directed from now on."""
+        if node in self.adversaries:
+            self.observed.expected.add(node)
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        """Frames of which not all has come: go on with what there is."""
+        for frame, items in self.observed.expired(received.frame):
+            self.direct(frame, items, context)
+
+    def on_observations(self, received: Received, context: Context) -> None:
+        """What one adversary sees."""
+        items = self.observed.add(received.frame, received.subject, received)
+        if items is not None:
+            self.direct(received.frame, items, context)
+
+    def direct(self, frame: int, items: dict[str, Received], context: Context) -> None:
+        """One plan for all who have spoken; they follow it from the next frame on."""
+        names = sorted(items)
+        seen = [ObjectStates.from_columns(items[name].body) for name in names]
+        time_ns = items[names[0]].time_ns
+        plans = self.coordination.step(
+            frame,
+            time_ns,
+            concatenate(seen),
+            np.repeat(np.arange(len(seen)), [len(states) for states in seen]),
+            np.array([items[name].body["agent_position"] for name in names]),
+        )
+        for name, targets in zip(names, plans, strict=True):
+            context.publish("directive", directive(targets), subject=name, frame=frame, time_ns=time_ns)
+
+
+def directive(targets: Targets) -> dict[str, np.ndarray]:
+    """Targets as columns of a directive."""
+    columns = {"move_offset": targets.move_offset}
+    for prefix, states in (("add_", targets.add), ("remove_", targets.remove), ("move_", targets.move)):
+        for name in ("id", "position", "velocity", "size", "yaw", "class_id"):
+            columns[prefix + name] = getattr(states, name)
+    return columns
+
+
+if __name__ == "__main__":
+    main(Coordinator)

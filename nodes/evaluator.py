@@ -1,0 +1,127 @@
+"""The evaluator: hears the truth and what everyone believes, and scores it when the run is over.
+
+Nothing listens to it, so it can change nothing. What it returns becomes metrics.json and the tables of the run folder.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.attacks import ACTIONS
+from mast_zenoh.geometry import states_to_world
+from mast_zenoh.metrics import Record, Scorer
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime.process import main
+from mast_zenoh.states import ObjectStates
+
+
+class Evaluator(Node):
+    """agents: their names; scorer: how to score; skip_first, skip_last: frames left out of the summary, because
+
+    tracks need some frames to begin with (kept when they would be more than half of the run).
+    """
+
+    role = "evaluator"
+    inputs = {
+        "clock": "clock",
+        "truth": "truth",
+        "tracks": "tracks",
+        "mission": "tracks",
+        "picture": "picture",
+        "reports": "attack_report",
+    }
+
+    def __init__(self, agents: tuple[str, ...], scorer: Scorer, skip_first: int = 6, skip_last: int = 10) -> None:
+        if skip_first < 0 or skip_last < 0:
+            raise ValueError(f"skip_first, skip_last: found {skip_first}, {skip_last}, expected 0 or more")
+        self.record = Record(agents)
+        self.scorer = scorer
+        self.skip = (skip_first, skip_last)
+        self.reports: dict[tuple[str, int], Received] = {}
+        self.latency_ms: dict[int, float] = {}
+        self.period_ns = 0
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        """Nothing is due: scoring waits for the end, when even the latest message has come."""
+        if received.frame == 1:
+            self.period_ns = received.time_ns
+
+    def on_truth(self, received: Received, context: Context) -> None:
+        """Where everything really is."""
+        body = received.body
+        objects = ObjectStates.of(
+            body["position"], id=body["id"], size=body["size"], yaw=body["yaw"], velocity=body["velocity"]
+        )
+        self.record.add_truth(
+            received.frame, objects, body["points"], body["agent_position"], body["agent_object"]
+        )
+
+    def on_tracks(self, received: Received, context: Context) -> None:
+        """What an agent's own sensors tell it, as the command centre hears it."""
+        body = received.body
+        states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
+        self.record.add_tracks(received.frame, received.subject, "local", states)
+
+    def on_mission(self, received: Received, context: Context) -> None:
+        """What an agent believes with the help of the picture."""
+        self.record.add_tracks(received.frame, received.subject, "mission", ObjectStates.from_columns(received.body))
+
+    def on_picture(self, received: Received, context: Context) -> None:
+        """The common picture, and how much scene time has passed since the frame that it is about."""
+        self.record.add_picture(received.frame, ObjectStates.from_columns(received.body))
+        self.latency_ms.setdefault(received.frame, (context.time_ns - received.time_ns) * 1e-6)
+
+    def on_reports(self, received: Received, context: Context) -> None:
+        """What an adversary has changed."""
+        self.reports[received.subject, received.frame] = received
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        """The metrics and the tables of the run."""
+        scores = self.scorer.score(self.record)
+        frames = len(scores.frames)
+        first, last = self.skip if sum(self.skip) <= frames // 2 else (0, 0)
+        scored = slice(first, frames - last)
+        latency = np.array([self.latency_ms[frame] for frame in sorted(self.latency_ms)])
+        return {
+            "metrics": {
+                "frames": frames,
+                "scored_frames": [int(frame) for frame in scores.frames[scored][[0, -1]]] if frames else [],
+                "agents": scores.summary(scored),
+                "latency_ms": {"sim_to_picture": percentiles(latency)},
+                "frames_per_second": 1e9 / self.period_ns if self.period_ns else None,
+            },
+            "tables": {"metrics": scores.per_frame(), "objects": scores.objects, "attacks": self.attacks()},
+        }
+
+    def attacks(self) -> dict[str, np.ndarray]:
+        """All reports of adversaries as one table, a row per object changed."""
+        order = sorted(self.reports)
+        bodies = [self.reports[key].body for key in order]
+        counts = [len(body["action"]) for body in bodies]
+
+        def column(name: str, shape: tuple[int, ...] = (0,)) -> np.ndarray:
+            return np.concatenate([np.zeros(shape), *(body[name] for body in bodies)])
+
+        before, after, velocity = (column(n, (0, 3)) for n in ("before_position", "after_position", "velocity"))
+        return {
+            "adversary": np.repeat(np.array([name for name, _ in order], dtype=object), counts),
+            "frame": np.repeat(np.array([frame for _, frame in order], np.int64), counts),
+            "action": np.array(ACTIONS, dtype=object)[column("action").astype(np.int64)],
+            "target": column("target").astype(np.int64),
+            **{f"before_{axis}": before[:, i] for i, axis in enumerate("xyz")},
+            **{f"after_{axis}": after[:, i] for i, axis in enumerate("xyz")},
+            **{f"v{axis}": velocity[:, i] for i, axis in enumerate("xyz")},
+        }
+
+
+def percentiles(latency_ms: np.ndarray) -> dict[str, float | None]:
+    """p50, p95 and p99 of (n,) latencies; None of none."""
+    if len(latency_ms) == 0:
+        return {"p50": None, "p95": None, "p99": None}
+    return {f"p{p}": float(np.percentile(latency_ms, p)) for p in (50, 95, 99)}
+
+
+if __name__ == "__main__":
+    main(Evaluator)

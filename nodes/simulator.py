@@ -1,0 +1,77 @@
+"""The simulator: replays a prepared scene, frame by frame, to every agent's sensors and to the evaluator.
+
+It is the one node that drives: the runtime asks it for the next frame when the mesh is quiet (lock-step) or when the
+time has come (real time). It says nothing of the truth to anyone but the evaluator.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.geometry import quaternion_from_rotation
+from mast_zenoh.messages import text
+from mast_zenoh.node import Context, Source
+from mast_zenoh.runtime.process import main
+from mast_zenoh.scenes.recording import Recording
+
+
+class Simulator(Source):
+    """recording: the prepared scene (a file of its own); frames: how many to play, None for all."""
+
+    role = "simulator"
+    outputs = {"clock": "clock", "truth": "truth", "pose": "pose", "detections": "detections"}
+
+    def __init__(self, recording: Recording, frames: int | None = None) -> None:
+        self.recording = recording
+        self.period_ns = recording.period_ns
+        self.frames = len(recording.times_ns) if frames is None else min(frames, len(recording.times_ns))
+        self.next_frame = 0
+        agents = recording.agents
+        self.names = text([agent.name for agent in agents])
+        self.objects = np.array([agent.object_id for agent in agents], np.int64)
+        self.mounts = [
+            (agent.sensor.mount_position, quaternion_from_rotation(agent.sensor.mount_rotation)) for agent in agents
+        ]
+        self.rotations = quaternion_from_rotation(recording.agent_rotation)
+
+    def advance(self, context: Context) -> bool:
+        """Publish the clock, the truth, and every agent's pose and detections of the next frame."""
+        frame = self.next_frame
+        if frame >= self.frames:
+            return False
+        self.next_frame += 1
+        scene = self.recording
+        context.publish("clock", {}, frame=frame, time_ns=int(scene.times_ns[frame] - scene.times_ns[0]))
+        truth = scene.truth_at(frame)
+        context.publish(
+            "truth",
+            {
+                **{name: getattr(truth, name) for name in ("id", "position", "velocity", "size", "yaw", "class_id")},
+                "points": scene.points_at(frame),
+                "agents": self.names,
+                "agent_position": scene.agent_position[frame],
+                "agent_object": self.objects,
+            },
+        )
+        for index, agent in enumerate(scene.agents):
+            context.publish(
+                "pose",
+                {
+                    "position": scene.agent_position[frame, index],
+                    "rotation": self.rotations[frame, index],
+                    "velocity": scene.agent_velocity[frame, index],
+                },
+                subject=agent.name,
+            )
+            mount_position, mount_rotation = self.mounts[index]
+            context.publish(
+                "detections",
+                scene.detections_at(frame, index).columns()
+                | {"mount_position": mount_position, "mount_rotation": mount_rotation},
+                subject=agent.name,
+            )
+        return True
+
+
+if __name__ == "__main__":
+    main(Simulator)

@@ -1,0 +1,44 @@
+"""Nobody attacks: the picture that collaboration gives, to compare everything else with."""
+
+from mast_zenoh.scenario import choose_scene
+
+# What the command centre does with the agents' tracks: the paper's configuration listing.
+commandcenter = dict(
+    type="CommandCenter",
+    pipeline=dict(
+        type="CommandCenterPipeline",
+        clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
+        group_tracking=dict(
+            type="GroupTrackerWrapper",
+            fusion=dict(type="CovarianceIntersectionFusion"),
+            tracker=dict(type="KalmanBoxTracker3D"),
+        ),
+    ),
+)
+
+# What every agent does with its detections, and with the picture that comes back.
+agent = dict(
+    pipeline=dict(
+        type="AgentPipeline",
+        tracker=dict(type="KalmanBoxTracker3D"),
+        mission=dict(
+            type="OwnAndPicture",
+            clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
+            fusion=dict(type="CovarianceIntersectionFusion"),
+        ),
+    ),
+)
+
+
+def scenario(scene="intersection", scene_index=0, n_infrastructure=4, n_mobile=0):
+    """scene: a short name such as "intersection" or "avstack:PATH"; the others: of scenes that have such a choice."""
+    return dict(
+        name="baseline",
+        scene=choose_scene(scene, scene_index=scene_index, n_infrastructure=n_infrastructure, n_mobile=n_mobile),
+        agents={"*": agent},
+        broker=dict(latency_s=0.0),
+        command_center=commandcenter,
+        evaluator=dict(scorer=dict(type="Scorer", range_m=100.0)),
+        keyexpr=dict(map="testbed.toml", rewrites=[]),
+        run=dict(mode="lockstep", seed=0),
+    )

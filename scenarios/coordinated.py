@@ -1,0 +1,44 @@
+"""Adversaries with a common plan: each sits between its agent and the command centre, a coordinator directs them."""
+
+from baseline import scenario as baseline
+
+
+def scenario(
+    n_adversaries=2,
+    false_positives=5.0,
+    fraction_false_negatives=0.2,
+    fraction_translations=0.0,
+    attack_start_s=4.0,
+    reselect_every_s=20.0,
+    scene="intersection",
+    scene_index=0,
+    n_infrastructure=4,
+    n_mobile=0,
+):
+    """As `uncoordinated`; reselect_every_s: how often the coordinator makes a new plan."""
+    return baseline(scene, scene_index, n_infrastructure, n_mobile) | dict(
+        name="coordinated",
+        adversaries={
+            f"adversary_{i}": dict(
+                type="Adversary",
+                agent=f"infra_{i}",
+                attack=dict(type="CoordinatedAttack", start_s=attack_start_s),
+            )
+            for i in range(1, n_adversaries + 1)
+        },
+        coordinator=dict(
+            coordination=dict(
+                type="Coordinator",
+                start_s=attack_start_s,
+                reselect_every_s=reselect_every_s,
+                selection=dict(
+                    type="CoordinatedSelection",
+                    n_false_positives=false_positives,
+                    fraction_false_negatives=fraction_false_negatives,
+                    fraction_translations=fraction_translations,
+                ),
+                propagation=dict(type="TrajectoryPropagation"),
+            )
+        ),
+        keyexpr=dict(map="testbed.toml", rewrites=["coordinated.toml"]),
+    )

@@ -1,0 +1,28 @@
+"""The paper's case study: the same scene and seed unattacked, under uncoordinated and under coordinated attack."""
+
+
+def study(
+    scene="intersection",
+    scene_index=0,
+    n_infrastructure=4,
+    n_adversaries=2,
+    false_positives=5.0,
+    fraction_false_negatives=0.2,
+):
+    """Two of four infrastructure agents compromised, five false objects on average, a fifth of the real ones hidden."""
+    place = dict(scene=scene, scene_index=scene_index, n_infrastructure=n_infrastructure)
+    attack = dict(
+        n_adversaries=n_adversaries,
+        false_positives=false_positives,
+        fraction_false_negatives=fraction_false_negatives,
+    )
+    return dict(
+        name="case_study",
+        runs=dict(
+            baseline=dict(scenario="baseline", parameters=place),
+            uncoordinated=dict(scenario="uncoordinated", parameters=place | attack),
+            coordinated=dict(scenario="coordinated", parameters=place | attack),
+        ),
+        runtime="mesh",
+        seed=0,
+    )

@@ -1,0 +1,160 @@
+"""Messages survive the wire, and nothing else gets in."""
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh import codec
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import SCHEMAS, Column, Header, Message, text
+from mast_zenoh.states import CLASSES
+
+finite = st.floats(-1e5, 1e5)
+
+
+def column_of(column: Column, sizes: dict[str, int], rng: np.random.Generator) -> np.ndarray:
+    """Sound values for a column."""
+    shape = tuple(sizes[size] if isinstance(size, str) else size for size in column.shape)
+    if column.dtype == "str":
+        return text([f"agent_{i}" for i in range(shape[0])])
+    if column.name == "covariance" and shape[-1] == 9:
+        root = rng.normal(size=shape)
+        return root @ np.swapaxes(root, -1, -2) + 9 * np.eye(9)
+    if column.name == "id":
+        return rng.permutation(10 * shape[0] + 1)[: shape[0]].astype(np.int64)
+    if column.name == "agent":
+        return rng.integers(0, sizes["a"], shape)
+    if column.dtype == "float64":
+        return rng.normal(size=shape) * 100
+    return rng.integers(0, 3, shape).astype(column.dtype)
+
+
+def message_of(schema: str, sizes: dict[str, int], seed: int = 0) -> Message:
+    """A sound message of a schema."""
+    rng = np.random.default_rng(seed)
+    body = {column.name: column_of(column, sizes, rng) for column in SCHEMAS[schema].columns}
+    return codec.conform(Header(schema, "someone", 3, 300_000_000, 7), body)
+
+
+@pytest.mark.parametrize("schema", sorted(SCHEMAS))
+@given(n=st.integers(0, 12), a=st.integers(1, 5), m=st.integers(0, 3), k=st.integers(0, 3), seed=st.integers(0, 99))
+@settings(max_examples=15, deadline=None)
+def test_every_message_comes_out_as_it_went_in(schema: str, n: int, a: int, m: int, k: int, seed: int) -> None:
+    message = message_of(schema, {"n": n, "a": a, "m": m, "k": k}, seed)
+    codec.check_values(message)
+    payload = codec.encode(message)
+    decoded = codec.decode(payload, schema)
+    assert decoded.header == message.header
+    assert decoded.body.keys() == message.body.keys()
+    for name, column in message.body.items():
+        np.testing.assert_array_equal(decoded.body[name], column)
+        assert decoded.body[name].dtype == column.dtype
+    assert codec.encode(decoded) == payload
+
+
+def test_what_a_node_receives_cannot_be_written_to() -> None:
+    decoded = codec.decode(codec.encode(message_of("tracks", {"n": 2})), "tracks")
+    with pytest.raises(ValueError, match="read-only"):
+        decoded.body["position"][0, 0] = 1.0
+
+
+@given(st.binary(max_size=400))
+@settings(max_examples=300, deadline=None)
+def test_random_bytes_are_refused(payload: bytes) -> None:
+    with pytest.raises(MessageError):
+        codec.decode(payload, "tracks")
+
+
+json_like = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.floats() | st.text(max_size=8) | st.binary(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@given(st.dictionaries(st.sampled_from(["schema", "version", "source", "frame", "time_ns", "seq", "body"]), json_like))
+@settings(max_examples=300, deadline=None)
+def test_maps_of_anything_are_refused(fields: dict) -> None:
+    with pytest.raises(MessageError):
+        codec.decode(msgpack.packb(fields), "tracks")
+
+
+@given(st.integers(0, 400), st.integers(0, 255), st.integers(1, 3))
+@settings(max_examples=300, deadline=None)
+def test_a_damaged_message_is_refused_or_still_sound(place: int, value: int, copies: int) -> None:
+    payload = bytearray(codec.encode(message_of("detections", {"n": 3})))
+    payload[place : place + copies] = bytes([value]) * copies
+    try:
+        message = codec.decode(bytes(payload), "detections")
+    except MessageError:
+        return
+    for name, column in message.body.items():
+        if column.dtype == np.float64:
+            assert np.isfinite(column).all(), name
+
+
+@pytest.mark.parametrize("cut", [0, 1, 10, 100, -1])
+def test_a_truncated_message_is_refused(cut: int) -> None:
+    payload = codec.encode(message_of("picture", {"n": 4}))
+    with pytest.raises(MessageError):
+        codec.decode(payload[:cut], "picture")
+
+
+def changed(schema: str, change) -> bytes:
+    """The bytes of a sound message, its unpacked form changed."""
+    fields = msgpack.unpackb(codec.encode(message_of(schema, {"n": 3, "a": 2})))
+    change(fields)
+    return msgpack.packb(fields)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda f: f.update(version=2), "expected tracks version 1"),
+        (lambda f: f.update(schema="picture"), "expected tracks"),
+        (lambda f: f.update(frame=-1), "frame"),
+        (lambda f: f.update(frame=True), "frame"),
+        (lambda f: f.update(seq=2**63), "seq"),
+        (lambda f: f.update(source="x" * 300), "source"),
+        (lambda f: f.update(extra=1), "not a map of"),
+        (lambda f: f["body"].pop("yaw"), "missing: \\['yaw'\\]"),
+        (lambda f: f["body"].update(more=["<f8", [0], b""]), "unknown: \\['more'\\]"),
+        (lambda f: f["body"].update(yaw=["<f4", [3], bytes(12)]), "dtype"),
+        (lambda f: f["body"].update(yaw=["<f8", [4], bytes(32)]), "shape"),
+        (lambda f: f["body"].update(yaw=["<f8", [3], bytes(16)]), "fill"),
+        (lambda f: f["body"].update(yaw=["<f8", [-3], bytes(24)]), "shape"),
+        (lambda f: f["body"].update(yaw=["<f8", [10**9], b""]), "shape"),
+        (lambda f: f["body"].update(yaw=["<f8", [3], np.array([0, np.nan, 0]).tobytes()]), "not finite"),
+        (lambda f: f["body"].update(yaw=["<f8", [3], np.array([0, np.inf, -np.inf]).tobytes()]), "not finite"),
+        (lambda f: f["body"].update(yaw=["<f8", [3], np.array([0, 1e300, 0]).tobytes()]), "beyond"),
+        (lambda f: f["body"].update(class_id=["|u1", [3], bytes([0, 1, len(CLASSES)])]), "index"),
+        (lambda f: f["body"].update(id=["<i8", [3], np.array([4, 4, 5]).tobytes()]), "twice"),
+        (lambda f: f["body"].update(covariance=["<f8", [3, 9, 9], bytes(1944)]), "positive definite"),
+    ],
+)
+def test_what_is_wrong_is_named(change, reason: str) -> None:
+    with pytest.raises(MessageError, match=reason):
+        codec.decode(changed("tracks", change), "tracks")
+
+
+def test_a_row_number_that_points_nowhere_is_refused() -> None:
+    with pytest.raises(MessageError, match="outside `agents`"):
+        codec.decode(
+            changed("collated", lambda f: f["body"].update(agent=["<i8", [3], np.array([0, 1, 2]).tobytes()])),
+            "collated",
+        )
+
+
+def test_an_oversized_message_is_refused_unread() -> None:
+    with pytest.raises(MessageError, match="at most"):
+        codec.decode(bytes(codec.MAX_BYTES + 1), "clock")
+
+
+def test_a_node_cannot_send_a_column_of_the_wrong_shape() -> None:
+    sound = message_of("tracks", {"n": 3})
+    with pytest.raises(MessageError, match=r"tracks\.yaw: shape \(2,\), expected \(n\) with n = 3"):
+        codec.conform(sound.header, {**sound.body, "yaw": np.zeros(2)})
+    with pytest.raises(MessageError, match="missing"):
+        codec.conform(sound.header, {})

@@ -1,0 +1,163 @@
+"""Resolution gives every port of every node its key, and refuses what cannot work."""
+
+from pathlib import Path
+
+import pytest
+import zenoh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh import bundle, keyexpr
+from mast_zenoh.errors import WiringError
+from mast_zenoh.keyexpr import NodeOptions, Wiring
+
+MAPS = bundle.ROOT / "keyexpr_maps"
+
+
+def node(role: str, inputs: str = "", outputs: str = "", **options: str) -> NodeOptions:
+    """A node whose ports are given as `port:message` words."""
+
+    def ports(words: str) -> dict[str, str]:
+        return dict(word.split(":") for word in words.split())
+
+    return NodeOptions(role, options, ports(inputs), ports(outputs))
+
+
+SIMULATOR = node("simulator", outputs="detections:detections clock:clock")
+AGENT = node("agent", inputs="detections:detections", outputs="tracks:tracks")
+BROKER = node("broker", inputs="tracks:tracks")
+MAP = {
+    "wire": [
+        {
+            "key": "agent/{agent}/detections",
+            "message": "detections",
+            "from": "simulator.detections",
+            "to": ["agent.detections"],
+        },
+        {"key": "agent/{agent}/tracks", "message": "tracks", "from": "agent.tracks", "to": ["broker.tracks"]},
+    ]
+}
+
+
+def interposer(**options: str) -> NodeOptions:
+    return node("adversary", inputs="seen:detections", outputs="said:detections", **options)
+
+
+def insertion(role: str = "adversary") -> dict:
+    return {"insert": [{"wire": "agent/{agent}/detections", "role": role, "input": "seen", "output": "said"}]}
+
+
+def resolve(nodes: dict[str, NodeOptions], *sources: dict) -> Wiring:
+    return keyexpr.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *sources))], nodes)
+
+
+def test_a_placeholder_makes_one_wire_for_each_node_of_its_role() -> None:
+    wiring = resolve({"simulator": SIMULATOR, "ego": AGENT, "infra_1": AGENT, "broker": BROKER})
+    assert wiring.keys() == (
+        "agent/ego/detections",
+        "agent/infra_1/detections",
+        "agent/ego/tracks",
+        "agent/infra_1/tracks",
+    )
+    assert wiring.ports("infra_1").inputs["agent/infra_1/detections"].source == "simulator"
+    assert wiring.ports("simulator").outputs["detections", "ego"] == "agent/ego/detections"
+    assert set(wiring.ports("broker").inputs) == {"agent/ego/tracks", "agent/infra_1/tracks"}
+
+
+def test_an_inserted_node_hears_the_tap_and_speaks_on_the_old_key() -> None:
+    nodes = {"simulator": SIMULATOR, "ego": AGENT, "infra_1": AGENT, "adversary_1": interposer(agent="infra_1")}
+    wiring = resolve(nodes, insertion())
+    tap = "agent/infra_1/detections/@tap/0"
+    assert wiring.ports("simulator").outputs["detections", "infra_1"] == tap
+    assert wiring.ports("simulator").outputs["detections", "ego"] == "agent/ego/detections"
+    assert list(wiring.ports("adversary_1").inputs) == [tap]
+    assert wiring.ports("adversary_1").outputs["said", "infra_1"] == "agent/infra_1/detections"
+    assert wiring.ports("infra_1") == resolve({k: v for k, v in nodes.items() if k != "adversary_1"}).ports("infra_1")
+
+
+names = st.from_regex(r"[a-z][a-z0-9_]{0,6}", fullmatch=True)
+
+
+@given(agents=st.lists(names, min_size=1, max_size=5, unique=True), chain=st.integers(0, 6), data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_chains_of_any_length_stay_connected_and_invisible(agents: list[str], chain: int, data: st.DataObject) -> None:
+    nodes = {"simulator": SIMULATOR, "broker": BROKER} | {f"a_{name}": AGENT for name in agents}
+    plain = resolve(nodes)
+    sources = []
+    for i in range(chain):
+        victim = "a_" + data.draw(st.sampled_from(agents))
+        nodes[f"x{i}"] = node(f"role_{'abcdef'[i]}", "seen:detections", "said:detections", agent=victim)
+        sources.append(insertion(f"role_{'abcdef'[i]}"))
+    wiring = resolve(nodes, *sources)
+    keys = wiring.keys()
+    assert len(keys) == len(set(keys)), "one publisher per key"
+    for wire, before in zip(wiring.wires, plain.wires, strict=True):
+        assert wire.legs[-1].key == before.legs[0].key, "subscribers keep their key"
+        assert wire.legs[-1].subscribers == before.legs[0].subscribers
+        assert wire.legs[0].publisher == before.legs[0].publisher
+        for leg, following in zip(wire.legs, wire.legs[1:], strict=False):
+            assert [end.node for end in leg.subscribers] == [following.publisher.node], "no dangling tap"
+        order = [int(name[1:]) for name in wire.interposers]
+        assert order == sorted(order), "chains keep the order of the rewrites"
+    for key in keys:
+        zenoh.KeyExpr(key)
+        if keyexpr.TAP in key:
+            assert not zenoh.KeyExpr("**").intersects(zenoh.KeyExpr(key)), "wildcards do not see taps"
+    assert Wiring.from_json(wiring.to_json()) == wiring
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ({"wires": []}, "unknown key 'wires'; did you mean 'wire'"),
+        ({"wire": [{"key": "x"}]}, "missing from, message, to"),
+        ({"wire": [dict(MAP["wire"][0], key="y", message="detection")]}, "did you mean 'detections'"),
+        ({"wire": [dict(MAP["wire"][0], key="a//b")]}, "not a valid key expression"),
+        ({"wire": [dict(MAP["wire"][0], key="a/*/b")]}, "not a valid key expression"),
+        ({"wire": [dict(MAP["wire"][0], key="a/@b")]}, "not a valid key expression"),
+        ({"wire": [dict(MAP["wire"][0], key="{agent}/{broker}")]}, "2 placeholders"),
+        ({"wire": [dict(MAP["wire"][0])]}, "has a publisher already"),
+        ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulator.detection"})]}, "did you mean 'detections'"),
+        ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulater.detections"})]}, "did you mean 'simulator'"),
+        ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulator"})]}, "expected role.port"),
+        ({"wire": [dict(MAP["wire"][1], key="all/tracks")]}, "2 publishers"),
+        ({"wire": [dict(MAP["wire"][0], key="y", to=["agent.tracks"])]}, "no input port 'tracks'"),
+        ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulator.clock"})]}, "carries 'clock' messages"),
+        ({"insert": [dict(insertion()["insert"][0], wire="agent/{agent}/detection")]}, "did you mean"),
+        ({"insert": [dict(insertion()["insert"][0], role="agent")]}, "has no input port 'seen'"),
+    ],
+)
+def test_a_wrong_map_is_refused_with_file_entry_and_reason(source: dict, reason: str) -> None:
+    nodes = {"simulator": SIMULATOR, "ego": AGENT, "infra_1": AGENT, "broker": BROKER}
+    with pytest.raises(WiringError, match=reason) as caught:
+        resolve(nodes, source)
+    assert "file_1.toml" in str(caught.value)
+
+
+def test_a_node_twice_on_one_wire_is_a_loop() -> None:
+    nodes = {"simulator": SIMULATOR, "ego": AGENT, "adversary_1": interposer(agent="ego")}
+    with pytest.raises(WiringError, match="loop"):
+        resolve(nodes, insertion(), insertion())
+
+
+def test_a_name_that_is_no_chunk_is_refused() -> None:
+    with pytest.raises(WiringError, match="one chunk"):
+        resolve({"simulator": SIMULATOR, "a/b": AGENT})
+
+
+def test_a_missing_or_broken_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(WiringError, match=r"did you mean 'uncoordinated\.toml'"):
+        keyexpr.load(MAPS / "uncoordinatd.toml")
+    (tmp_path / "map.toml").write_text("[[wire")
+    with pytest.raises(WiringError, match="not TOML"):
+        keyexpr.load(tmp_path / "map.toml")
+
+
+def test_the_wiring_is_printed_as_text_and_drawn_with_its_rewrites() -> None:
+    nodes = {"simulator": SIMULATOR, "ego": AGENT, "adversary_1": interposer(agent="ego"), "broker": BROKER}
+    wiring = resolve(nodes, insertion())
+    assert "* agent/ego/detections" in keyexpr.to_text(wiring)
+    assert "simulator ── agent/ego/detections/@tap/0 ──▶ adversary_1" in keyexpr.to_text(wiring)
+    drawn = keyexpr.to_mermaid(wiring)
+    assert drawn.startswith("flowchart LR")
+    assert 'simulator -.->|"agent/ego/detections/@tap/0"| adversary_1' in drawn

@@ -1,0 +1,73 @@
+"""Plain dicts become objects, and what is wrong in them is refused with the path to it."""
+
+from abc import ABC, abstractmethod
+from typing import Literal
+
+import pytest
+
+from mast_zenoh import registry
+from mast_zenoh.errors import ConfigurationError
+
+
+class Animal(ABC):
+    @abstractmethod
+    def legs(self) -> int: ...
+
+
+class Dog(Animal):
+    def __init__(self, *, name: str = "rex", size: float = 1.0, trained: bool = False, friend: Animal | None = None):
+        self.name, self.size, self.trained, self.friend = name, size, trained, friend
+
+    def legs(self) -> int:
+        return 4
+
+
+class Bird(Animal):
+    def __init__(self, *, colours: tuple[str, ...] = (), flies: Literal["high", "low"] = "high", feathers: int = 1):
+        if feathers < 0:
+            raise ValueError("feathers: found a negative number")
+        self.colours, self.flies, self.feathers = colours, flies, feathers
+
+    def legs(self) -> int:
+        return 2
+
+
+def build(spec: object) -> Animal:
+    return registry.build(spec, Animal, "zoo")
+
+
+def test_a_dict_names_its_class_and_parameters() -> None:
+    bird = build(dict(type="Bird", colours=["red", "blue"], flies="low"))
+    assert isinstance(bird, Bird)
+    assert bird.colours == ("red", "blue")
+
+
+def test_nested_dicts_are_built_by_annotation_and_whole_numbers_serve_as_numbers() -> None:
+    dog = build(dict(type="Dog", size=2, friend=dict(type="Bird")))
+    assert isinstance(dog, Dog)
+    assert isinstance(dog.friend, Bird)
+    assert dog.size == 2.0
+    assert isinstance(dog.size, float)
+
+
+@pytest.mark.parametrize(
+    ("spec", "reason"),
+    [
+        ("Dog", r"zoo: found 'Dog', expected a dict\(type=…\)"),
+        (dict(type="Dgo"), r"zoo\.type: no Animal named 'Dgo'; did you mean 'Dog'"),
+        (dict(), "zoo: no type given; known: Bird, Dog"),
+        (dict(type="Dog", nam="x"), r"zoo\.nam: Dog has no such parameter; did you mean 'name'"),
+        (dict(type="Dog", name=3), r"zoo\.name: found 3, expected a string"),
+        (dict(type="Dog", size="big"), r"zoo\.size: found 'big', expected a number"),
+        (dict(type="Dog", trained=1), r"zoo\.trained: found 1, expected True or False"),
+        (dict(type="Bird", feathers=True), r"zoo\.feathers: found True, expected a whole number"),
+        (dict(type="Bird", feathers=-1), "zoo: Bird: feathers: found a negative number"),
+        (dict(type="Bird", flies="hihg"), r"zoo\.flies: found 'hihg'; did you mean 'high'"),
+        (dict(type="Bird", colours="red"), r"zoo\.colours: found 'red', expected a list"),
+        (dict(type="Bird", colours=[1]), r"zoo\.colours\[0\]: found 1, expected a string"),
+        (dict(type="Dog", friend=dict(type="Bird", colour=1)), r"zoo\.friend\.colour: .*did you mean 'colours'"),
+    ],
+)
+def test_what_is_wrong_is_refused_with_its_path(spec: object, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        build(spec)

@@ -1,0 +1,58 @@
+"""Strangers on an open mesh may send what they like: it costs one message each."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import random
+import signal
+
+import pytest
+import zenoh
+from conftest import Launched, Observer, eventually
+
+from mast_zenoh.keyexpr import Wiring
+
+pytestmark = pytest.mark.mesh
+MESSAGES = 100_000
+
+
+def garbage(count: int) -> list[bytes]:
+    """Bytes that are no messages: random, empty, cut off, oversized maps."""
+    rng = random.Random(5)
+    return [b"", b"\xc1", b"\x80", b"\xdf\xff\xff\xff\xff", *(rng.randbytes(rng.randrange(1, 200)) for _ in range(count))]
+
+
+def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launch) -> None:
+    run: Launched = launch("coordinated", "--mode", "realtime", "--set", "scene_index=1")
+    record = run.started()
+    observer = Observer(record, "clock")
+    try:
+        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        wiring = Wiring.from_json(json.loads((run.out / "wiring.json").read_text()))
+        hearers = {leg.key: len(leg.subscribers) for _, leg in wiring.legs()}
+        sent = dict.fromkeys(hearers, 0)
+        payloads = itertools.cycle(garbage(500))
+        publishers = {
+            key: observer.session.declare_publisher(
+                observer.prefix + key, congestion_control=zenoh.CongestionControl.BLOCK
+            )
+            for key in hearers
+        }
+        for key in itertools.islice(itertools.cycle(hearers), MESSAGES):
+            publishers[key].put(next(payloads))
+            sent[key] += 1
+        after = observer.frame()
+        eventually(lambda: observer.frame() > after + 15, "everything has been heard")
+    finally:
+        observer.close()
+    run.process.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == 130, output
+    nodes = run.record()["nodes"]
+    assert all(node["ended"] == "ok" and not node["failures"] for node in nodes.values())
+    expected = sum(sent[key] * hearers[key] for key in sent)
+    assert sum(node["foreign"] for node in nodes.values()) == expected
+    assert sum(n for node in nodes.values() for n in node["rejected"].values()) == expected
+    logs = "".join((run.out / node["log"]).read_text() for node in nodes.values())
+    assert 0 < logs.count("rejected a message") <= sum(hearers.values()), "logged once per source"

@@ -1,0 +1,166 @@
+"""A scenario on the mesh: every role its own process, and the same result as in one process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from conftest import Launched, Observer, eventually
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import local
+
+pytestmark = pytest.mark.mesh
+SHORT = ("--frames", "30")
+
+
+def metrics(folder: Path) -> bytes:
+    return (folder / "metrics.json").read_bytes()
+
+
+def in_process(out: Path, name: str, *settings: str, frames: int = 30, seed: int | None = None) -> Path:
+    path, loaded = scenario.load(name, settings)
+    ended = local.run(scenario.resolve(path, loaded, frames=frames, seed=seed), out, runtime="inproc")
+    assert ended.error is None
+    return ended.folder
+
+
+def test_every_role_is_a_process_of_its_own(launch) -> None:
+    run: Launched = launch("uncoordinated", "--set", "n_adversaries=2", *SHORT)
+    code, output = run.end()
+    assert code == 0, output
+    record = run.record()
+    roles = sorted(node["role"] for node in record["nodes"].values())
+    assert roles == sorted(
+        ["simulator", *["agent"] * 5, "broker", "command_center", "adversary", "adversary", "evaluator"]
+    )
+    assert len(set(run.pids())) == 11
+    assert all(node["ended"] == "ok" and node["last_frame"] == 29 for node in record["nodes"].values())
+    assert record["status"] == "ok"
+    assert record["timings"]["frames_per_second"] > 0
+    assert {"scenario.json", "wiring.json", "metrics.json", "metrics.parquet", "objects.parquet", "attacks.parquet"} <= {
+        path.name for path in run.out.iterdir()
+    }
+    assert (run.out / "logs" / "ego.log").is_file()
+
+
+@pytest.mark.parametrize("name", ["baseline", "uncoordinated", "coordinated"])
+def test_the_mesh_and_one_process_give_the_same_metrics_to_the_last_digit(launch, tmp_path: Path, name: str) -> None:
+    run: Launched = launch(name, "--frames", "60", "--seed", "3")
+    code, output = run.end()
+    assert code == 0, output
+    assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", name, frames=60, seed=3))
+
+
+def test_interposers_that_change_nothing_leave_no_trace(launch, tmp_path: Path) -> None:
+    """Key, encoding, attachment, payload (header and sequence number within), order and QoS, as any subscriber sees them."""
+    seen = []
+    for name in ("baseline", "passthrough"):
+        run: Launched = launch(name, *SHORT)
+        observer = Observer(run.started())
+        try:
+            code, output = run.end()
+        finally:
+            observer.close()
+        assert code == 0, output
+        by_key: dict[str, list] = {}
+        for key, s in observer.samples:
+            by_key.setdefault(key, []).append(
+                (
+                    str(s.encoding),
+                    s.attachment.to_bytes() if s.attachment else None,
+                    s.payload.to_bytes(),
+                    s.kind,
+                    s.priority,
+                    s.congestion_control,
+                    s.express,
+                    s.timestamp,
+                    s.source_info,
+                )
+            )
+        assert len(by_key["clock"]) == 30, "the observer was there from the first frame on"
+        seen.append((by_key, metrics(run.out)))
+    (plain, plain_metrics), (tapped, tapped_metrics) = seen
+    assert plain.keys() == tapped.keys()
+    for key in plain:
+        assert plain[key] == tapped[key], key
+    assert plain_metrics == tapped_metrics
+
+
+def test_two_runs_at_the_same_time_never_meet(launch, tmp_path: Path) -> None:
+    runs = [launch("baseline", *SHORT, "--seed", "1") for _ in range(2)]
+    for run in runs:
+        code, output = run.end()
+        assert code == 0, output
+        assert not any(node["foreign"] or node["rejected"] for node in run.record()["nodes"].values())
+    assert metrics(runs[0].out) == metrics(runs[1].out) == metrics(in_process(tmp_path / "alone", "baseline", seed=1))
+    assert runs[0].record()["id"] != runs[1].record()["id"]
+
+
+def test_real_time_keeps_its_pace_and_measures_its_latency(launch) -> None:
+    run: Launched = launch("baseline", "--frames", "40", "--mode", "realtime", "--rate", "2")
+    code, output = run.end()
+    assert code == 0, output
+    found = json.loads(metrics(run.out))
+    assert found["frames"] == 40
+    assert found["frames_per_second"] == pytest.approx(20, rel=0.2), "twice 10 Hz"
+    assert 0 < found["latency_ms"]["sim_to_picture"]["p50"] <= found["latency_ms"]["sim_to_picture"]["p99"]
+    assert found["agents"]["ego"]["picture"]["tp"]["mean"] > 5
+
+
+def test_a_router_that_runs_already_can_be_used(launch, tmp_path: Path) -> None:
+    from mast_zenoh.runtime.session import open_router
+
+    router, endpoint = open_router()
+    with router:
+        run: Launched = launch("baseline", *SHORT, "--endpoint", endpoint)
+        code, output = run.end()
+    assert code == 0, output
+    assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", "baseline"))
+
+
+def test_a_users_own_node_beside_the_scenario_takes_part(launch, tmp_path: Path) -> None:
+    (tmp_path / "deaf.py").write_text(
+        "from mast_zenoh.node import Node\n"
+        "from mast_zenoh.runtime.process import main\n"
+        "class Deaf(Node):\n"
+        "    role = 'adversary'\n"
+        "    inputs = {'clock': 'clock', 'detections': 'detections'}\n"
+        "    outputs = {'detections_out': 'detections'}\n"
+        "    def __init__(self, agent: str):\n"
+        "        self.agent = agent\n"
+        "    def on_clock(self, received, context): ...\n"
+        "    def on_detections(self, received, context):\n"
+        "        empty = {name: column[:0] if column.ndim and name not in ('mount_position', 'mount_rotation') else column\n"
+        "                 for name, column in received.body.items()}\n"
+        "        context.relay('detections_out', received, empty)\n"
+        "if __name__ == '__main__':\n"
+        "    main(Deaf)\n"
+    )
+    (tmp_path / "mine.py").write_text(
+        "from mast_zenoh import loading\n"
+        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
+        "def scenario():\n"
+        "    return baseline() | dict(\n"
+        "        adversaries=dict(deaf=dict(file='deaf.py', agent='infra_2')),\n"
+        "        keyexpr=dict(map='testbed.toml', rewrites=[dict(insert=[dict(wire='agent/{agent}/detections',\n"
+        "            role='adversary', input='detections', output='detections_out')])]),\n"
+        "    )\n"
+    )
+    run: Launched = launch(str(tmp_path / "mine.py"), *SHORT)
+    code, output = run.end()
+    assert code == 0, output
+    agents = json.loads(metrics(run.out))["agents"]
+    assert agents["infra_2"]["local"]["tp"]["mean"] == 0
+    assert agents["infra_1"]["local"]["tp"]["mean"] > 0
+
+
+def test_the_terminal_display_is_plain_lines_when_nobody_watches(launch) -> None:
+    run: Launched = launch("baseline", *SHORT)
+    code, output = run.end()
+    assert code == 0
+    assert "\x1b[" not in output
+    assert "FN" in output
+    assert str(run.out) in output.replace("\n", "")
+    eventually(lambda: run.process.poll() is not None, "it has ended")

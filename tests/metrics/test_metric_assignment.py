@@ -1,0 +1,154 @@
+"""Who belongs to whom: against brute force, shapely and the Hungarian method."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from metric_oracles import best_pairs, boxes, iou, outline
+from scipy.optimize import linear_sum_assignment
+
+from mast_zenoh.metrics import Boxes, CenterDistanceAssigner, IoU3DGreedyAssigner, birdseye_intersection, iou_3d
+
+
+def scattered(n: int, rng: np.random.Generator, spread: float, group=0) -> Boxes:
+    position = np.column_stack([rng.uniform(0.0, spread, (n, 2)), rng.uniform(0.0, 1.0, n)])
+    return boxes(position, rng.uniform(1.0, 6.0, (n, 3)), rng.uniform(-4.0, 4.0, n), group, rng.permutation(n))
+
+
+def total(truth: Boxes, tracks: Boxes, pairs: np.ndarray) -> float:
+    offset = truth.position[pairs[:, 0], :2] - tracks.position[pairs[:, 1], :2]
+    return float(np.linalg.norm(offset, axis=1).sum())
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.integers(0, 4), st.integers(0, 4), st.sampled_from([3.0, 6.0, 20.0]), st.integers(0, 10**6))
+def test_no_matching_has_more_pairs_or_less_distance(n, m, spread, seed):
+    rng = np.random.default_rng(seed)
+    truth, tracks = scattered(n, rng, spread), scattered(m, rng, spread)
+    distance = np.linalg.norm(truth.position[:, None, :2] - tracks.position[None, :, :2], axis=2)
+    pairs = CenterDistanceAssigner(gate_m=2.0).assign(truth, tracks)
+    count, least = best_pairs(distance, 2.0)
+    assert len(pairs) == count
+    assert total(truth, tracks, pairs) == pytest.approx(least)
+    assert np.all(distance[pairs[:, 0], pairs[:, 1]] <= 2.0)
+    assert len(set(pairs[:, 0])) == len(set(pairs[:, 1])) == count
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10**6))
+def test_many_frames_at_once_give_what_the_hungarian_method_gives_for_each(seed):
+    rng = np.random.default_rng(seed)
+    frames, gate = 8, 2.0
+    truth = Boxes.join([scattered(int(rng.integers(0, 25)), rng, 15.0, frame) for frame in range(frames)])
+    tracks = Boxes.join([scattered(int(rng.integers(0, 25)), rng, 15.0, frame) for frame in range(frames)])
+    pairs = CenterDistanceAssigner(gate_m=gate).assign(truth, tracks)
+    for frame in range(frames):
+        i, j = np.flatnonzero(truth.group == frame), np.flatnonzero(tracks.group == frame)
+        cost = np.linalg.norm(truth.position[i][:, None, :2] - tracks.position[j][None, :, :2], axis=2)
+        cost[cost > gate] = 1e4
+        r, c = linear_sum_assignment(cost)
+        expected = {(i[a], j[b]) for a, b in zip(r, c, strict=True) if cost[a, b] <= gate}
+        assert {(a, b) for a, b in pairs.tolist() if truth.group[a] == frame} == expected
+
+
+def test_the_gate_belongs_to_what_it_admits():
+    truth = boxes([[0.0, 0.0]])
+    assert len(CenterDistanceAssigner(gate_m=2.0).assign(truth, boxes([[2.0, 0.0]]))) == 1
+    assert len(CenterDistanceAssigner(gate_m=2.0).assign(truth, boxes([[2.0 + 1e-9, 0.0]]))) == 0
+
+
+def test_two_pairs_win_over_one_nearer_pair():
+    truth, tracks = boxes([[0.0, 0.0], [1.9, 0.0]]), boxes([[0.1, 0.0], [-1.8, 0.0]])
+    assert CenterDistanceAssigner(gate_m=2.0).assign(truth, tracks).tolist() == [[0, 1], [1, 0]]
+
+
+def test_height_plays_no_part_in_the_distance():
+    assert len(CenterDistanceAssigner().assign(boxes([[0.0, 0.0, 0.0]]), boxes([[0.0, 0.0, 50.0]]))) == 1
+
+
+@pytest.mark.parametrize("assigner", [CenterDistanceAssigner(), IoU3DGreedyAssigner()])
+def test_boxes_of_different_groups_never_meet(assigner):
+    assert len(assigner.assign(boxes([[0.0, 0.0]], group=0), boxes([[0.0, 0.0]], group=1))) == 0
+
+
+@pytest.mark.parametrize("assigner", [CenterDistanceAssigner(), IoU3DGreedyAssigner()])
+def test_nothing_is_paired_with_nothing(assigner):
+    none = boxes(np.zeros((0, 3)))
+    assert assigner.assign(none, none).shape == (0, 2)
+    assert assigner.assign(none, boxes([[0.0, 0.0]])).shape == (0, 2)
+    assert assigner.assign(boxes([[0.0, 0.0]]), none).shape == (0, 2)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.sampled_from([CenterDistanceAssigner(), IoU3DGreedyAssigner(threshold=0.1)]), st.integers(0, 10**6))
+def test_the_order_of_the_rows_does_not_matter_even_with_ties(assigner, seed):
+    rng = np.random.default_rng(seed)
+    # A coarse grid makes equal distances and overlaps common.
+    truth, tracks = (
+        boxes(rng.integers(0, 4, (8, 2)).astype(float), group=rng.integers(0, 2, 8), id=rng.permutation(8))
+        for _ in range(2)
+    )
+    p, q = rng.permutation(8), rng.permutation(8)
+    straight = assigner.assign(truth, tracks)
+    shuffled = assigner.assign(truth.select(p), tracks.select(q))
+    assert {(a, b) for a, b in straight.tolist()} == {(p[a], q[b]) for a, b in shuffled.tolist()}
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 1e5]))
+def test_overlap_is_what_shapely_says(seed, far):
+    rng = np.random.default_rng(seed)
+    a, b = scattered(6, rng, 5.0), scattered(6, rng, 5.0)
+    a.position[:, :2] += far
+    b.position[:, :2] += far
+    areas = birdseye_intersection(a, b)
+    volumes = iou_3d(a, b)
+    for k in range(6):
+        assert areas[k] == pytest.approx(outline(a, k).intersection(outline(b, k)).area, abs=1e-6)
+        assert volumes[k] == pytest.approx(iou(a, k, b, k), abs=1e-6)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, np.pi / 2, np.pi, -2.0])
+def test_boxes_that_coincide_overlap_in_full(yaw):
+    a = boxes([[3.0, -2.0]], yaw=yaw)
+    assert iou_3d(a, a) == pytest.approx([1.0])
+    assert iou_3d(a, boxes([[3.0, -2.0]], yaw=yaw + np.pi)) == pytest.approx([1.0])
+
+
+def test_overlap_of_shifted_contained_touching_and_separate_boxes():
+    a = boxes([[0.0, 0.0]] * 5, size=(4.0, 2.0, 2.0))
+    b = boxes([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, 1.0]], (4.0, 2.0, 2.0))
+    b.size[1] = (2.0, 1.0, 2.0)
+    assert birdseye_intersection(a, b) == pytest.approx([4.0, 2.0, 0.0, 0.0, 8.0])
+    assert iou_3d(a, b) == pytest.approx([1 / 3, 0.25, 0.0, 0.0, 1 / 3])
+
+
+def test_boxes_without_a_volume_overlap_with_nothing():
+    flat = boxes([[0.0, 0.0]], size=(0.0, 0.0, 0.0))
+    assert iou_3d(flat, flat).tolist() == [0.0]
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 7), st.integers(0, 7), st.integers(0, 10**6))
+def test_the_greedy_assigner_always_takes_the_best_overlap_that_is_left(n, m, seed):
+    rng = np.random.default_rng(seed)
+    truth, tracks = scattered(n, rng, 5.0), scattered(m, rng, 5.0)
+    left = {(i, j): iou(truth, i, tracks, j) for i in range(n) for j in range(m)}
+    expected = set()
+    while left:
+        i, j = max(left, key=left.__getitem__)
+        if left[i, j] < 0.1:
+            break
+        expected.add((i, j))
+        left = {(a, b): value for (a, b), value in left.items() if a != i and b != j}
+    assert {(a, b) for a, b in IoU3DGreedyAssigner(threshold=0.1).assign(truth, tracks).tolist()} == expected
+
+
+@pytest.mark.parametrize(
+    ("cls", "arguments"), [(CenterDistanceAssigner, {"gate_m": 0.0}), (IoU3DGreedyAssigner, {"threshold": 1.5})]
+)
+def test_senseless_limits_are_refused(cls, arguments):
+    with pytest.raises(ValueError, match=f"{next(iter(arguments))}: found"):
+        cls(**arguments)

@@ -1,0 +1,287 @@
+"""Scores of a run: by hand on small ones, against plain loops on random ones."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from metric_oracles import best_pairs, cars
+
+from mast_zenoh.metrics import IoU3DGreedyAssigner, Record, Scorer
+from mast_zenoh.states import ObjectStates
+
+
+def record(truth: list[ObjectStates], picture: list[ObjectStates], *, points=None, own=-1, position=(0.0, 0.0, 0.0)):
+    """A run of one agent, the ego; everything is seen unless `points` (one list a frame) says otherwise."""
+    result = Record(["ego"])
+    for frame, (objects, states) in enumerate(zip(truth, picture, strict=True)):
+        seen = np.full(len(objects), 10) if points is None else np.array(points[frame])
+        result.add_truth(frame, objects, seen.reshape(-1, 1), np.array([position]), np.array([own]))
+        result.add_picture(frame, states)
+    return result
+
+
+def counts(scores, agent="ego", estimator="picture"):
+    table = scores.per_frame()
+    mine = (table["agent"] == agent) & (table["estimator"] == estimator)
+    return [tuple(int(table[name][k]) for name in ("fn", "fp", "tp")) for k in np.flatnonzero(mine)]
+
+
+def outcomes(scores) -> set[tuple[str, str, int, int]]:
+    t = scores.objects
+    return set(zip(t["kind"].tolist(), t["outcome"].tolist(), t["id"].tolist(), t["match_id"].tolist(), strict=True))
+
+
+def test_a_small_frame_by_hand():
+    truth = cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0), id=[1, 2, 3])
+    tracks = cars((0.0, 0.6), (10.8, 0.0), (30.0, 0.0), id=[7, 8, 9])
+    scores = Scorer().score(record([truth], [tracks]))
+    assert counts(scores) == [(1, 1, 2)]
+    assert scores.per_frame()["rmse_m"] == pytest.approx([np.sqrt((0.36 + 0.64) / 2)])
+    assert outcomes(scores) == {
+        ("truth", "matched", 1, 7),
+        ("truth", "matched", 2, 8),
+        ("truth", "missed", 3, -1),
+        ("track", "matched", 7, 1),
+        ("track", "matched", 8, 2),
+        ("track", "false", 9, -1),
+    }
+
+
+def test_only_what_is_in_range_counts_on_both_sides():
+    truth = cars((99.0, 0.0), (101.0, 0.0), id=[1, 2])
+    tracks = cars((99.0, 0.0), (101.0, 0.0), (150.0, 0.0), id=[1, 2, 3])
+    assert counts(Scorer(range_m=100.0).score(record([truth], [tracks]))) == [(0, 0, 1)]
+    assert counts(Scorer(range_m=100.0).score(record([truth], [tracks], position=(5.0, 0.0, 15.0)))) == [(0, 0, 2)]
+
+
+def test_range_moves_with_the_agent():
+    run = Record(["ego"])
+    for frame, x in enumerate((0.0, 200.0)):
+        place = np.array([[x, 0.0, 0.0]])
+        run.add_truth(frame, cars((0.0, 0.0)), np.array([[9]]), place, np.array([-1]))
+        run.add_picture(frame, cars((0.0, 0.0)))
+    assert counts(Scorer().score(run)) == [(0, 0, 1), (0, 0, 0)]
+
+
+def test_truth_is_what_at_least_one_agent_sees():
+    run = Record(["ego", "infra_1"])
+    points = np.array([[0, 5], [4, 4], [5, 0]])
+    run.add_truth(0, cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0)), points, np.zeros((2, 3)), np.array([-1, -1]))
+    run.add_picture(0, ObjectStates.empty())
+    scores = Scorer(min_points=5).score(run)
+    assert counts(scores) == [(2, 0, 0)]
+    assert ("truth", "unevaluated", 1, -1) in outcomes(scores)
+
+
+@pytest.mark.parametrize(
+    ("ignore_unseen", "expected", "outcome"), [(False, (0, 1, 0), "false"), (True, (0, 0, 0), "unevaluated")]
+)
+def test_a_track_of_an_unseen_object_is_false_unless_told_otherwise(ignore_unseen, expected, outcome):
+    run = record([cars((0.0, 0.0), id=[5])], [cars((0.5, 0.0), id=[7])], points=[[0]])
+    scores = Scorer(ignore_unseen=ignore_unseen).score(run)
+    assert counts(scores) == [expected]
+    assert {o for kind, o, _, _ in outcomes(scores) if kind == "track"} == {outcome}
+
+
+def test_an_unseen_object_excuses_no_track_that_a_seen_one_needs():
+    truth = cars((0.0, 0.0), (1.0, 0.0), id=[1, 2])
+    run = record([truth], [cars((0.9, 0.0))], points=[[9, 0]])
+    assert counts(Scorer(ignore_unseen=True).score(run)) == [(0, 0, 1)]
+
+
+def test_an_unseen_object_excuses_one_track_only():
+    run = record([cars((0.0, 0.0))], [cars((0.5, 0.0), (-0.5, 0.0))], points=[[0]])
+    assert counts(Scorer(ignore_unseen=True).score(run)) == [(0, 1, 0)]
+
+
+def test_the_agent_is_in_its_own_truth_unless_left_out():
+    def run():
+        return record([cars((0.0, 0.0), (9.0, 0.0), id=[42, 1])], [cars((0.1, 0.0), (9.0, 0.0))], own=42)
+
+    assert counts(Scorer().score(run())) == [(0, 0, 2)]
+    assert counts(Scorer(include_self=False).score(run())) == [(0, 0, 1)]
+
+
+def test_a_switch_is_counted_against_the_last_match_even_after_a_gap():
+    truth = [cars((0.0, 0.0), id=[1])] * 6
+    there, gone = (0.0, 0.0), (50.0, 0.0)
+    tracks = [cars(p, id=[i]) for p, i in ((there, 7), (there, 7), (gone, 7), (there, 8), (there, 8), (there, 7))]
+    assert Scorer().score(record(truth, tracks)).id_switches.tolist() == [[0, 0, 0, 1, 0, 1]]
+
+
+def test_switches_of_one_agent_are_not_those_of_another():
+    run = Record(["ego", "infra_1"])
+    for frame in range(2):
+        run.add_truth(frame, cars((0.0, 0.0)), np.array([[9, 9]]), np.zeros((2, 3)), np.array([-1, -1]))
+        run.add_tracks(frame, "ego", "local", cars((0.0, 0.0), id=[frame]))
+        run.add_tracks(frame, "infra_1", "local", cars((0.0, 0.0), id=[5]))
+    summary = Scorer().score(run).summary()
+    assert summary["ego"]["local"]["id_switches"] == 1
+    assert summary["infra_1"]["local"]["id_switches"] == 0
+
+
+def test_skipped_frames_leave_no_trace():
+    truth = [cars((0.0, 0.0), id=[1])] * 5
+    tracks = [cars((0.0, 0.0), id=[k]) for k in range(5)]
+    scores = Scorer(skip_first=2, skip_last=1).score(record(truth, tracks))
+    assert scores.frames.tolist() == [2, 3]
+    assert scores.id_switches.tolist() == [[0, 1]]
+    assert set(scores.objects["frame"]) == {2, 3}
+
+
+@pytest.mark.parametrize(("first", "last"), [(9, 0), (0, 9), (3, 3), (5, 5)])
+def test_skipping_everything_leaves_a_summary_without_figures(first, last):
+    truth = [cars((0.0, 0.0))] * 5
+    summary = Scorer(skip_first=first, skip_last=last).score(record(truth, truth)).summary()
+    assert summary["ego"]["picture"]["fn"] == {"mean": None, "std": None}
+    json.dumps(summary, allow_nan=False)
+
+
+def test_a_frame_without_a_message_counts_as_one_without_tracks():
+    run = record([cars((0.0, 0.0))] * 3, [cars((0.0, 0.0))] * 3)
+    run.add_tracks(0, "ego", "local", cars((0.0, 0.0)))
+    assert counts(Scorer().score(run), estimator="local") == [(0, 0, 1), (1, 0, 0), (1, 0, 0)]
+
+
+def test_rmse_is_over_all_pairs_of_the_run_and_null_without_any():
+    truth = [cars((0.0, 0.0), (9.0, 0.0)), cars((0.0, 0.0))]
+    scores = Scorer().score(record(truth, [cars((0.3, 0.0), (9.0, 0.4)), cars((0.0, 1.2))]))
+    assert scores.summary()["ego"]["picture"]["rmse_m"] == pytest.approx(np.sqrt((0.09 + 0.16 + 1.44) / 3))
+    none = Scorer().score(record(truth, [ObjectStates.empty()] * 2))
+    assert none.summary()["ego"]["picture"]["rmse_m"] is None
+    assert np.isnan(none.per_frame()["rmse_m"]).all()
+    json.dumps(none.summary(), allow_nan=False)
+
+
+def test_the_summary_has_mean_and_deviation_over_frames():
+    truth = [cars((0.0, 0.0), (9.0, 0.0))] * 2
+    summary = Scorer().score(record(truth, [cars((0.0, 0.0)), ObjectStates.empty()])).summary()
+    assert summary["ego"]["picture"]["fn"] == {"mean": 1.5, "std": 0.5}
+    assert summary["ego"]["picture"]["tp"] == {"mean": 0.5, "std": 0.5}
+
+
+def test_the_summary_can_be_of_some_frames_while_the_tables_hold_all():
+    scores = Scorer().score(record([cars((0.0, 0.0))] * 4, [ObjectStates.empty(), *[cars((0.0, 0.6))] * 3]))
+    summary = scores.summary(slice(1, 4))["ego"]["picture"]
+    assert (summary["fn"]["mean"], summary["tp"]["mean"], summary["rmse_m"]) == (0.0, 1.0, pytest.approx(0.6))
+    assert len(scores.per_frame()["frame"]) == 4
+
+
+def test_the_assigner_can_be_overlap():
+    truth, tracks = [cars((0.0, 0.0))], [cars((0.0, 1.5))]
+    assert counts(Scorer().score(record(truth, tracks))) == [(0, 0, 1)]
+    assert counts(Scorer(assigner=IoU3DGreedyAssigner()).score(record(truth, tracks))) == [(1, 1, 0)]
+
+
+def test_truth_that_does_not_fit_the_agents_is_refused():
+    run = Record(["ego", "infra_1"])
+    with pytest.raises(ValueError, match=r"truth of frame 3, points: found shape \(1, 1\), expected \(1, 2\)"):
+        run.add_truth(3, cars((0.0, 0.0)), np.array([[9]]), np.zeros((2, 3)), np.array([-1, -1]))
+    with pytest.raises(ValueError, match="found agent 'infra_9'"):
+        run.add_tracks(3, "infra_9", "local", cars((0.0, 0.0)))
+
+
+def test_a_record_without_truth_has_no_frames():
+    assert Scorer().score(Record(["ego"])).summary() == {}
+
+
+# Against plain loops
+
+
+def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
+    """A run of three agents, two estimators each and the picture, in a crowded place."""
+    rng = np.random.default_rng(seed)
+    shuffle = np.random.default_rng(seed + 1)
+    agents, frames = ["ego", "infra_1", "infra_2"], []
+    run = Record(agents)
+    for _ in range(4):
+        n = int(rng.integers(0, 6))
+
+        def some(k, rng=rng):
+            return cars(*rng.uniform(-6.0, 6.0, (k, 2)), id=rng.permutation(9)[:k])
+
+        truth, points = some(n), rng.integers(0, 9, (n, 3))
+        place, own = rng.uniform(-4.0, 4.0, (3, 3)), rng.integers(-1, 9, 3)
+        tracks = {(a, e): some(int(rng.integers(0, 5))) for a in agents for e in ("local", "mission")}
+        tracks["", "picture"] = some(int(rng.integers(0, 6)))
+        frames.append((truth, points, place, own, tracks))
+    order = shuffle.permutation(4) if shuffled else range(4)
+    for frame in order:
+        truth, points, place, own, tracks = frames[frame]
+        rows = shuffle.permutation(len(truth)) if shuffled else np.arange(len(truth))
+        run.add_truth(int(frame), truth.select(rows), points[rows], place, own)
+        for (agent, estimator), states in tracks.items():
+            mixed = states.select(shuffle.permutation(len(states))) if shuffled else states
+            if agent:
+                run.add_tracks(int(frame), agent, estimator, mixed)
+            else:
+                run.add_picture(int(frame), mixed)
+    return run, frames
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 10**6), st.booleans(), st.booleans())
+def test_counts_are_those_of_plain_loops(seed, include_self, ignore_unseen):
+    run, frames = random_run(seed)
+    scorer = Scorer(range_m=7.0, min_points=5, include_self=include_self, ignore_unseen=ignore_unseen)
+    table = scorer.score(run).per_frame()
+    place = {name: k for k, name in enumerate(("ego", "infra_1", "infra_2"))}
+    assert len(table["frame"]) == 3 * 3 * 4
+    for k in range(len(table["frame"])):
+        truth, points, position, own, tracks = frames[table["frame"][k]]
+        agent, estimator = str(table["agent"][k]), str(table["estimator"][k])
+        a = place[agent]
+        states = tracks["" if estimator == "picture" else agent, estimator]
+        judged, other, heard = [], [], []
+        for row in range(len(truth)):
+            near = np.hypot(*(truth.position[row, :2] - position[a, :2])) <= 7.0
+            is_own = truth.id[row] == own[a]
+            if near and max(points[row]) >= 5 and (include_self or not is_own):
+                judged.append(truth.position[row, :2])
+            elif ignore_unseen or (is_own and not include_self):
+                other.append(truth.position[row, :2])
+        for row in range(len(states)):
+            if np.hypot(*(states.position[row, :2] - position[a, :2])) <= 7.0:
+                heard.append(states.position[row, :2])
+
+        def distances(x, y):
+            return np.array([[np.hypot(*(p - q)) for q in y] for p in x]).reshape(len(x), len(y))
+
+        tp, least = best_pairs(distances(judged, heard), 2.0)
+        assert (table["fn"][k], table["tp"][k]) == (len(judged) - tp, tp)
+        if not other:
+            assert table["fp"][k] == len(heard) - tp
+        else:
+            assert len(heard) - tp - len(other) <= table["fp"][k] <= len(heard) - tp
+        if tp == 1:
+            assert table["rmse_m"][k] == pytest.approx(least)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6))
+def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
+    straight = Scorer(range_m=7.0, ignore_unseen=True).score(random_run(seed)[0])
+    shuffled = Scorer(range_m=7.0, ignore_unseen=True).score(random_run(seed, shuffled=True)[0])
+    assert json.dumps(straight.summary()) == json.dumps(shuffled.summary())
+    for name, column in straight.objects.items():
+        assert np.array_equal(column, shuffled.objects[name], equal_nan=column.dtype.kind == "f"), name
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6))
+def test_every_box_has_one_outcome_and_the_counts_are_those_of_the_outcomes(seed):
+    scores = Scorer(range_m=7.0).score(random_run(seed)[0])
+    t, counted = scores.objects, scores.per_frame()
+    for k in range(len(counted["frame"])):
+        mine = np.all([t[name] == counted[name][k] for name in ("frame", "agent", "estimator")], axis=0)
+
+        def number(kind, outcome, mine=mine):
+            return int(np.sum(mine & (t["kind"] == kind) & (t["outcome"] == outcome)))
+
+        assert number("truth", "missed") == counted["fn"][k]
+        assert number("track", "false") == counted["fp"][k]
+        assert number("truth", "matched") == number("track", "matched") == counted["tp"][k]

@@ -1,0 +1,3 @@
+"""Fixtures of the tests of the nodes."""
+
+from tiny_world import own_cache  # noqa: F401

@@ -1,0 +1,167 @@
+"""The figures show what they should, in the colours of the key, and nothing of what is behind the camera."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+from mast_zenoh.geometry import rotation_from_yaw
+from mast_zenoh.report.camera import Eye
+from mast_zenoh.report.charts import counts_over_time
+from mast_zenoh.report.figures import birdseye_figure, camera_figure, picture, side_by_side_figure
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.style import ADVERSARY, OUTCOME_COLOURS, png
+from mast_zenoh.report.table import summary_table
+from mast_zenoh.report.view import FrameView, frame_view
+from mast_zenoh.sensing.camera import Camera
+
+COLOURS = OUTCOME_COLOURS | {"adversary": ADVERSARY}
+
+
+def image_of(data: bytes) -> np.ndarray:
+    return np.asarray(matplotlib.image.imread(io.BytesIO(data)))[..., :3]
+
+
+def pixels(image: np.ndarray, colour: str) -> int:
+    return int((np.abs(image - to_rgb(COLOURS[colour])) < 0.02).all(axis=-1).sum())
+
+
+def panels(view: FrameView) -> Mapping[str, np.ndarray]:
+    """The insides of the two panels of the bird's-eye figure, without titles and key."""
+    image = image_of(png(birdseye_figure(view)))
+    return {"local": image[48:640, 70:660], "picture": image[48:640, 715:1300]}
+
+
+@pytest.fixture
+def attacked(run_folder: Callable[..., Path]) -> FrameView:
+    view = frame_view(RunFolder.load(run_folder("uncoordinated")), 33)
+    assert view is not None
+    return view
+
+
+@pytest.fixture
+def clean(run_folder: Callable[..., Path]) -> FrameView:
+    view = frame_view(RunFolder.load(run_folder()), 33)
+    assert view is not None
+    return view
+
+
+def test_the_colour_key_is_that_of_the_paper() -> None:
+    for outcome, (r, g, b) in {
+        "truth matched": (1, 1, 1),
+        "track matched": (0, 0, 1),
+        "truth missed": (1, 1, 0),
+        "track false": (1, 0, 0),
+        "unevaluated": (0, 1, 0),
+    }.items():
+        colour = np.array(to_rgb(OUTCOME_COLOURS[outcome]))
+        assert np.abs(np.round(colour - 0.12) - [r, g, b]).max() == 0, outcome
+
+
+def test_false_tracks_and_what_was_inserted_are_seen_in_the_picture_only(attacked: FrameView) -> None:
+    shown = panels(attacked)
+    assert pixels(shown["picture"], "track false") > 500
+    assert pixels(shown["local"], "track false") == 0
+    # The compromised sensors are marked in both panels, the inserted objects in the picture.
+    assert pixels(shown["picture"], "adversary") > pixels(shown["local"], "adversary") + 300 > 300
+
+
+def test_missed_and_matched_objects_are_seen_in_both(clean: FrameView) -> None:
+    shown = panels(clean)
+    for panel in shown.values():
+        assert pixels(panel, "truth missed") > 50
+        assert pixels(panel, "truth matched") > 30
+        assert pixels(panel, "track matched") > 50
+        assert pixels(panel, "track false") == 0
+        assert pixels(panel, "adversary") == 0
+    assert pixels(shown["local"], "truth missed") > pixels(shown["picture"], "truth missed")
+
+
+def test_unevaluated_objects_are_green(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder())
+    with_one, without = frame_view(run, 27), frame_view(run, 28)
+    assert with_one is not None
+    assert without is not None
+    assert pixels(panels(with_one)["local"], "unevaluated") > 30
+    assert pixels(panels(without)["local"], "unevaluated") == 0
+
+
+def test_the_camera_sees_false_objects_ahead_in_the_picture_only(attacked: FrameView) -> None:
+    figure = camera_figure(attacked)
+    assert figure is not None
+    image = image_of(png(figure))
+    half = len(image) // 2
+    assert pixels(image[:half], "track false") == 0
+    assert pixels(image[half : half + 420], "track false") > 100
+
+
+def test_runs_side_by_side_have_a_panel_each(attacked: FrameView, clean: FrameView) -> None:
+    views = {"baseline": clean, "uncoordinated": attacked}
+    rows = summary_table({label: view.run.metrics for label, view in views.items()})
+    image = image_of(png(side_by_side_figure(views, rows)))
+    width = image.shape[1]
+    plots = image[60:700]
+    assert pixels(plots[:, : width // 2], "track false") == 0
+    assert pixels(plots[:, width // 2 :], "track false") > 300
+
+
+def test_four_runs_and_more_go_into_further_lines(clean: FrameView) -> None:
+    rows = summary_table({"a": clean.run.metrics})
+    three = side_by_side_figure(dict.fromkeys("abc", clean), rows)
+    seven = side_by_side_figure(dict.fromkeys("abcdefg", clean), rows)
+    assert seven.get_figheight() > 2.5 * three.get_figheight()
+    assert len(seven.axes) == 7
+
+
+def test_counts_are_drawn_from_any_number_of_frames(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder())
+    assert run.counts is not None
+    few = {name: column[:2] for name, column in run.counts.items()}
+    object.__setattr__(run, "counts", few)
+    figure = counts_over_time({"run": run}, 0)
+    assert figure is not None
+    assert len(png(figure)) > 5000
+
+
+def test_bold_lines_do_not_rise_before_the_attack(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder("uncoordinated"))
+    figure = counts_over_time({"run": run}, None)
+    assert figure is not None
+    bold = next(line for line in figure.axes[1].get_lines() if line.get_label() == "picture")
+    time, false = bold.get_xdata(), bold.get_ydata()
+    assert false[time < 1.45].max() == 0.0
+    assert false[-1] == 10.0
+
+
+def eye() -> Eye:
+    return Eye(Camera(), np.zeros(3), rotation_from_yaw(0.0))
+
+
+def test_lines_are_cut_at_the_camera() -> None:
+    ahead, behind, through = [[10, 1, 1], [20, 1, 1]], [[-10, 1, 1], [-20, 1, 1]], [[-10, 1, 1], [10, 1, 1]]
+    drawn = eye().lines(np.array([ahead, behind, through], float))
+    assert drawn.shape == (2, 2, 2)
+    assert np.isfinite(drawn).all()
+    assert drawn[0, 0] == pytest.approx([400 - 40, 300 + 24])
+    assert drawn[1, 1] == pytest.approx([400 - 40, 300 + 24])
+
+
+def test_faces_are_cut_at_the_camera() -> None:
+    wall = np.array([[-5, 3, 0], [15, 3, 0], [15, 3, 8], [-5, 3, 8]], float)
+    face = eye().face(wall)
+    assert face is not None
+    assert len(face) == 4
+    assert np.isfinite(face).all()
+    assert eye().face(wall - [30, 0, 0]) is None
+
+
+def test_a_picture_is_a_data_uri_and_knows_its_size(clean: FrameView) -> None:
+    made = picture("x", birdseye_figure(clean), "alt", "caption")
+    assert made.source.startswith("data:image/png;base64,iVBOR")
+    assert made.pixels == image_of(made.png).shape[1::-1]

@@ -1,0 +1,218 @@
+"""The pages: complete, self-contained, honest about what is missing, and safe against hostile names."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.report import write_report, write_study_report
+from mast_zenoh.report.runfolder import RunFolder
+
+RunFolderFixture = Callable[..., Path]
+
+
+class Page(HTMLParser):
+    """What a test wants to know of a page: tags, attributes that load or link, images, and the visible text."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.images: list[dict[str, str | None]] = []
+        self.rows: list[tuple[str, str]] = []
+        self.ids: list[str] = []
+        self.text = ""
+        self.source = path.read_text("utf-8")
+        self.feed(self.source)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        told = dict(attrs)
+        self.links += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+        if "id" in told:
+            self.ids.append(told["id"] or "")
+        if tag == "img":
+            self.images.append(told)
+        if tag == "tr":
+            self.rows.append((told.get("class") or "", ""))
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+        if self.rows:
+            kind, so_far = self.rows[-1]
+            self.rows[-1] = kind, so_far + data
+
+    @property
+    def embedded(self) -> list[bytes]:
+        return [base64.b64decode((image["src"] or "").partition(",")[2]) for image in self.images]
+
+
+@pytest.fixture
+def study(three_runs: dict[str, Path], tmp_path: Path) -> Page:
+    return Page(write_study_report(tmp_path, three_runs))
+
+
+def assert_self_contained(page: Page, folder: Path) -> None:
+    for link in page.links:
+        assert link.startswith(("data:image/", "#")) or (folder / unquote(link)).is_file(), link[:80]
+        assert not link.startswith("#") or link[1:] in page.ids
+    assert not {"script", "link", "iframe", "object", "base"} & set(page.tags)
+    assert "url(" not in page.source
+    assert "@import" not in page.source
+
+
+def test_a_run_report_needs_nothing_but_itself(run_folder: RunFolderFixture) -> None:
+    folder = run_folder("uncoordinated")
+    page = Page(write_report(folder))
+    assert_self_contained(page, folder)
+    assert all(link.startswith("data:") for link in page.links)
+
+
+def test_every_figure_is_in_the_page_and_lies_beside_it_as_png(run_folder: RunFolderFixture) -> None:
+    folder = run_folder("uncoordinated")
+    page = Page(write_report(folder))
+    saved = {path.stem: path.read_bytes() for path in (folder / "figures").glob("*.png")}
+    assert set(saved) == {"birdseye", "camera", "counts", "wiring"}
+    for name, data in saved.items():
+        assert data.startswith(b"\x89PNG")
+        assert len(data) > 5000
+        assert data in page.embedded or (folder / "figures" / f"{name}.svg").read_bytes() in page.embedded
+    assert len(page.images) == len(saved)
+    assert all(len(image["alt"] or "") > 30 for image in page.images)
+
+
+def test_a_run_report_says_the_result_and_how_every_node_ended(run_folder: RunFolderFixture) -> None:
+    killed = {"role": "agent", "pid": 77, "exit": -9, "ended": "killed by signal 9", "restarts": 2}
+    killed |= {"last_frame": 21, "rejected": {"agent/infra_2/pose: truncated": 3}, "foreign": 0, "failures": {}}
+    page = Page(write_report(run_folder("uncoordinated", nodes={"infra_2": killed})))
+    assert "Two of four roadside sensors compromised: 6.2 false objects a frame in the common picture" in page.text
+    assert [row for kind, row in page.rows if kind == "bad"] == [
+        "infra_2agent77killed by signal 9-92213 malformed messages refused\n"
+    ]
+    assert "mast run scenarios/uncoordinated.py --set 'name=two words'" in page.text
+    hostile = [row for kind, row in page.rows if kind == "hostile"]
+    assert len(hostile) == 2
+    assert "agent/infra_1/detections/@tap/0" in hostile[0]
+    assert "adversary_1" in hostile[0]
+
+
+def test_the_same_run_gives_the_same_report_byte_for_byte(run_folder: RunFolderFixture) -> None:
+    folder = run_folder("coordinated")
+    first = write_report(folder).read_bytes()
+    assert write_report(folder).read_bytes() == first
+
+
+def test_hostile_names_do_no_harm(run_folder: RunFolderFixture) -> None:
+    evil = '<script>alert("x")</script>'
+    node = {"role": evil, "pid": 1, "exit": 1, "ended": evil, "restarts": 0}
+    folder = run_folder("uncoordinated", nodes={evil: node, "$x^{": node})
+    for name in ("run.json", "scenario.json", "wiring.json"):
+        data = json.loads((folder / name).read_text())
+        data |= {"id": evil, "status": evil, "message": evil, "command": [evil]} if name == "run.json" else {evil: evil}
+        if name == "wiring.json":
+            ends = {"publisher": evil, "subscribers": [evil, "$x^{"], "interposers": [evil]}
+            data["wires"].append({"key": evil, "message": evil} | ends)
+        (folder / name).write_text(json.dumps(data))
+    page = Page(write_report(folder))
+    assert_self_contained(page, folder)
+    assert "<script" not in page.source
+    assert evil in page.text
+
+
+MISSING = {
+    "run.json": set(),
+    "scenario.json": set(),
+    "wiring.json": {"wiring"},
+    "metrics.json": set(),
+    "metrics.parquet": {"birdseye", "camera", "counts"},
+    "objects.parquet": {"birdseye", "camera"},
+    "attacks.parquet": set(),
+    "scene.npz": {"camera"},
+}
+
+
+@pytest.mark.parametrize("name", sorted(MISSING))
+def test_what_is_missing_is_named_and_the_rest_is_shown(run_folder: RunFolderFixture, name: str) -> None:
+    folder = run_folder("uncoordinated")
+    (folder / name).unlink()
+    page = Page(write_report(folder))
+    assert f"{name} is absent" in page.text
+    shown = {path.stem for path in (folder / "figures").glob("*.png")}
+    assert shown == {"birdseye", "camera", "counts", "wiring"} - MISSING[name]
+
+
+@pytest.mark.parametrize("name", sorted(MISSING))
+def test_what_is_broken_off_is_named(run_folder: RunFolderFixture, name: str) -> None:
+    folder = run_folder("uncoordinated")
+    (folder / name).write_bytes((folder / name).read_bytes()[:-20])
+    (told,) = RunFolder.load(folder).missing
+    assert told.startswith(f"{name} cannot be read")
+
+
+def test_an_interrupted_run_still_has_a_report(run_folder: RunFolderFixture) -> None:
+    folder = run_folder("uncoordinated")
+    run = json.loads((folder / "run.json").read_text())
+    for path in [*folder.glob("*.parquet"), *folder.glob("*.npz"), folder / "metrics.json", folder / "wiring.json"]:
+        path.unlink()
+    run |= {"status": "interrupted", "message": "stopped by Ctrl-C in frame 12"}
+    (folder / "run.json").write_text(json.dumps(run))
+    page = Page(write_report(folder))
+    assert "stopped by Ctrl-C in frame 12" in page.text
+    assert "No scores" in page.text
+    assert page.images == []
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match=r"holds neither run\.json nor scenario\.json"):
+        write_report(tmp_path)
+    with pytest.raises(RunFolderError, match="no such folder"):
+        write_report(tmp_path / "nothing")
+
+
+def test_a_frame_can_be_asked_for_if_the_run_has_it(run_folder: RunFolderFixture) -> None:
+    folder = run_folder("uncoordinated")
+    assert "t = 0.7 s (frame 7)" in (Page(write_report(folder, frame=7)).images[0]["alt"] or "")
+    with pytest.raises(RunFolderError, match="frame 40 was asked for, expected one of 0 to 39"):
+        write_report(folder, frame=40)
+
+
+def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Path) -> None:
+    assert_self_contained(study, tmp_path)
+    assert "Two of four roadside sensors compromised: 6.2 false objects a frame more than unattacked" in study.text
+    assert "The ego's own tracks score the same in every run" in study.text
+    assert {path.name for path in (tmp_path / "figures").glob("*.png")} == {
+        "side_by_side.png",
+        "counts.png",
+        "means.png",
+    }
+    frames = {image["alt"].partition("(frame ")[2][:3] for image in study.images if "(frame " in (image["alt"] or "")}
+    assert len(frames) == 1
+    assert "uncoordinated: 2 missed, 10 false, 12 matched" in (study.images[0]["alt"] or "")
+    for name in ("baseline", "uncoordinated", "coordinated"):
+        assert (tmp_path / name / "report.html").is_file()
+        assert f"{name}/report.html" in study.links
+
+
+def test_a_study_with_a_run_that_never_got_to_its_scores(run_folder: RunFolderFixture, tmp_path: Path) -> None:
+    runs = {"baseline": run_folder(), "uncoordinated": run_folder("uncoordinated")}
+    for path in [*runs["uncoordinated"].glob("*.parquet"), runs["uncoordinated"] / "metrics.json"]:
+        path.unlink()
+    page = Page(write_study_report(tmp_path, runs))
+    assert "metrics.json is absent" in page.text
+    assert "2 runs" in page.text
+
+
+def test_a_study_of_runs_that_left_nothing(run_folder: RunFolderFixture, tmp_path: Path) -> None:
+    folder = run_folder()
+    for path in folder.iterdir():
+        if path.is_file() and path.name != "run.json":
+            path.unlink()
+    page = Page(write_study_report(tmp_path / "study folder", {"only": folder, "twice": folder}))
+    assert "Two runs compared" in page.text

@@ -1,0 +1,109 @@
+"""The wiring diagram and table: who sat on which wire."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mast_zenoh.report.diagram import draw_wiring
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.style import svg
+from mast_zenoh.report.wiring import HIGH, WIDE, Spot, layout, wire_rows
+
+
+def a_run(wires: list[dict[str, Any]], roles: dict[str, str] | None = None) -> RunFolder:
+    nodes = {name: {"role": role} for name, role in (roles or {}).items()}
+    return RunFolder(Path("run"), {"nodes": nodes}, {}, {"wires": wires}, {}, None, None, None, None, ())
+
+
+def a_wire(
+    key: str, message: str, publisher: str, subscribers: list[str], chain: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    targets = [*([stop] for stop in chain), subscribers]
+    keys = [*(f"{key}/@tap/{i}" for i in range(len(chain))), key]
+    legs = [{"key": k, "from": stop, "to": to} for k, stop, to in zip(keys, [publisher, *chain], targets, strict=True)]
+    told = {"key": key, "message": message, "publisher": publisher, "subscribers": subscribers}
+    return told | {"legs": legs, "interposers": list(chain)}
+
+
+def mesh(agents: int, chain: int, message: str) -> RunFolder:
+    """A mesh of `agents`, with `chain` nodes on every agent's wires of `message` (or `both`)."""
+    wires, roles = [], {"simulator": "simulator", "broker": "broker", "command_center": "command_center"}
+    for name in ["ego", *(f"infra_{k}" for k in range(1, agents))]:
+        sitting = tuple(f"{name}_link_{k}" for k in range(chain))
+        roles |= {name: "agent"} | dict.fromkeys(sitting, "link")
+        for kind, ends in (("detections", ("simulator", [name])), ("tracks", (name, ["broker"]))):
+            wires.append(a_wire(f"agent/{name}/{kind}", kind, *ends, sitting if message in (kind, "both") else ()))
+    wires.append(a_wire("cc/collated", "collated", "broker", ["command_center"]))
+    wires.append(a_wire("cc/picture", "picture", "command_center", [n for n, r in roles.items() if r == "agent"]))
+    return a_run(wires, roles)
+
+
+@pytest.mark.parametrize("message", ["detections", "tracks", "both"])
+@pytest.mark.parametrize(("agents", "chain"), [(1, 0), (5, 1), (12, 3)])
+def test_nodes_do_not_cover_each_other(agents: int, chain: int, message: str) -> None:
+    plan = layout(mesh(agents, chain, message))
+    assert plan is not None
+    assert len(plan.places) == 3 + agents * (1 + (2 if message == "both" else 1) * chain)
+    for (ax, ay), (bx, by) in itertools.combinations(plan.places.values(), 2):
+        assert abs(ax - bx) >= WIDE or abs(ay - by) >= HIGH
+
+
+def test_nodes_on_a_wire_stand_between_its_ends_in_order() -> None:
+    plan = layout(mesh(3, 2, "tracks"))
+    assert plan is not None
+    infra, links = Spot("infra_1"), [Spot(f"infra_1_link_{k}", after=1) for k in (0, 1)]
+    xs = [plan.places[spot][0] for spot in (infra, *links, Spot("broker"))]
+    assert xs == sorted(xs)
+    assert plan.lines[infra, links[0]].intercepted
+    assert (infra, Spot("broker")) not in plan.lines
+
+
+def test_a_coordinator_stands_above_its_adversaries(run_folder: Callable[..., Path]) -> None:
+    plan = layout(RunFolder.load(run_folder("coordinated")))
+    assert plan is not None
+    coordinator = Spot("coordinator")
+    assert plan.places[coordinator][1] < min(y for spot, (_, y) in plan.places.items() if spot != coordinator)
+    assert plan.lines[coordinator, Spot("adversary_1", after=1)].messages == ["directive"]
+
+
+def test_listeners_and_the_clock_are_left_to_the_table(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder("uncoordinated"))
+    plan = layout(run)
+    assert plan is not None
+    assert Spot("evaluator") not in plan.places
+    assert any("evaluator" in row.subscribers for row in wire_rows(run))
+    assert len(wire_rows(run)) == len(run.wiring["wires"])
+
+
+def test_the_table_begins_with_the_intercepted_wires(run_folder: Callable[..., Path]) -> None:
+    rows = wire_rows(RunFolder.load(run_folder("uncoordinated")))
+    assert [row.key for row in rows if row.intercepted] == [row.key for row in rows[:2]]
+    assert rows[0].taps == ("agent/infra_1/detections/@tap/0",)
+    assert rows[0].interposers == ("adversary_1",)
+
+
+def test_adversaries_are_known_by_the_agent_whose_wire_they_sit_on(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder("uncoordinated"))
+    assert run.adversaries == {"infra_1": ("adversary_1",), "infra_3": ("adversary_2",)}
+    assert mesh(2, 1, "tracks").adversaries == {}
+    nameless = replace(run, run={})  # run.json is lost: the name has to tell
+    assert nameless.adversaries == run.adversaries
+    assert {nameless.role(node) for node in ("ego", "infra_2")} == {"agent"}
+
+
+def test_nothing_to_draw_gives_no_diagram() -> None:
+    assert draw_wiring(a_run([])) is None
+    assert draw_wiring(a_run([a_wire("clock", "clock", "simulator", ["ego"])])) is None
+
+
+def test_a_node_of_an_unknown_role_and_odd_names_are_drawn() -> None:
+    run = a_run([a_wire("x", "y$_{", "my$node^{", ["a name that is far too long for its box", "ego"])])
+    figure = draw_wiring(run)
+    assert figure is not None
+    assert b"<svg" in svg(figure)

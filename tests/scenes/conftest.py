@@ -1,0 +1,88 @@
+"""Reference data for the tests of scenes, and a small recording made by hand."""
+
+import os
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mast_zenoh.scenes import Recording, SceneAgent
+from mast_zenoh.scenes.recording import truth_states
+from mast_zenoh.sensing import Camera, LidarSensor
+from mast_zenoh.states import Detections
+
+
+def reference(name: str) -> Path:
+    """A file or folder of the reference data, or a skip that says what is missing."""
+    root = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
+    if not (root / name).exists():
+        pytest.skip(f"no reference data: {root / name} is missing (set MAST_DATA)")
+    return root / name
+
+
+@pytest.fixture(scope="session")
+def scene_a_archive() -> Path:
+    return reference("scene_a.tar.gz")
+
+
+@pytest.fixture(scope="session")
+def scene_a(scene_a_archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scene_a")
+    with tarfile.open(scene_a_archive) as archive:
+        archive.extractall(folder, filter="data")
+    return folder / "scene_a"
+
+
+@pytest.fixture(scope="session")
+def carla_fixture() -> Path:
+    return reference("avstack_carla_fixture")
+
+
+@pytest.fixture(scope="session")
+def av2_logs() -> list[Path]:
+    return sorted(path for path in reference("av2_logs").iterdir() if path.is_dir())
+
+
+@pytest.fixture
+def recording() -> Recording:
+    """Two frames, an ego and a pole; two objects in the first frame, one in the second; three detections; a house."""
+    agents = (
+        SceneAgent("ego", "mobile", 7, LidarSensor(), Camera()),
+        SceneAgent("infra_1", "static", -1, LidarSensor.infrastructure(), Camera(mount_position=np.zeros(3))),
+    )
+    truth = truth_states(
+        {
+            "id": np.array([7, 9, 7]),
+            "position": np.arange(9.0).reshape(3, 3),
+            "velocity": np.ones((3, 3)),
+            "size": np.full((3, 3), 2.0),
+            "yaw": np.array([0.0, 1.0, 2.0]),
+            "class_id": np.array([1, 6, 1], np.uint8),
+        }
+    )
+    detections = Detections(
+        np.arange(9.0).reshape(3, 3),
+        np.ones((3, 3)),
+        np.zeros(3),
+        np.array([0.9, 0.8, 0.7]),
+        np.ones(3, np.uint8),
+        np.zeros((3, 3, 3)),
+    )
+    return Recording(
+        name="by hand",
+        agents=agents,
+        period_ns=100_000_000,
+        times_ns=np.array([0, 100_000_000]),
+        truth=truth,
+        truth_start=np.array([0, 2, 3]),
+        points=np.array([[0, 10], [20, 5], [0, 3]], np.int32),
+        agent_position=np.zeros((2, 2, 3)),
+        agent_rotation=np.tile(np.eye(3), (2, 2, 1, 1)),
+        agent_velocity=np.zeros((2, 2, 3)),
+        detections=detections,
+        detection_start=np.array([0, 1, 1, 1, 3]),
+        detection_truth_id=np.array([9, 7, -1]),
+        buildings=(np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 5.0]]), np.array([[9.0, 9.0], [9.0, 10.0], [10.0, 10.0]])),
+        building_height=np.array([12.0, 6.0]),
+    )

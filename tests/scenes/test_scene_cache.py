@@ -1,0 +1,103 @@
+"""The disk cache of prepared scenes."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mast_zenoh.scenes import Recording, Scene, cache, cache_folder, prepare
+
+
+class Counted(Scene):
+    """A scene that counts how often it is made."""
+
+    def __init__(self, recording: Recording, files: Sequence[Path] = ()) -> None:
+        self.made = 0
+        self._recording, self._files = recording, files
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        self.made += 1
+        return self._recording
+
+    def inputs(self) -> Sequence[Path]:
+        return self._files
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return cache_folder()
+
+
+def test_a_scene_is_made_once(recording: Recording) -> None:
+    scene = Counted(recording)
+    first, second = prepare(scene, 1, None, "a"), prepare(scene, 1, None, "a")
+    assert scene.made == 1
+    np.testing.assert_array_equal(first.truth.position, second.truth.position)
+
+
+def test_another_seed_configuration_or_length_is_another_scene(recording: Recording) -> None:
+    scene = Counted(recording)
+    for seed, frames, key in ((1, None, "a"), (2, None, "a"), (1, 5, "a"), (1, None, "b")):
+        prepare(scene, seed, frames, key)
+    assert scene.made == 4
+
+
+def test_without_a_key_nothing_is_kept(recording: Recording, folder: Path) -> None:
+    scene = Counted(recording)
+    prepare(scene, 1, None, None)
+    prepare(scene, 1, None, None)
+    assert scene.made == 2
+    assert not folder.exists()
+
+
+def test_a_broken_file_is_made_anew(recording: Recording, folder: Path) -> None:
+    scene = Counted(recording)
+    prepare(scene, 1, None, "a")
+    (entry,) = folder.iterdir()
+    entry.write_bytes(entry.read_bytes()[:1000])
+    prepare(scene, 1, None, "a")
+    prepare(scene, 1, None, "a")
+    assert scene.made == 2
+    assert list(folder.iterdir()) == [entry]
+
+
+def test_changed_data_make_a_prepared_scene_stale(recording: Recording, tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    file = tmp_path / "data" / "boxes.txt"
+    file.write_text("one")
+    scene = Counted(recording, (tmp_path / "data",))
+    prepare(scene, 1, None, "a")
+    file.write_text("three")
+    prepare(scene, 1, None, "a")
+    os.utime(file, ns=(0, 0))
+    prepare(scene, 1, None, "a")
+    assert scene.made == 3
+
+
+def test_a_cache_that_cannot_be_written_is_no_error(recording: Recording, folder: Path) -> None:
+    folder.parent.mkdir(parents=True)
+    folder.write_text("a file where the folder should be")
+    assert len(prepare(Counted(recording), 1, None, "a")) == 2
+
+
+def test_the_cache_forgets_what_was_used_longest_ago(
+    recording: Recording, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Counted(recording)
+    prepare(scene, 1, None, "a")
+    (first,) = folder.iterdir()
+    size = first.stat().st_size
+    monkeypatch.setattr(cache, "LIMIT", int(2.5 * size))
+    os.utime(first, ns=(0, 0))
+    prepare(scene, 2, None, "a")
+    prepare(scene, 3, None, "a")
+    assert first not in list(folder.iterdir())
+    assert len(list(folder.iterdir())) == 2
+
+
+def test_a_relative_cache_home_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "somewhere")
+    assert cache_folder() == Path.home() / ".cache" / "mast-zenoh" / "scenes"

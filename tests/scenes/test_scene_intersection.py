@@ -1,0 +1,177 @@
+"""The generated junction: traffic that could be real, and randomness that stays where it belongs."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import shapely
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.geometry import box_corners
+from mast_zenoh.scenes import Intersection, Recording
+from mast_zenoh.sensing import CleanDetector
+from mast_zenoh.states import CLASSES
+
+
+@cache
+def junction(scene_index: int, seed: int = 0) -> Recording:
+    return Intersection(scene_index=scene_index).record(seed, None)
+
+
+def by_object(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position (F, n, 3), velocity (F, n, 3) and yaw (F, n) without jumps of everything, for whom all stay."""
+    frames, n = len(recording), len(recording.truth_at(0))
+    truth = recording.truth
+    yaw = np.unwrap(truth.yaw.reshape(frames, n), axis=0)
+    return truth.position.reshape(frames, n, 3), truth.velocity.reshape(frames, n, 3), yaw
+
+
+def footprints(recording: Recording, frame: int) -> np.ndarray:
+    truth = recording.truth_at(frame)
+    return shapely.polygons(box_corners(truth.position, truth.size, truth.yaw)[:, :4, :2])
+
+
+@pytest.mark.parametrize("scene_index", range(10))
+def test_no_two_boxes_overlap_and_none_drives_through_a_house(scene_index: int) -> None:
+    recording = junction(scene_index)
+    houses = shapely.STRtree(shapely.polygons(np.array(recording.buildings)))
+    for frame in range(0, len(recording), 3):
+        boxes = footprints(recording, frame)
+        one, other = shapely.STRtree(boxes).query(boxes, predicate="intersects")
+        assert (one == other).all(), f"frame {frame}: {one[one != other]} and {other[one != other]}"
+        assert houses.query(boxes, predicate="intersects").size == 0
+
+
+@pytest.mark.parametrize("scene_index", range(10))
+def test_motion_is_plausible(scene_index: int) -> None:
+    position, velocity, yaw = by_object(junction(scene_index))
+    speed = np.linalg.norm(velocity, axis=2)
+    along, across = np.diff(speed, axis=0) / 0.1, speed[1:] * np.diff(yaw, axis=0) / 0.1
+    assert np.abs(along).max() <= 8.0
+    assert np.abs(across).max() <= 6.0
+    assert speed.max() < 17.0
+    # Nothing moves but along its heading, and positions are what the velocities add up to.
+    heading = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1)
+    np.testing.assert_allclose(velocity, heading * speed[..., None], atol=1e-9)
+    np.testing.assert_allclose(np.diff(position, axis=0), (velocity[1:] + velocity[:-1]) * 0.05, atol=0.03)
+
+
+@pytest.mark.parametrize("scene_index", range(10))
+def test_there_is_traffic_and_the_ego_drives_through_it(scene_index: int) -> None:
+    recording = junction(scene_index)
+    position, velocity, _ = by_object(recording)
+    distance = np.hypot(position[..., 0], position[..., 1])
+    assert 15 <= (distance < 100).sum(axis=1).mean() <= 50
+    assert (np.linalg.norm(velocity, axis=2).max(axis=0) > 0.5).mean() > 0.4
+    present = {CLASSES[k] for k in recording.truth_at(0).class_id}
+    assert {"car", "bicycle", "pedestrian"} <= present
+    ego = distance[:, recording.agents[0].object_id]
+    assert ego.min() < 15
+    assert ego[-1] > ego.min() + 10
+    assert ego[0] > ego.min() + 10
+
+
+def test_junctions_differ() -> None:
+    outlines = {scene_index: junction(scene_index) for scene_index in range(10)}
+    assert len({recording.buildings[0].tobytes() for recording in outlines.values()}) == 10
+    assert len({len(recording.truth_at(0)) for recording in outlines.values()}) >= 4
+    assert {"truck", "bus"} <= {CLASSES[k] for recording in outlines.values() for k in recording.truth.class_id}
+
+
+def test_one_seed_one_recording() -> None:
+    one, other = junction(0), Intersection(scene_index=0).record(0, None)
+    for name in ("position", "yaw"):
+        np.testing.assert_array_equal(getattr(one.truth, name), getattr(other.truth, name))
+        np.testing.assert_array_equal(getattr(one.detections, name), getattr(other.detections, name))
+
+
+def test_another_seed_is_other_traffic_at_the_same_junction() -> None:
+    one, other = junction(0), Intersection(scene_index=0).record(1, None)
+    np.testing.assert_array_equal(one.buildings[0], other.buildings[0])
+    assert not np.array_equal(one.truth_at(0).position[:10], other.truth_at(0).position[:10])
+
+
+def test_fewer_frames_are_the_beginning_of_more() -> None:
+    short, whole = Intersection(scene_index=0).record(0, 20), junction(0)
+    assert len(short) == 20
+    np.testing.assert_array_equal(short.truth_at(19).position, whole.truth_at(19).position)
+    np.testing.assert_array_equal(short.detections_at(19, 2).position, whole.detections_at(19, 2).position)
+
+
+def test_more_agents_change_neither_the_traffic_nor_what_the_others_detect() -> None:
+    few = Intersection(scene_index=2, n_infrastructure=1).record(0, 15)
+    many = Intersection(scene_index=2, n_infrastructure=6, n_mobile=3).record(0, 15)
+    assert many.agent_names == ("ego", *(f"mobile_{k}" for k in (1, 2, 3)), *(f"infra_{k}" for k in range(1, 7)))
+    np.testing.assert_array_equal(few.truth.position, many.truth.position)
+    for name in few.agent_names:
+        a, b = few.agent_names.index(name), many.agent_names.index(name)
+        np.testing.assert_array_equal(few.points[:, a], many.points[:, b])
+        for frame in range(15):
+            np.testing.assert_array_equal(
+                few.detections_at(frame, a).position, many.detections_at(frame, b).position, err_msg=name
+            )
+
+
+def test_mobile_agents_are_where_their_vehicles_are() -> None:
+    recording = Intersection(scene_index=1, n_mobile=20, n_infrastructure=0).record(0, 5)
+    ids = [agent.object_id for agent in recording.agents]
+    assert len(set(ids)) == 21
+    truth = recording.truth_at(3)
+    np.testing.assert_allclose(recording.agent_position[3, :, :2], truth.position[ids, :2])
+    np.testing.assert_allclose(recording.agent_velocity[3], truth.velocity[ids])
+    assert (recording.points_at(3)[ids, range(21)] == 0).all()
+
+
+def test_poles_stand_high_beside_the_road_and_look_down_at_the_middle() -> None:
+    recording = Intersection(scene_index=4, n_infrastructure=16).record(0, 1)
+    position, forward = recording.agent_position[0, 1:], recording.agent_rotation[0, 1:, :, 0]
+    np.testing.assert_allclose(position[:, 2], 15.0)
+    np.testing.assert_allclose(forward[:, 2], -np.sin(np.radians(30)))
+    to_middle = -position[:, :2] / np.hypot(*position[:, :2].T)[:, None]
+    np.testing.assert_allclose((forward[:, :2] * to_middle).sum(axis=1), np.cos(np.radians(30)))
+    houses = shapely.STRtree(shapely.polygons(np.array(recording.buildings)))
+    assert houses.query(shapely.points(position[:, :2]), predicate="intersects").size == 0
+
+
+def test_most_of_the_traffic_is_seen_and_the_poles_see_what_the_ego_does_not() -> None:
+    recording = junction(3)
+    seen = recording.points >= 5
+    assert seen.any(axis=1).mean() > 0.6
+    assert seen.any(axis=1).sum() > 1.1 * seen[:, 0].sum()
+
+
+def test_the_detections_of_a_typical_junction_are_as_good_as_those_of_real_detectors() -> None:
+    ids = np.concatenate([junction(scene_index).detection_truth_id for scene_index in range(3)])
+    assert 0.75 <= (ids >= 0).mean() <= 0.9
+
+
+def test_with_a_clean_detector_detections_are_what_is_seen() -> None:
+    recording = Intersection(scene_index=0, detector=CleanDetector()).record(0, 10)
+    assert len(recording.detections) == (recording.points >= 5).sum()
+
+
+def test_a_scene_may_be_long_empty_slow_or_fast() -> None:
+    assert len(Intersection(n_infrastructure=0, n_vehicles=1, n_bicycles=0, n_pedestrians=0).record(0, 400)) == 400
+    fast = Intersection(n_infrastructure=0, rate_hz=20.0).record(0, 10)
+    assert fast.period_ns == 50_000_000
+    assert fast.times_ns.tolist() == [k * 50_000_000 for k in range(10)]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"n_infrastructure": 17}, "n_infrastructure is 17, expected 0 to 16"),
+        ({"n_mobile": -1}, "n_mobile is -1, expected 0 to 20"),
+        ({"n_vehicles": 3, "n_mobile": 3}, "n_vehicles is 3, expected 4 or more"),
+        ({"rate_hz": 0.0}, "rate_hz is 0.0"),
+        ({"scene_index": -1}, "scene_index is -1, expected 0 or more"),
+    ],
+)
+def test_senseless_parameters_are_refused_by_name(parameters: dict, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        Intersection(**parameters)
+
+
+def test_more_vehicles_than_have_room_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match="no room for 5000 x"):
+        Intersection(n_vehicles=5000).record(0, 1)

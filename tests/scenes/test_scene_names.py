@@ -1,0 +1,36 @@
+"""Short names of scenes."""
+
+import pytest
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenes import parse_scene
+
+
+@pytest.mark.parametrize(
+    ("text", "spec"),
+    [
+        ("intersection", {"type": "Intersection"}),
+        ("intersection:7", {"type": "Intersection", "scene_index": 7}),
+        ("avstack:/data/run-0", {"type": "AVstackScene", "path": "/data/run-0"}),
+        ("av2:logs/a:b", {"type": "AV2Log", "path": "logs/a:b"}),
+    ],
+)
+def test_a_short_name_stands_for_a_configuration(text: str, spec: dict) -> None:
+    assert parse_scene(text) == spec
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("sumo:net.xml", "known: intersection"),
+        ("avstack", "names no path, expected avstack:PATH"),
+        ("av2:", "names no path"),
+        ("intersection:x", "not an index"),
+        ("intersecton", "did you mean 'intersection'"),
+        ("carla:x", "unknown name 'carla'.*known: intersection"),
+        ("", "unknown name"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_what_is_known(text: str, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        parse_scene(text)

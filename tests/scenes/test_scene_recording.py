@@ -1,0 +1,78 @@
+"""A prepared scene: slices, files, and what it refuses."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mast_zenoh.errors import SceneError
+from mast_zenoh.scenes import Recording
+
+
+def test_a_frame_is_a_slice(recording: Recording) -> None:
+    assert len(recording) == 2
+    assert recording.agent_names == ("ego", "infra_1")
+    assert recording.truth_at(0).id.tolist() == [7, 9]
+    assert recording.truth_at(1).id.tolist() == [7]
+    assert recording.points_at(1).tolist() == [[0, 3]]
+    assert [len(recording.detections_at(f, a)) for f in (0, 1) for a in (0, 1)] == [1, 0, 0, 2]
+    assert recording.detection_truth_id_at(1, 1).tolist() == [7, -1]
+    assert np.shares_memory(recording.truth_at(0).position, recording.truth.position)
+
+
+def test_what_is_saved_is_loaded(recording: Recording, tmp_path: Path) -> None:
+    recording.save(tmp_path / "scene.npz")
+    loaded = Recording.load(tmp_path / "scene.npz")
+    assert (loaded.name, loaded.period_ns, loaded.agent_names) == ("by hand", 100_000_000, ("ego", "infra_1"))
+    for part in ("truth", "detections"):
+        for name, values in getattr(recording, part).columns().items():
+            np.testing.assert_array_equal(getattr(getattr(loaded, part), name), values)
+    np.testing.assert_array_equal(loaded.points, recording.points)
+    np.testing.assert_array_equal(loaded.buildings[1], recording.buildings[1])
+    pole = loaded.agents[1]
+    assert (pole.kind, pole.object_id, pole.sensor.azimuth_max_deg, pole.camera.width) == ("static", -1, 45.0, 800)
+    np.testing.assert_array_equal(pole.sensor.mount_position, np.zeros(3))
+
+
+def test_a_scene_without_buildings_is_saved_and_loaded(recording: Recording, tmp_path: Path) -> None:
+    replace(recording, buildings=(), building_height=np.zeros(0)).save(tmp_path / "scene.npz")
+    assert Recording.load(tmp_path / "scene.npz").buildings == ()
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "text", "cut"])
+def test_a_broken_file_is_refused_by_name(recording: Recording, tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "scene.npz"
+    recording.save(path)
+    if damage == "missing":
+        path.unlink()
+    else:
+        path.write_bytes({"empty": b"", "text": b"not a scene", "cut": path.read_bytes()[:-300]}[damage])
+    with pytest.raises(SceneError, match=r"scene\.npz: not a prepared scene"):
+        Recording.load(path)
+
+
+def test_a_sound_recording_is_valid(recording: Recording) -> None:
+    recording.validate()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"times_ns": np.array([100, 100])}, "frame 1 is not later than frame 0"),
+        ({"points": np.zeros((3, 1), np.int32)}, r"points has shape \(3, 1\), expected \(3, 2\)"),
+        ({"truth_start": np.array([0, 2, 2])}, "offsets of truth"),
+        ({"detection_start": np.array([0, 2, 1, 1, 3])}, "offsets of detections"),
+        ({"agent_position": np.full((2, 2, 3), np.nan)}, r"agent_position\[0, 0, 0\] is nan"),
+        ({"buildings": (np.zeros((2, 2)), np.zeros((3, 2)))}, r"buildings\[0\] has shape"),
+        ({"agents": ()}, "2 frames and 0 agents"),
+    ],
+)
+def test_an_unsound_recording_is_refused_with_the_reason(recording: Recording, change: dict, reason: str) -> None:
+    with pytest.raises(SceneError, match=rf"by hand: .*{reason}"):
+        replace(recording, **change).validate()
+
+
+def test_two_rows_of_one_object_in_a_frame_are_refused(recording: Recording) -> None:
+    with pytest.raises(SceneError, match="frame 0 has two truth rows of one id"):
+        replace(recording, truth=recording.truth.with_(id=np.array([7, 7, 7]))).validate()

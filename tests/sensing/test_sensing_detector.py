@@ -1,0 +1,120 @@
+"""What detectors make of what a lidar sees."""
+
+import numpy as np
+import pytest
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.geometry import rotation_from_yaw_pitch
+from mast_zenoh.sensing import CleanDetector, DetectionModel, Detector, LidarSensor, in_view, to_world
+from mast_zenoh.states import Detections, Ints, ObjectStates
+from mast_zenoh.streams import stream
+
+POLE = np.array([0.0, 0.0, 15.0])
+DOWN = rotation_from_yaw_pitch(0.7, np.radians(30))
+LIDAR = LidarSensor.infrastructure()
+
+
+def objects(n: int) -> ObjectStates:
+    random = np.random.default_rng(5)
+    distance, bearing = random.uniform(15, 80, n), 0.7 + random.uniform(-0.7, 0.7, n)
+    position = np.stack([distance * np.cos(bearing), distance * np.sin(bearing), np.full(n, 0.75)], axis=1)
+    return ObjectStates.of(
+        position,
+        id=np.arange(100, 100 + n),
+        size=np.tile([4.5, 1.8, 1.5], (n, 1)),
+        yaw=random.uniform(-np.pi, np.pi, n),
+        class_id=np.ones(n, np.uint8),
+    )
+
+
+def detected(detector: Detector, points: np.ndarray, frame: int = 0) -> tuple[Detections, Ints]:
+    """Detections in the world frame, and the ids behind them."""
+    found, ids = detector.detect(objects(len(points)), points, LIDAR, POLE, DOWN, 0.0, stream(3, "test", frame))
+    return to_world(found, POLE, DOWN), ids
+
+
+def test_the_clean_detector_finds_what_has_five_points_as_it_is() -> None:
+    found, ids = detected(CleanDetector(), np.array([0, 4, 5, 500], np.int32))
+    truth = objects(4)
+    assert ids.tolist() == [102, 103]
+    np.testing.assert_allclose(found.position, truth.position[2:], atol=1e-9)
+    np.testing.assert_allclose(found.yaw, truth.yaw[2:], atol=1e-9)
+    np.testing.assert_array_equal(found.class_id, truth.class_id[2:])
+
+
+def test_more_points_are_found_more_often() -> None:
+    model = DetectionModel(clutter_rate=0.0, points_scale=20.0)
+    points = np.repeat(np.array([4, 10, 40, 400], np.int32), 100)
+    found = np.zeros(400)
+    for frame in range(50):
+        _, ids = detected(model, points, frame)
+        found[ids - 100] += 1
+    share = found.reshape(4, 100).mean(axis=1) / 50
+    np.testing.assert_allclose(share, [0.0, 1 - np.exp(-0.5), 1 - np.exp(-2.0), 1.0], atol=0.03)
+
+
+def test_errors_have_the_reported_covariance() -> None:
+    model, points = DetectionModel(clutter_rate=0.0), np.full(100, 300, np.int32)
+    normalised = []
+    for frame in range(50):
+        found, ids = detected(model, points, frame)
+        error = found.position - objects(100).position[ids - 100]
+        normalised.append(error / np.sqrt(found.covariance[:, [0, 1, 2], [0, 1, 2]]))
+    np.testing.assert_allclose(np.concatenate(normalised).std(axis=0), 1.0, atol=0.05)
+
+
+def test_noise_grows_with_range_and_with_few_points() -> None:
+    def sigma(points: int) -> np.ndarray:
+        found, ids = detected(DetectionModel(clutter_rate=0.0, points_scale=0.01), np.full(100, points, np.int32))
+        order = np.argsort(np.linalg.norm(objects(100).position[ids - 100] - POLE, axis=1))
+        return np.sqrt(found.covariance[order, 0, 0])
+
+    assert (np.diff(sigma(1000)) > 0).all()
+    assert (sigma(6) > sigma(1000)).all()
+
+
+def test_clutter_is_poisson_in_view_and_on_the_ground() -> None:
+    model = DetectionModel(clutter_rate=2.0, clutter_range_m=60.0)
+    counts, places = [], []
+    for frame in range(400):
+        found, ids = detected(model, np.zeros(5, np.int32), frame)
+        assert (ids == -1).all()
+        counts.append(len(found))
+        places.append(found)
+    assert np.mean(counts) == pytest.approx(2.0, abs=0.2)
+    assert np.var(counts) == pytest.approx(2.0, abs=0.5)
+    position = np.concatenate([found.position for found in places])
+    size = np.concatenate([found.size for found in places])
+    assert in_view(position, POLE, DOWN, LIDAR).all()
+    assert np.hypot(position[:, 0], position[:, 1]).max() <= 60.0
+    np.testing.assert_allclose(position[:, 2], size[:, 2] / 2, atol=1e-9)
+
+
+def test_the_order_of_the_objects_makes_no_difference() -> None:
+    truth, points = objects(30), np.arange(10, 40, dtype=np.int32)
+    order = np.random.default_rng(0).permutation(30)
+    one = DetectionModel().detect(truth, points, LIDAR, POLE, DOWN, 0.0, stream(1, "x"))
+    other = DetectionModel().detect(truth.select(order), points[order], LIDAR, POLE, DOWN, 0.0, stream(1, "x"))
+    np.testing.assert_array_equal(one[1], other[1])
+    np.testing.assert_array_equal(one[0].position, other[0].position)
+
+
+def test_detections_come_best_first_and_do_not_tell_clutter_by_its_place() -> None:
+    found, ids = detected(DetectionModel(clutter_rate=8.0), np.full(20, 200, np.int32))
+    assert (np.diff(found.score) <= 0).all()
+    assert (ids == -1).any()
+    assert not (np.flatnonzero(ids == -1) >= (ids != -1).sum()).all()
+
+
+def test_without_returns_and_clutter_there_is_nothing() -> None:
+    found, ids = detected(DetectionModel(clutter_rate=0.0), np.zeros(10, np.int32))
+    assert len(found) == len(ids) == 0
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [{"points_scale": 0.0}, {"clutter_rate": -1.0}, {"wrong_class": 1.5}, {"score": (0.9, 0.3)}, {"few_points": -1.0}],
+)
+def test_senseless_parameters_are_refused_by_name(parameters: dict) -> None:
+    with pytest.raises(ConfigurationError, match=r"DetectionModel: .*expected"):
+        DetectionModel(**parameters)
