@@ -23,7 +23,6 @@ from pathlib import Path
 import zenoh
 
 from mast_zenoh import scenario
-import mast_zenoh.scenes.intersection
 from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.launch import local
 from mast_zenoh.runtime.inproc import InProcess

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from mast_zenoh import keyexpr, scenario
-from mast_zenoh.errors import MastError
+from mast_zenoh.errors import Interrupted, MastError
 
 app = typer.Typer(
     help="mast-zenoh: attack, break and defend collaborative sensor fusion on a Zenoh mesh.",
@@ -120,6 +120,8 @@ def main() -> None:
         _err.print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
         _err.print(str(error), markup=False, highlight=False)
         sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(Interrupted.exit_code)
 
 
 if __name__ == "__main__":

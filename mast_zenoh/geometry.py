@@ -16,7 +16,7 @@ TWO_PI = 2.0 * np.pi
 
 
 def wrap_angle(angle: Floats) -> Floats:
-    """Angles in rad wrapped to [-pi, pi)."""
+    """Angles in rad wrapped to [-pi, pi); rounding may give pi itself."""
     return (np.asarray(angle) + np.pi) % TWO_PI - np.pi
 
 
@@ -35,6 +35,8 @@ def rotation_from_yaw_pitch(yaw: float, pitch_down: float) -> Floats:
 def rotation_from_quaternion(quaternion: Floats) -> Floats:
     """(..., 3, 3) rotations from (..., 4) active quaternions (w, x, y, z); they are normalised first."""
     q = np.asarray(quaternion, np.float64)
+    if q.ndim == 1:  # one, as in every message: plain numbers are quicker than arrays of one
+        return _rotation(*q.tolist())
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -42,6 +44,18 @@ def rotation_from_quaternion(quaternion: Floats) -> Floats:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _rotation(w: float, x: float, y: float, z: float) -> Floats:
+    """(3, 3) rotation of one quaternion."""
+    n = 2.0 / (w * w + x * x + y * y + z * z)
+    return np.array(
+        [
+            [1.0 - n * (y * y + z * z), n * (x * y - w * z), n * (x * z + w * y)],
+            [n * (x * y + w * z), 1.0 - n * (x * x + z * z), n * (y * z - w * x)],
+            [n * (x * z - w * y), n * (y * z + w * x), 1.0 - n * (x * x + y * y)],
+        ]
+    )
 
 
 def quaternion_from_rotation(rotation: Floats) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import sys
 from collections.abc import Callable
@@ -11,30 +12,39 @@ from typing import Any
 
 from mast_zenoh import bundle
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
-from mast_zenoh.node import Node
+from mast_zenoh.node import Node, handler_names
 
 
 def module(path: Path) -> ModuleType:
-    """The module in a file. Files beside it can be imported by name; what it imports that way is not kept.
+    """The module in a file, run once. Files beside it can be imported by name; what it imports that way is not kept.
 
     Raises ConfigurationError, with file and line, when it fails.
     """
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
+    path = path.resolve()
+    # Dataclasses look their module up in sys.modules; there it has a name of its own, so that a user's file called
+    # `types.py` stands in for no other module.
+    name = f"{path.stem.replace('.', '_')}_{hashlib.blake2b(str(path).encode(), digest_size=6).hexdigest()}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ConfigurationError(f"{path}: not a Python file, expected the suffix .py")
     loaded = importlib.util.module_from_spec(spec)
+    sys.modules[name] = loaded
     before = set(sys.modules)
     sys.path.insert(0, str(path.parent))
     try:
         spec.loader.exec_module(loaded)
     except Exception as error:
+        del sys.modules[name]
         line = error.lineno if isinstance(error, SyntaxError) else _line(error, path)
         raise ConfigurationError(f"{path}:{line}: {type(error).__name__}: {error}") from error
     finally:
         sys.path.remove(str(path.parent))
-        for name in set(sys.modules) - before:
-            file = getattr(sys.modules[name], "__file__", None)
+        for beside in set(sys.modules) - before:
+            file = getattr(sys.modules[beside], "__file__", None)
             if file and Path(file).parent == path.parent:
-                del sys.modules[name]
+                del sys.modules[beside]
     return loaded
 
 
@@ -54,11 +64,26 @@ def function(kind: str, name: str, what: str) -> tuple[Path, Callable[..., Any]]
     return path.resolve(), found
 
 
+def defines_algorithms(loaded: ModuleType) -> bool:
+    """Whether a user's module, or one beside it that it has imported, adds classes that `type=…` can name."""
+    own = [value for value in vars(loaded).values() if isinstance(value, type)]
+    for value in vars(loaded).values():
+        if isinstance(value, ModuleType) and Path(value.__file__ or "").parent == Path(loaded.__file__ or "").parent:
+            own += [found for found in vars(value).values() if isinstance(found, type)]
+    return any(
+        not cls.__module__.startswith("mast_zenoh.")
+        and any(base.__module__.startswith("mast_zenoh.") for base in cls.__mro__[1:])
+        for cls in own
+    )
+
+
 _nodes: dict[tuple[str, str | None], type[Node]] = {}
 
 
 def node_class(file: Path, name: str | None = None) -> type[Node]:
     """The node class in a file: the one called `name`, or the only one that the file defines."""
+    if name is not None and not isinstance(name, str):
+        raise NodeFileError(f"{file}: type is {name!r}, expected the name of a node")
     if (str(file), name) in _nodes:
         return _nodes[str(file), name]
     loaded = module(file)
@@ -72,6 +97,10 @@ def node_class(file: Path, name: str | None = None) -> type[Node]:
     if name is None and len(classes) != 1:
         raise NodeFileError(f"{file}: defines {len(classes)} nodes ({', '.join(sorted(classes))}): say which by type=…")
     found = classes[name] if name else next(iter(classes.values()))
+    try:
+        handler_names(found)
+    except TypeError as error:
+        raise NodeFileError(f"{file}: {error}") from None
     _nodes[str(file), name] = found
     return found
 

@@ -33,11 +33,13 @@ class Received:
     message: header and columns (read-only arrays)
     subject: the name in the wire's key: "infra_1" on agent/infra_1/tracks, "" on cc/picture
     payload: the bytes as they came; None where they were never bytes (one process)
+    step:    the frame that the run was at when it was sent; later than the message's own frame if it was held up
     """
 
     message: Message
     subject: str
     payload: bytes | None = None
+    step: int = -1
 
     @property
     def frame(self) -> int:

@@ -61,6 +61,8 @@ def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
     values = {key: _value(value, hints.get(key, Any), f"{path}.{key}") for key, value in arguments.items()}
     try:
         return cls(**values)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
     except (ValueError, TypeError) as error:
         raise ConfigurationError(f"{path}: {cls.__name__}: {error}") from None
 

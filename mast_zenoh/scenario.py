@@ -12,7 +12,7 @@ from __future__ import annotations
 import ast
 import inspect
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,10 @@ class NodeSpec:
 
 @dataclass(frozen=True)
 class Resolved:
-    """A scenario with nothing left to decide."""
+    """A scenario with nothing left to decide.
+
+    modules: the user's Python files that define algorithms named in it; whoever builds its nodes runs them first
+    """
 
     name: str
     seed: int
@@ -70,6 +73,7 @@ class Resolved:
     nodes: dict[str, NodeSpec]
     wiring: dict[str, Any]
     scene: dict[str, Any]
+    modules: tuple[str, ...] = ()
     recording: Recording | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
@@ -78,14 +82,14 @@ class Resolved:
             name: {"role": s.role, "file": s.file, "type": s.type, "on_exit": s.on_exit, "config": _plain(s.config)}
             for name, s in self.nodes.items()
         }
-        names = ("name", "seed", "mode", "rate", "frames", "period_ns", "scene")
+        names = ("name", "seed", "mode", "rate", "frames", "period_ns", "scene", "modules")
         return {**{name: getattr(self, name) for name in names}, "nodes": nodes}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], wiring: dict[str, Any]) -> Resolved:
         """What `to_json` wrote."""
         nodes = {name: NodeSpec(**spec) for name, spec in data["nodes"].items()}
-        return cls(**{**data, "nodes": nodes, "wiring": wiring})
+        return cls(**{**data, "nodes": nodes, "wiring": wiring, "modules": tuple(data["modules"])})
 
     @classmethod
     def read(cls, run_folder: Path) -> Resolved:
@@ -106,10 +110,12 @@ RECORDING = "scene.npz"
 
 def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, Any]:
     """The scene of a short name ("intersection", "avstack:PATH", …), with those options that its type takes."""
+    if not isinstance(scene, (str, Mapping)):
+        raise ConfigurationError(f"scene: found {scene!r}, expected a short name or a dict(type=…)")
     spec = dict(scene) if isinstance(scene, Mapping) else scenes.parse_scene(scene)
-    types_ = registry.known_types(scenes.Scene)
-    if spec.get("type") in types_:
-        takes = inspect.signature(types_[spec["type"]]).parameters
+    type_ = registry.known_types(scenes.Scene).get(str(spec.get("type")))
+    if type_ is not None:
+        takes = inspect.signature(type_).parameters
         spec = {**{name: value for name, value in options.items() if name in takes}, **spec}
     return spec
 
@@ -124,12 +130,13 @@ def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]
     parameters, dotted = split_settings(settings, function, str(path))
     try:
         scenario = function(**parameters)
-    except ConfigurationError:
-        raise
+    except ConfigurationError as error:
+        raise type(error)(f"{path}: {error}") from None
     except Exception as error:
         raise ConfigurationError(f"{path}: scenario(...): {type(error).__name__}: {error}") from error
     if not isinstance(scenario, dict):
         raise ConfigurationError(f"{path}: scenario(...) returned {type(scenario).__name__}, expected a dict")
+    scenario = _own(_spelt(scenario, str(path)))
     for key, value in dotted.items():
         _reach(scenario, key, value, str(path))
     return path, scenario
@@ -162,11 +169,14 @@ def resolve(
 
     Raises ConfigurationError (of a scenario), WiringError (of a map), SceneError (of the scene's data).
     """
-    scenario = _checked({_ALIASES.get(key, key): value for key, value in scenario.items()}, str(path))
+    scenario = _checked(_spelt(scenario, str(path)), str(path))
     given = {key: value for key, value in dict(run, seed=seed, frames=frames).items() if value is not None}
     options = RUN_DEFAULTS | dict(scenario.get("run", {})) | given
     _check_run(options, str(path))
-    scene_spec = choose_scene(scenario.get("scene", "intersection"))
+    try:
+        scene_spec = choose_scene(scenario.get("scene", "intersection"))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
     scene = registry.build(scene_spec, scenes.Scene, f"{path}: scene")
     cache_key = json.dumps(scene_spec, sort_keys=True)
     recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key)
@@ -185,6 +195,7 @@ def resolve(
         nodes=nodes,
         wiring=wiring.to_json(),
         scene=scene_spec,
+        modules=(str(path),) if loading.defines_algorithms(loading.module(path)) else (),
         recording=recording,
     )
 
@@ -199,32 +210,45 @@ def build_node(spec: NodeSpec, name: str, place: str = "scenario.json") -> Node:
 
 def _nodes(path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int) -> dict[str, NodeSpec]:
     """All nodes, the simulator first."""
-    specs = {"simulator": _spec(path, "simulator", "simulator", {"recording": recording, "frames": frames})}
+    specs: dict[str, NodeSpec] = {}
+
+    def add(name: str, role: str, config: Mapping[str, Any]) -> None:
+        if name in specs:
+            raise ConfigurationError(f"{path}: {name}: there is a node of this name already")
+        specs[name] = _spec(path, name, role, config)
+
+    add("simulator", "simulator", {"recording": recording, "frames": frames})
     patterns = scenario.get("agents", {"*": {}})
     for agent in recording.agents:
         config = _matching(patterns, agent.name, f"{path}: agents")
-        specs[agent.name] = _spec(path, agent.name, "agent", {**_of_scene(agent), **config})
+        add(agent.name, "agent", {**_of_scene(agent), **config})
     for role in ("broker", "command_center"):
-        specs[role] = _spec(path, role, role, scenario.get(role, {}))
+        add(role, role, scenario.get(role, {}))
     agents = [agent.name for agent in recording.agents]
     adversaries = scenario.get("adversaries", {})
-    for name, config in adversaries.items():
+    for name, config in _named(adversaries, f"{path}: adversaries"):
         if config.get("agent") not in agents:
             found = str(config.get("agent"))
             raise ConfigurationError(
                 f"{path}: adversaries.{name}.agent: no agent {found!r} in this scene{nearest(found, agents)}"
             )
-        specs[name] = _spec(path, name, "adversary", config)
+        add(name, "adversary", config)
     if scenario.get("coordinator") is not None:
-        specs["coordinator"] = _spec(
-            path, "coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]}
-        )
-    specs["evaluator"] = _spec(path, "evaluator", "evaluator", {"agents": agents, **scenario.get("evaluator", {})})
-    for name, config in scenario.get("nodes", {}).items():
-        if name in specs:
-            raise ConfigurationError(f"{path}: nodes.{name}: there is a node of this name already")
-        specs[name] = _spec(path, name, str(config.get("role", "")), config)
+        add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
+    add("evaluator", "evaluator", {"agents": agents, **scenario.get("evaluator", {})})
+    for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
+        add(name, str(config.get("role", "")), config)
     return specs
+
+
+def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """The (name, configuration) of nodes, checked to be that."""
+    for name, config in configs.items():
+        if not isinstance(name, str):
+            raise ConfigurationError(f"{place}: found the name {name!r}, expected a string")
+        if not isinstance(config, Mapping):
+            raise ConfigurationError(f"{place}.{name}: found {config!r}, expected a dict")
+        yield name, config
 
 
 def _of_scene(agent: SceneAgent) -> dict[str, Any]:
@@ -261,6 +285,8 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
     for key in options:
         if key not in ("map", "rewrites"):
             raise ConfigurationError(f"{path}: keyexpr.{key}: unknown{nearest(key, ('map', 'rewrites'))}")
+    if not isinstance(options["rewrites"], (list, tuple)):
+        raise ConfigurationError(f"{path}: keyexpr.rewrites: found {options['rewrites']!r}, expected a list")
     sources: list[tuple[str, Mapping[str, Any]]] = []
     for index, source in enumerate([options["map"], *options["rewrites"]]):
         if isinstance(source, Mapping):
@@ -282,10 +308,26 @@ def _usual_ports() -> dict[str, set[str]]:
     return {cls.role: {*cls.inputs, *cls.outputs} for cls in ours}
 
 
+def _spelt(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
+    """The scenario with the keys that it may be written with as we write them."""
+    spelt = {_ALIASES.get(key, key): value for key, value in scenario.items()}
+    if len(spelt) < len(scenario):
+        twice = [f"{key} and {same}" for key, same in _ALIASES.items() if {key, same} <= scenario.keys()]
+        raise ConfigurationError(f"{place}: {', '.join(twice)} are the same: expected one of them")
+    return spelt
+
+
+def _own(value: Any) -> Any:
+    """A copy in which no dict stands in two places: what is set in one must not change the other."""
+    if isinstance(value, dict):
+        return {key: _own(item) for key, item in value.items()}
+    return [_own(item) for item in value] if isinstance(value, list) else value
+
+
 def _checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
     for key, value in scenario.items():
         if key not in KEYS:
-            raise ConfigurationError(f"{place}: {key}: unknown key{nearest(key, KEYS)}")
+            raise ConfigurationError(f"{place}: {key}: unknown key{nearest(str(key), KEYS)}")
         if key in (*_SINGLE, "agents", "adversaries", "nodes", "keyexpr", "run") and not isinstance(value, Mapping):
             if not (key == "coordinator" and value is None):
                 raise ConfigurationError(f"{place}: {key}: found {value!r}, expected a dict")
@@ -345,7 +387,7 @@ def _reach(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> Non
     *steps, last = dotted.split(".")
     level: Any = scenario
     for depth, step in enumerate(steps):
-        step = _ALIASES.get(step, step) if depth == 0 and step not in scenario else step
+        step = _ALIASES.get(step, step) if depth == 0 else step
         if isinstance(level, Mapping) and step not in level and depth == 0 and step in KEYS:
             level[step] = {}
         if not isinstance(level, Mapping) or step not in level:

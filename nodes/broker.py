@@ -62,11 +62,15 @@ class Broker(Node):
         self.emit_complete(context)
 
     def on_status(self, received: Received, context: Context) -> None:
-        """An agent presents itself: from the next frame on it is waited for, announced or not."""
+        """An agent presents itself: from the next frame on it takes part and is waited for, announced or not."""
         self.newcomers.add(received.subject)
 
     def on_tracks(self, received: Received, context: Context) -> None:
         """An agent's tracks: into the buffer, in the world frame."""
+        if received.subject not in self.agents:
+            # It is not waited for in this frame: whether its tracks come before the batch goes out would be chance.
+            self.newcomers.add(received.subject)
+            return
         body = received.body
         states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
         self.buffer.push(received.subject, received.time_ns, states)

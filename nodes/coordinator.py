@@ -43,6 +43,8 @@ class Coordinator(Node):
 
     def on_observations(self, received: Received, context: Context) -> None:
         """What one adversary sees."""
+        if received.subject not in self.observed.expected:
+            return  # one of somebody else's
         items = self.observed.add(received.frame, received.subject, received)
         if items is not None:
             self.direct(received.frame, items, context)

@@ -40,13 +40,12 @@ class Evaluator(Node):
         self.scorer = scorer
         self.skip = (skip_first, skip_last)
         self.reports: dict[tuple[str, int], Received] = {}
-        self.latency_ms: dict[int, float] = {}
-        self.period_ns = 0
+        self.times_ns: dict[int, int] = {}
+        self.pictured: dict[int, int] = {}  # frame of a picture: the step in which it was sent
 
     def on_clock(self, received: Received, context: Context) -> None:
         """Nothing is due: scoring waits for the end, when even the latest message has come."""
-        if received.frame == 1:
-            self.period_ns = received.time_ns
+        self.times_ns[received.frame] = received.time_ns
 
     def on_truth(self, received: Received, context: Context) -> None:
         """Where everything really is."""
@@ -69,9 +68,9 @@ class Evaluator(Node):
         self.record.add_tracks(received.frame, received.subject, "mission", ObjectStates.from_columns(received.body))
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """The common picture, and how much scene time has passed since the frame that it is about."""
+        """The common picture, and when it was sent."""
         self.record.add_picture(received.frame, ObjectStates.from_columns(received.body))
-        self.latency_ms.setdefault(received.frame, (context.time_ns - received.time_ns) * 1e-6)
+        self.pictured.setdefault(received.frame, received.step)
 
     def on_reports(self, received: Received, context: Context) -> None:
         """What an adversary has changed."""
@@ -83,14 +82,15 @@ class Evaluator(Node):
         frames = len(scores.frames)
         first, last = self.skip if sum(self.skip) <= frames // 2 else (0, 0)
         scored = slice(first, frames - last)
-        latency = np.array([self.latency_ms[frame] for frame in sorted(self.latency_ms)])
+        times = self.times_ns
+        latency = [times[step] - times[f] for f, step in sorted(self.pictured.items()) if {f, step} <= times.keys()]
         return {
             "metrics": {
                 "frames": frames,
                 "scored_frames": [int(frame) for frame in scores.frames[scored][[0, -1]]] if frames else [],
                 "agents": scores.summary(scored),
-                "latency_ms": {"sim_to_picture": percentiles(latency)},
-                "frames_per_second": 1e9 / self.period_ns if self.period_ns else None,
+                "latency_ms": {"sim_to_picture": percentiles(np.array(latency) * 1e-6)},
+                "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
             },
             "tables": {"metrics": scores.per_frame(), "objects": scores.objects, "attacks": self.attacks()},
         }

@@ -42,17 +42,6 @@ class Simulator(Source):
         self.next_frame += 1
         scene = self.recording
         context.publish("clock", {}, frame=frame, time_ns=int(scene.times_ns[frame] - scene.times_ns[0]))
-        truth = scene.truth_at(frame)
-        context.publish(
-            "truth",
-            {
-                **{name: getattr(truth, name) for name in ("id", "position", "velocity", "size", "yaw", "class_id")},
-                "points": scene.points_at(frame),
-                "agents": self.names,
-                "agent_position": scene.agent_position[frame],
-                "agent_object": self.objects,
-            },
-        )
         for index, agent in enumerate(scene.agents):
             context.publish(
                 "pose",
@@ -70,6 +59,17 @@ class Simulator(Source):
                 | {"mount_position": mount_position, "mount_rotation": mount_rotation},
                 subject=agent.name,
             )
+        truth = scene.truth_at(frame)
+        context.publish(
+            "truth",
+            {
+                **{name: getattr(truth, name) for name in ("id", "position", "velocity", "size", "yaw", "class_id")},
+                "points": scene.points_at(frame),
+                "agents": self.names,
+                "agent_position": scene.agent_position[frame],
+                "agent_object": self.objects,
+            },
+        )
         return True
 
 

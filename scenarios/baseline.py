@@ -21,11 +21,7 @@ agent = dict(
     pipeline=dict(
         type="AgentPipeline",
         tracker=dict(type="KalmanBoxTracker3D"),
-        mission=dict(
-            type="OwnAndPicture",
-            clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
-            fusion=dict(type="CovarianceIntersectionFusion"),
-        ),
+        mission=dict(type="PictureFirst", radius=2.0),
     ),
 )
 

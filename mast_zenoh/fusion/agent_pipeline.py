@@ -17,6 +17,7 @@ from mast_zenoh.tracking.view import SensorView
 
 _NO_OFFSET = np.zeros(3)
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
+_NOWHERE = SensorView(_NO_OFFSET, np.eye(3), -np.pi, np.pi, -np.pi / 2, np.pi / 2, 0.0)
 
 
 class MissionEstimator(ABC):
@@ -87,6 +88,7 @@ class AgentPipeline:
         self.tracker = tracker
         self.mission = mission
         self.frame = frame
+        self._view: tuple[bytes, SensorView] = (b"", _NOWHERE)
 
     def track(
         self, time_ns: int, detections: Detections, pose: Pose, mount: Pose, lidar: LidarSensor
@@ -96,15 +98,18 @@ class AgentPipeline:
         detections: sensor frame; pose: of the agent in the world; mount: of the sensor in the agent's frame
         """
         base = pose if self.frame == "world" else Pose(_NO_OFFSET, _NO_TURN)
-        position, rotation = sensor_pose(
-            base.position,
-            rotation_from_quaternion(base.quaternion),
-            mount.position,
-            rotation_from_quaternion(mount.quaternion),
-        )
-        tracks = self.tracker.step(time_ns, to_world(detections, position, rotation), view_of(lidar, position, rotation))
+        view = self._view_from(base, mount, lidar)
+        tracks = self.tracker.step(time_ns, to_world(detections, view.position, view.rotation), view)
         reference = Pose(_NO_OFFSET, _NO_TURN) if self.frame == "world" else pose
         return tracks, reference.position, reference.quaternion
+
+    def _view_from(self, base: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:
+        """What the sensor has in view; remembered, because most agents stand still."""
+        key = b"".join(part.tobytes() for pose in (base, mount) for part in (pose.position, pose.quaternion))
+        if key != self._view[0]:
+            agent, sensor = (rotation_from_quaternion(pose.quaternion) for pose in (base, mount))
+            self._view = (key, view_of(lidar, *sensor_pose(base.position, agent, mount.position, sensor)))
+        return self._view[1]
 
 
 def view_of(lidar: LidarSensor, position: Floats, rotation: Floats) -> SensorView:

@@ -24,10 +24,12 @@ class SampledAssignmentClusterer(Clusterer):
     """
 
     def __init__(self, *, assign_radius: float = 2.0) -> None:
+        if not assign_radius > 0.0:
+            raise ValueError(f"assign_radius: found {assign_radius}, expected more than 0")
         self._radius = assign_radius
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
-        order = np.lexsort((states.id, agent))
+        order = np.lexsort((*states.position.T, states.id, agent))
         position, agent = states.position[order, :2], agent[order]
         i, j, distance = _near(position, self._radius)
         labels = np.empty(len(order), np.int64)
@@ -47,27 +49,30 @@ class DBSCANClusterer(Clusterer):
     """
 
     def __init__(self, *, eps: float = 2.0, min_samples: int = 2) -> None:
+        if not eps > 0.0 or min_samples < 1:
+            raise ValueError(f"eps, min_samples: found {eps}, {min_samples}, expected more than 0, and 1 or more")
         self._eps = eps
         self._min_samples = min_samples
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
-        order = np.lexsort((states.id, agent))
+        order = np.lexsort((*states.position.T, states.id, agent))
         position, agent = states.position[order, :2], agent[order]
         i, j, distance = _near(position, self._eps)
         core = 1 + np.bincount(i, minlength=len(order)) + np.bincount(j, minlength=len(order)) >= self._min_samples
         linked = core[i] & core[j]
-        linked |= self._nearest_core(i, j, distance, core) | self._nearest_core(j, i, distance, core)
+        linked[_to_nearest_core(i, j, distance, core)] = True
         labels = np.empty(len(order), np.int64)
         labels[order] = _merge(position, agent, i[linked], j[linked], distance[linked], np.inf)
         return labels
 
-    @staticmethod
-    def _nearest_core(border: Ints, other: Ints, distance: Floats, core: Bools) -> Bools:
-        """(p,) which pairs join a track at their `border` end, that is no core, to its nearest core."""
-        nearest = np.full(len(core), np.inf)
-        joins = ~core[border] & core[other]
-        np.minimum.at(nearest, border[joins], distance[joins])
-        return np.asarray(joins & (distance <= nearest[border]))
+
+def _to_nearest_core(i: Ints, j: Ints, distance: Floats, core: Bools) -> Ints:
+    """Which pairs join a track that is no core to its nearest core, the first of those if several are as near."""
+    pair = np.concatenate([(core[j] & ~core[i]).nonzero()[0], (core[i] & ~core[j]).nonzero()[0]])
+    border = np.where(core[i], j, i)[pair]
+    by_distance = np.lexsort((np.where(core[i], i, j)[pair], distance[pair], border))
+    _, first = np.unique(border[by_distance], return_index=True)
+    return np.asarray(pair[by_distance][first])
 
 
 def _near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:

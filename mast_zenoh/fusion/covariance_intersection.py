@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
-from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.fusion.base import Fusion
 from mast_zenoh.fusion.members import Members, state_vectors
 from mast_zenoh.states import Floats, Ints, ObjectStates
 
-_WEIGHTS = ("uniform", "optimised")
 #: Steps of the search for weights: the trace is then within 1 % of the least one.
 _STEPS = 12
 
@@ -24,16 +24,9 @@ class CovarianceIntersectionFusion(Fusion):
     weights: "uniform", or "optimised": those of the least trace of the horizontal position's covariance. The optimum is
     the best bound for unknown correlation and drops members that do not tighten it; where the agents' errors are in
     fact nearly independent, uniform weights average more of them and err less.
-
-    Raises ConfigurationError for other weights.
     """
 
-    def __init__(self, *, weights: str = "uniform") -> None:
-        if weights not in _WEIGHTS:
-            raise ConfigurationError(
-                f"CovarianceIntersectionFusion: weights: found {weights!r}, expected one of {', '.join(_WEIGHTS)}"
-                + nearest(weights, _WEIGHTS)
-            )
+    def __init__(self, *, weights: Literal["uniform", "optimised"] = "uniform") -> None:
         self._optimised = weights == "optimised"
 
     def fuse(self, states: ObjectStates, labels: Ints, weights: Floats | None = None) -> ObjectStates:

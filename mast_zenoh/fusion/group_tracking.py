@@ -47,6 +47,8 @@ class UnfilteredGroupTracker(GroupTracker):
     def __init__(
         self, *, fusion: Fusion, gate_m: float = 4.0, memory_s: float = 1.0, assignment: Assignment = _BIPARTITE
     ) -> None:
+        if not gate_m > 0.0:
+            raise ValueError(f"gate_m: found {gate_m}, expected more than 0")
         self._fusion = fusion
         self._gate_m = gate_m
         self._memory_ns = round(memory_s * 1e9)

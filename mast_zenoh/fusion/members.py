@@ -9,6 +9,7 @@ import numpy as np
 from mast_zenoh.geometry import wrap_angle
 from mast_zenoh.states import CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.tracking.soundness import sound
+from mast_zenoh.tracking.tracks import known_class
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,7 @@ class Members:
         axis = 0.5 * np.arctan2(self.sum(self.weight * np.sin(2 * s.yaw)), self.sum(self.weight * np.cos(2 * s.yaw)))
         sense = self.sum(self.weight * np.sign(np.cos(s.yaw - axis[self.cluster])))
         votes = np.zeros((len(self.start), len(CLASSES)))
-        np.add.at(votes, (self.cluster, s.class_id), self.weight)
+        np.add.at(votes, (self.cluster, known_class(s.class_id)), self.weight)
         return ObjectStates(
             id=self.label,
             position=mean[:, 0:3],

@@ -24,7 +24,7 @@ class CommandCenterPipeline(Pipeline):
         # By name, not by row: agents are listed as their messages come in.
         rank = np.argsort(np.argsort(np.array(agents, dtype=str))) if agents else np.zeros(0, np.int64)
         agent = rank[agent]
-        order = np.lexsort((states.id, agent))
+        order = np.lexsort((*states.position.T, states.id, agent))
         states, agent = states.select(order), agent[order]
         weights = None if weights is None else weights[order]
         labels = self._clustering.cluster(states, agent)

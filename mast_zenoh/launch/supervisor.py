@@ -124,7 +124,7 @@ class Supervisor:
                 "ended": child.ended,
                 "restarts": child.restarts,
                 "log": f"logs/{name}.log",
-                **{key: reports.get(name, {}).get(key) for key in ("last_frame", "rejected", "foreign", "failures")},
+                **{key: reports.get(name, {}).get(key) for key in ("last_frame", "cpu_s", "rejected", "foreign", "failures")},
             }
             for name, child in self.children.items()
         }

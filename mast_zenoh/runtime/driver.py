@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import queue
 import time
+from collections import Counter
 from typing import Any
 
 import msgpack
@@ -15,15 +16,19 @@ import zenoh
 
 from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.node import Source
+from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.mesh import MeshNode
 from mast_zenoh.runtime.pacer import Pacer
 
 #: How long the last messages of a real-time run may be under way before everyone is told to stop.
 REALTIME_GRACE_S = 0.5
 
+#: How many frames those who only listen may fall behind in lock-step.
+SETTLE_EVERY = 50
+
 
 class Driver(MeshNode):
-    """A MeshNode whose node is a Source.
+    """A MeshNode whose node is a Source, which hears nothing and says what it says in `advance`.
 
     expected: name to role of all nodes that must be there before the first frame
     start_timeout_s, stall_timeout_s: how long to wait for them, and for the mesh to become quiet
@@ -56,6 +61,8 @@ class Driver(MeshNode):
         self.frames = 0
         self.wall_s = 0.0
         self.sent_ns: dict[int, int] = {}
+        self._ready: list[Outgoing] | None = None
+        self._sent: Counter[str] = Counter()
         self._epoch = session.declare_publisher(
             f"{self._prefix}/@control/epoch", congestion_control=zenoh.CongestionControl.BLOCK, express=True
         )
@@ -104,12 +111,14 @@ class Driver(MeshNode):
             if not self._wait(deadline):
                 return self._or_stopped(f"start: not there after {self.start_timeout_s:.0f} s: {', '.join(sorted(missing))}")
         self._begin_epoch()
-        return self._await_quiet()
+        return self._await_quiet(everyone=True)
 
     def _play(self) -> str:
         begun = time.monotonic()
         reason = self._frames(begun)
         self.wall_s = time.monotonic() - begun
+        if reason == "end" and self.lockstep:
+            reason = self._await_quiet(everyone=True) or reason
         if reason == "end" and not self.lockstep:
             grace = time.monotonic() + REALTIME_GRACE_S
             while self._wait(grace):
@@ -129,18 +138,43 @@ class Driver(MeshNode):
                         self._begin_epoch()
             if self.stop_reason is not None:
                 return self.stop_reason
-            self.sent_ns[self.frames] = time.time_ns()
-            if not self.source.advance(self.host):
+            if not self._send_frame():
                 return "end"
-            self.flush()
-            self._report_self()
             self.frames += 1
-            if self.lockstep and (reason := self._await_quiet()):
+            if self.lockstep and (reason := self._await_quiet(everyone=self.frames % SETTLE_EVERY == 0)):
                 return reason
 
-    def _await_quiet(self) -> str:
+    def _send_frame(self) -> bool:
+        """Send the frame that was made ready while the mesh was busy with the one before; False if there is none.
+
+        Until its clock is sent, a frame is no more than bytes in this process: nobody can act on it too early.
+        """
+        if self._ready is None:
+            self._ready = self._made()
+        if not self._ready:
+            return False
+        self.sent_ns[self.frames] = time.time_ns()
+        for message in self._ready:
+            super()._put(message)
+            self._sent[message.key] += 1
+        self._report_self()
+        self._ready = self._made()
+        return True
+
+    def _made(self) -> list[Outgoing]:
+        """The messages of the next frame; none at the end of the scene."""
+        self._ready = []
+        self.source.advance(self.host)
+        return self._ready
+
+    def _put(self, message: Outgoing) -> None:
+        """What the source publishes is kept until its frame begins."""
+        assert self._ready is not None
+        self._ready.append(message)
+
+    def _await_quiet(self, *, everyone: bool = False) -> str:
         deadline = time.monotonic() + self.stall_timeout_s
-        while not self.pacer.quiet():
+        while not self.pacer.quiet(everyone=everyone):
             if not self._wait(deadline):
                 return self._or_stopped(f"stall: {'; '.join(list(self.pacer.owing())[:5])}")
             self.pacer.drop(self.pacer.members.keys() - self.alive)
@@ -178,9 +212,10 @@ class Driver(MeshNode):
         if self.frames:
             self.host.log.info("frame %d: gone: %s; come: %s", self.frames, sorted(gone), sorted(come))
         epoch = self.pacer.begin_epoch(members)
+        self._sent.clear()
         self._epoch.put(msgpack.packb([epoch, members]))
         self._enter_epoch(epoch, members)
         self._report_self()
 
     def _report_self(self) -> None:
-        self.pacer.report(self.name, self.epoch, dict(self.host.sent), dict(self.host.handled))
+        self.pacer.report(self.name, self.epoch, dict(self._sent), dict(self.host.handled))

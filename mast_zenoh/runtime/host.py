@@ -17,7 +17,7 @@ import numpy as np
 from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.keyexpr import Input, Ports
-from mast_zenoh.messages import SCHEMAS, Body, Header, Message
+from mast_zenoh.messages import Body, Header, Message
 from mast_zenoh.node import Node, Received, handler_names
 from mast_zenoh.streams import stream
 
@@ -39,18 +39,28 @@ class Outgoing(NamedTuple):
 class Host:
     """One node with its ports connected; see the module's docstring.
 
-    frame, time_ns: of the newest clock; outbox: what the node has published since it was last emptied;
-    observe: called with the key and header of every sound message;
+    emit: called at once with every message that the node publishes; without it they are kept in `outbox`
+    frame, time_ns: of the newest clock; observe: called with the key and header of every sound message;
     sent, handled: messages by key; rejected: malformed messages by (key, reason); failures: handler errors by port.
     """
 
-    def __init__(self, name: str, node: Node, ports: Ports, seed: int, *, encode: bool) -> None:
+    def __init__(
+        self,
+        name: str,
+        node: Node,
+        ports: Ports,
+        seed: int,
+        *,
+        encode: bool,
+        emit: Callable[[Outgoing], None] | None = None,
+    ) -> None:
         self.name = name
         self.node = node
         self.frame = -1
         self.time_ns = 0
         self.log = logging.getLogger(f"mast.{name}")
         self.outbox: list[Outgoing] = []
+        self._emit = emit or self.outbox.append
         self.sent: Counter[str] = Counter()
         self.handled: Counter[str] = Counter()
         self.rejected: Counter[tuple[str, str]] = Counter()
@@ -66,6 +76,7 @@ class Host:
         for (port, _), key in ports.outputs.items():
             self._keys_of_port.setdefault(port, []).append(key)
         self._clocked = any(hears.message == "clock" for hears in ports.inputs.values())
+        self._step = -1  # that what is sent now is sent in
         self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
 
     # -- what the runtime calls ----------------------------------------------------------------------------------
@@ -108,12 +119,14 @@ class Host:
             return
         if self.observe:
             self.observe(key, message.header)
-        received = Received(message, hears.subject, payload if isinstance(payload, bytes) else None)
+        received = Received(message, hears.subject, payload if isinstance(payload, bytes) else None, step)
         if hears.message == "clock":
             self._clock(key, hears, received, counted)
         elif step > self.frame and self._clocked:
             self._hold(step, key, hears, received, counted)
         else:
+            if not self._clocked:  # who has no clock goes by the messages: what it says on them is of their step
+                self._step = max(self._step, step)
             self._handle(key, hears, received, counted)
 
     def reset_counts(self) -> None:
@@ -132,7 +145,7 @@ class Host:
         header_frame = self.frame if frame is None else frame
         header_time = self.time_ns if time_ns is None else time_ns
         if schema == "clock":
-            self.frame, self.time_ns = header_frame, header_time
+            self.frame, self.time_ns, self._step = header_frame, header_time, header_frame
         if key is None:
             return
         header = Header(schema, self.name, header_frame, header_time, self._seq[key])
@@ -142,20 +155,23 @@ class Host:
 
     def relay(self, port: str, received: Received, body: Body | None = None) -> None:
         """See node.Context."""
-        self._output(port)
+        schema, found = self._output(port), received.message.header.schema
+        if schema != found:
+            raise ConfigurationError(f"{self.name}: port {port!r} carries {schema!r} messages, not {found!r}")
         key = self._ports.outputs.get((port, received.subject))
         if key is None:
             return
         if body is None:
             payload = received.payload or codec.encode(received.message) if self._encode else received.message
-            self.outbox.append(Outgoing(key, payload, self.frame))
+            self._emit(Outgoing(key, payload, self._step))
             self.sent[key] += 1
         else:
             self._send(key, codec.conform(received.message.header, body))
 
     def connected(self, port: str, subject: str | None = None) -> bool:
         """See node.Context."""
-        return self._key(port, subject) is not None
+        self._output(port)
+        return bool(self._keys_of_port.get(port)) if subject is None else self._key(port, subject) is not None
 
     def rng(self, *purpose: str | int) -> np.random.Generator:
         """See node.Context."""
@@ -178,21 +194,21 @@ class Host:
 
     def _send(self, key: str, message: Message) -> None:
         if self._encode:
-            self.outbox.append(Outgoing(key, codec.encode(message), self.frame))
+            self._emit(Outgoing(key, codec.encode(message), self._step))
         else:
             flaw = ""
             try:
                 codec.check_values(message)
             except MessageError as error:
                 flaw = str(error)
-            self.outbox.append(Outgoing(key, message, self.frame, flaw))
+            self._emit(Outgoing(key, message, self._step, flaw))
         self.sent[key] += 1
 
     def _clock(self, key: str, hears: Input, received: Received, counted: bool) -> None:
         if received.frame <= self.frame:
             self._reject(key, f"clock: frame {received.frame} after frame {self.frame}", counted)
             return
-        self.frame, self.time_ns = received.frame, received.time_ns
+        self.frame, self.time_ns, self._step = received.frame, received.time_ns, received.frame
         self._handle(key, hears, received, counted)
         for step in sorted(step for step in self._held if step <= self.frame):
             for held_key, held_hears, held, held_counted in self._held.pop(step):
@@ -228,14 +244,3 @@ class Host:
                 self.log.exception("the handler of %s failed (further failures are only counted)", what)
             self.failures[what] += 1
             return None
-
-
-def port_schemas(node: type[Node]) -> tuple[Mapping[str, str], Mapping[str, str]]:
-    """(inputs, outputs) of a node class, checked: every message type exists, every input has a handler."""
-    for side in (node.inputs, node.outputs):
-        for port, schema in side.items():
-            if schema not in SCHEMAS:
-                raise ConfigurationError(
-                    f"{node.__name__}: port {port!r} has no message type {schema!r}{nearest(schema, SCHEMAS)}"
-                )
-    return node.inputs, node.outputs

@@ -25,7 +25,7 @@ from mast_zenoh.keyexpr import Leg, Wiring
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.node import Node
 from mast_zenoh.runtime import results
-from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.host import Host, Outgoing
 
 #: What a message carries beside its payload: a mark of this testbed's nodes, the epoch, and the step that it was sent in.
 #: An interposer's messages carry the same as the publisher's would, so there is nothing to tell them by.
@@ -34,7 +34,7 @@ MARK = b"MAST"
 
 _MATCH_TIMEOUT_S = 10.0
 _RESULT_TIMEOUT_S = 20.0
-_LINGER_S = 0.001
+_LINGER_S = 0.01
 
 
 def prefix(run: str) -> str:
@@ -49,7 +49,7 @@ class MeshNode:
         self.name = name
         self.wiring = wiring
         self.ports = wiring.ports(name)
-        self.host = Host(name, node, self.ports, seed, encode=True)
+        self.host = Host(name, node, self.ports, seed, encode=True, emit=self._put)
         self.session = session
         self.inbox: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
         self.members: dict[str, str] = {}
@@ -59,9 +59,10 @@ class MeshNode:
         self.arrived_ns: dict[str, dict[int, int]] = {}
         self._prefix = prefix(run)
         self._started = False
+        self._cpu_begun = time.process_time()
         self._early: list[tuple[str, bytes, int, int]] = []
-        self._since_report = 0
-        self._expected_per_report = 0
+        self._in_frame = 0  # messages that have come in this frame
+        self._in_frames = (0, 0)  # and in the two before
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._subscribers: list[Any] = []
         self._declare()
@@ -89,16 +90,14 @@ class MeshNode:
     def idle(self) -> tuple[Any, ...] | None:
         """Nothing to do: say so, and wait for the next event.
 
-        While less has come than between the last two reports, more is likely to be on its way: linger a little, because
-        a report too many costs the driver more than the wait costs us. It is sent in any case.
+        While less has come than in the frames before, more is likely to be on its way: linger a little, because a report
+        too many costs the driver more than the wait costs us. It is sent in any case.
         """
-        if self._since_report < self._expected_per_report:
+        if self._in_frame < min(self._in_frames):
             try:
                 return self.inbox.get(timeout=_LINGER_S)
             except queue.Empty:
                 pass
-        self._expected_per_report = self._since_report
-        self._since_report = 0
         self.report()
         return self.inbox.get()
 
@@ -106,8 +105,12 @@ class MeshNode:
         """One event from the inbox."""
         kind, *rest = event
         if kind == "sample":
-            self._since_report += 1
+            frame = self.host.frame
             self._sample(*rest)
+            if self.host.frame != frame:
+                self._in_frames = (self._in_frames[1], self._in_frame)
+                self._in_frame = 0
+            self._in_frame += 1
         elif kind == "epoch":
             self._enter_epoch(*msgpack.unpackb(rest[0]))
         elif kind == "stop":
@@ -120,15 +123,16 @@ class MeshNode:
 
     def hand_in(self) -> None:
         """Finish the node and give its results to the launcher; keep trying until it says that it has them."""
+        cpu_s = time.process_time() - self._cpu_begun
         outcome = {
             "results": self.host.finish() if self._started else {},
             "rejected": {f"{key}: {reason}": n for (key, reason), n in self.host.rejected.items()},
             "foreign": self.foreign,
             "failures": dict(self.host.failures),
             "last_frame": self.host.frame,
+            "cpu_s": round(cpu_s, 4),
             "arrived_ns": self.arrived_ns,
         } | self.extra_results()
-        self.flush()
         payload = results.pack(outcome)
         deadline = time.monotonic() + _RESULT_TIMEOUT_S
         while time.monotonic() < deadline:
@@ -151,16 +155,11 @@ class MeshNode:
 
     # -- messages ------------------------------------------------------------------------------------------------
 
-    def flush(self) -> None:
-        """Send what the node has published."""
-        outbox = self.host.outbox
-        if not outbox:
-            return
-        for message in outbox:
-            attachment = ATTACHMENT.pack(MARK, self.epoch, message.step)
-            assert isinstance(message.payload, bytes)
-            self._publishers[message.key].put(message.payload, attachment=attachment)
-        outbox.clear()
+    def _put(self, message: Outgoing) -> None:
+        """Send what the node publishes, at once: whoever waits for it can begin while this node goes on."""
+        assert isinstance(message.payload, bytes)
+        attachment = ATTACHMENT.pack(MARK, self.epoch, message.step)
+        self._publishers[message.key].put(message.payload, attachment=attachment)
 
     def _sample(self, key: str, payload: bytes, attachment: bytes | None) -> None:
         mark, epoch, step = (
@@ -170,12 +169,10 @@ class MeshNode:
             self.foreign += 1
             if self._started:
                 self.host.deliver(key, payload, -1, counted=False)
-                self.flush()
         elif epoch > self.epoch:
             self._early.append((key, payload, epoch, step))
         elif self._started:
             self.host.deliver(key, payload, step, counted=epoch == self.epoch)
-            self.flush()
 
     def _enter_epoch(self, epoch: int, members: dict[str, str]) -> None:
         if epoch <= self.epoch or self.name not in members:
@@ -184,13 +181,13 @@ class MeshNode:
         self.host.reset_counts()
         if not self._started:
             self._started = True
+            self._cpu_begun = time.process_time()
             self.host.start({name: role for name, role in members.items() if name != self.name})
         else:
             for name in sorted(before.keys() - members.keys()):
                 self.host.left(name, before[name])
             for name in sorted(members.keys() - before.keys()):
                 self.host.joined(name, members[name])
-        self.flush()
         early, self._early = self._early, []
         for key, payload, its_epoch, step in early:
             self._sample(key, payload, ATTACHMENT.pack(MARK, its_epoch, step))

@@ -4,6 +4,9 @@ Every runtime reports how many messages its node has sent and has handled, per k
 empty. The mesh is quiet when every subscriber of every key has handled all that its publisher has sent. A report is made
 after everything that the counted messages caused has been sent, so reports that balance cannot hide a message under way.
 
+Nodes that publish nothing (an evaluator, a recorder) cause nothing: they are not waited for in every frame, only now and
+then, so that they do not fall behind without bound, and at the end.
+
 Counting is by epoch. When a node dies or joins, a new epoch begins: all counters start from zero, and a message counts only
 in the epoch in which it was sent.
 """
@@ -27,15 +30,14 @@ class Pacer:
         self._flows = [
             (leg.key, leg.publisher.node, end.node) for _, leg in wiring.legs() for end in leg.subscribers
         ]
+        self._publishers = {leg.publisher.node for _, leg in wiring.legs()}
         self._reports: dict[str, tuple[Mapping[str, int], Mapping[str, int]]] = {}
-        self._watched: list[tuple[str, str, str]] = []
 
     def begin_epoch(self, members: Mapping[str, str]) -> int:
         """A new epoch with these members; nobody has reported in it yet. Returns its number."""
         self.epoch += 1
         self.members = dict(members)
         self._reports.clear()
-        self._watched = [flow for flow in self._flows if flow[1] in members and flow[2] in members]
         return self.epoch
 
     def report(self, node: str, epoch: int, sent: Mapping[str, int], handled: Mapping[str, int]) -> None:
@@ -48,20 +50,21 @@ class Pacer:
         for node in nodes:
             self.members.pop(node, None)
             self._reports.pop(node, None)
-        self._watched = [flow for flow in self._watched if flow[1] in self.members and flow[2] in self.members]
 
     @property
     def silent(self) -> set[str]:
         """Members that have not reported in this epoch."""
         return self.members.keys() - self._reports.keys()
 
-    def quiet(self) -> bool:
-        """Whether nothing is under way anywhere."""
+    def quiet(self, *, everyone: bool = False) -> bool:
+        """Whether nothing is under way to those who may answer it; with `everyone`, to anyone at all."""
         reports = self._reports
-        if len(reports) < len(self.members):
+        awaited = self.members.keys() if everyone else self.members.keys() & self._publishers
+        if not awaited <= reports.keys():
             return False
-        for key, publisher, subscriber in self._watched:
-            if reports[publisher][0].get(key, 0) != reports[subscriber][1].get(key, 0):
+        for key, publisher, subscriber in self._flows:
+            both = publisher in awaited and subscriber in awaited
+            if both and reports[publisher][0].get(key, 0) != reports[subscriber][1].get(key, 0):
                 return False
         return True
 
@@ -69,7 +72,7 @@ class Pacer:
         """Why the mesh is not quiet, in words: for the error when it stays so."""
         for node in sorted(self.silent):
             yield f"{node} has not reported"
-        for key, publisher, subscriber in self._watched:
+        for key, publisher, subscriber in self._flows:
             if publisher in self._reports and subscriber in self._reports:
                 sent = self._reports[publisher][0].get(key, 0)
                 handled = self._reports[subscriber][1].get(key, 0)

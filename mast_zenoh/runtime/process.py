@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
+import gc
 import logging
 import os
 import signal
@@ -15,7 +16,7 @@ import sys
 import threading
 from pathlib import Path
 
-from mast_zenoh import registry
+from mast_zenoh import loading, registry
 from mast_zenoh.errors import MastError
 from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.node import Node, Source
@@ -25,6 +26,9 @@ from mast_zenoh.runtime.session import open_client
 from mast_zenoh.scenario import Resolved
 
 ORPHAN_GRACE_S = 2.0
+
+#: Nobody waits for a node that only listens, so it leaves the processor to those who are waited for.
+YIELD = 10
 
 
 def main(node: type[Node]) -> None:
@@ -51,6 +55,8 @@ def run(node: type[Node], arguments: argparse.Namespace) -> None:
     """Build the node from its run folder and host it until it is told to stop."""
     os.chdir(arguments.run_folder)
     resolved = Resolved.read(Path())
+    for file in resolved.modules:
+        loading.module(Path(file))
     spec = resolved.nodes[arguments.name]
     built = registry.construct(node, spec.config, f"{arguments.run_folder}/scenario.json: {arguments.name}")
     wiring = Wiring.from_json(resolved.wiring)
@@ -65,6 +71,9 @@ def run(node: type[Node], arguments: argparse.Namespace) -> None:
             hosted.note_arrivals()
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
         signal.signal(signal.SIGTERM, lambda *_: hosted.inbox.put(("stop", "terminated")))
+        if not wiring.ports(arguments.name).outputs:
+            os.nice(YIELD)
+        gc.freeze()  # what is there now stays: collections need not look at it again
         if not arguments.stay:
             threading.Thread(target=_leave_with_launcher, args=(hosted,), daemon=True).start()
         hosted.run_until_stopped()

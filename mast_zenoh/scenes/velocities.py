@@ -18,6 +18,10 @@ def fill_velocity(ids: Ints, position: Floats, velocity: Floats, times_ns: Ints)
     order = np.argsort(ids, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1):
         if missing[rows].any():
-            moved = np.gradient(position[rows], times_ns[rows] / 1e9, axis=0) if len(rows) > 1 else np.zeros((1, 3))
+            moved = (
+                np.gradient(position[rows], (times_ns[rows] - times_ns[rows[0]]) / 1e9, axis=0)
+                if len(rows) > 1
+                else np.zeros((1, 3))
+            )
             filled[rows[missing[rows]]] = moved[missing[rows]]
     return filled

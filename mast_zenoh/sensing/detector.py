@@ -81,8 +81,9 @@ class DetectionModel(Detector):
     along the axes of the world; for sizes they are cut at 30 % of the size. Clutter is Poisson, uniform over the ground
     in view up to `clutter_range_m`.
 
-    The defaults stand near what lidar detectors reach on two real cooperative data sets: 0.3 to 0.6 m error per axis,
-    about two false positives a frame, a precision of about 0.8 and a recall of about 0.65 over all visible objects.
+    The defaults stand near what lidar detectors reach on two real cooperative data sets (0.3 to 0.6 m error per axis,
+    about two false positives a frame, a precision of about 0.8, a recall of about 0.65): on the generated junctions
+    they give 0.37 m, 2.5, 0.85 and 0.70. Real errors last longer than a frame; these do not.
 
     min_points:        returns below which nothing is found
     points_scale:      returns; at this many, 63 % are found

@@ -76,9 +76,9 @@ def lidar_points(
     hits = _hits(lidar, to_box[rows] @ sensor_rotation, origin[rows], half[rows], box, azimuth, channels)
     box, distance, direction = _nearest(*hits)
     seen = np.ones(len(box), bool)
-    if walls is not None and len(walls.top):
+    if walls is not None and len(walls.top) and len(box):
         ends = sensor_position + (direction * distance[:, None]) @ sensor_rotation.T
-        seen = ~_behind_walls(sensor_position, ends, box, len(rows), walls)
+        seen = ~_behind_walls(sensor_position, ends, box, walls)
     points[rows] = np.bincount(box[seen], minlength=len(rows))
     return points
 
@@ -155,27 +155,45 @@ def _nearest(box: Ints, beam: Ints, distance: Floats, direction: Floats) -> tupl
     return box[first], distance[first], direction[first]
 
 
-def _behind_walls(origin: Floats, ends: Floats, box: Ints, boxes: int, walls: Walls) -> NDArray[np.bool_]:
+def _behind_walls(origin: Floats, ends: Floats, box: Ints, walls: Walls) -> NDArray[np.bool_]:
     """(n,) whether a wall stands between `origin` and the hits `ends` (n, 3), which lie on box `box` (n,)."""
     blocked = np.zeros(len(ends), bool)
-    sight = ends[:, :2] - origin[:2]
-    # Only walls whose bounding box meets that of all sight lines to one box can stand in front of that box.
-    low, high = np.tile(origin[:2], (boxes, 1)), np.tile(origin[:2], (boxes, 1))
-    np.minimum.at(low, box, ends[:, :2])
-    np.maximum.at(high, box, ends[:, :2])
-    wall_low, wall_high = np.minimum(walls.start, walls.end), np.maximum(walls.start, walls.end)
+    order = np.argsort(box, kind="stable")
+    sight = ends[order, :2] - origin[:2]
+    start, stop = walls.start - origin[:2], walls.end - origin[:2]
+    # Only a wall that meets the bounding box and the sector of all sight lines to a box can stand in front of it.
+    begin = np.flatnonzero(np.diff(box[order], prepend=-1))
+    count = np.diff(begin, append=len(order))
+    low = np.minimum(np.minimum.reduceat(sight, begin), 0.0)
+    high = np.maximum(np.maximum.reduceat(sight, begin), 0.0)
+    wall_low, wall_high = np.minimum(start, stop), np.maximum(start, stop)
     meets = np.logical_and.reduce((wall_low[None] <= high[:, None]) & (wall_high[None] >= low[:, None]), axis=2)
-    hit, wall = np.nonzero(meets[box])
-    span = walls.end[wall] - walls.start[wall]
-    offset = walls.start[wall] - origin[:2]
-    sx, sy = sight[hit, 0], sight[hit, 1]
-    cross = sx * span[:, 1] - sy * span[:, 0]
+    middle = np.add.reduceat(sight, begin)
+    side = np.repeat(middle, count, axis=0)
+    turn = np.arctan2(_cross(side, sight), np.einsum("ij,ij->i", side, sight))
+    least, most = np.minimum.reduceat(turn, begin), np.maximum.reduceat(turn, begin)
+    all_around = (most - least >= np.pi)[:, None]
+    for extreme, sign in ((least, 1.0), (most, -1.0)):
+        c, s = np.cos(extreme), np.sin(extreme)
+        edge = np.stack([c * middle[:, 0] - s * middle[:, 1], s * middle[:, 0] + c * middle[:, 1]], axis=1)
+        ahead = np.maximum(sign * _cross(edge[:, None], start), sign * _cross(edge[:, None], stop)) >= -1e-9
+        meets &= ahead | all_around
+    hit, wall = np.nonzero(np.repeat(meets, count, axis=0))
+    span = (stop - start)[wall]
+    line = sight[hit]
+    cross = _cross(line, span)
     cross = np.where(np.abs(cross) < 1e-12, np.nan, cross)  # parallel: never crosses
-    along_sight = (offset[:, 0] * span[:, 1] - offset[:, 1] * span[:, 0]) / cross
-    along_wall = (offset[:, 0] * sy - offset[:, 1] * sx) / cross
-    height = origin[2] + along_sight * (ends[hit, 2] - origin[2])
+    along_sight = _cross(start[wall], span) / cross
+    along_wall = _cross(start[wall], line) / cross
+    height = origin[2] + along_sight * (ends[order[hit], 2] - origin[2])
     crosses = (
         (along_sight > 0) & (along_sight < 1) & (along_wall >= 0) & (along_wall <= 1) & (height <= walls.top[wall])
     )
-    blocked[hit[crosses]] = True
+    blocked[order[hit[crosses]]] = True
     return blocked
+
+
+def _cross(one: Floats, other: Floats) -> Floats:
+    """The z component of the cross product of vectors in the plane."""
+    product: Floats = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    return product

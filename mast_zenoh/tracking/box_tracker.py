@@ -7,11 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from mast_zenoh.states import Bools, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.states import Detections, Floats, Ints, ObjectStates
 from mast_zenoh.tracking import classes, existence, kalman, tracks
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
-from mast_zenoh.tracking.gating import Pairs, near_pairs, overlap
+from mast_zenoh.tracking.classes import first_covariance
+from mast_zenoh.tracking.duplicates import duplicates, overlap
+from mast_zenoh.tracking.gating import Pairs, near_pairs
 from mast_zenoh.tracking.heading import correct_heading, settle_sense
 from mast_zenoh.tracking.soundness import sound
 from mast_zenoh.tracking.view import SensorView, unblocked
@@ -22,16 +24,18 @@ VERTICAL_ACCELERATION = 0.2
 SIZE_DRIFT = 4e-4
 #: rad/sqrt(s), what a heading may drift.
 YAW_DRIFT = 0.3
-#: m/s, standard deviation of a new object's vertical speed.
-VERTICAL_SPEED = 0.5
 #: m/s, slip of a rolling object across its heading, as in a tight turn, where the box's centre is not the turning one.
 SLIP = 0.5
+#: Share that a new surprise has in its running mean: of about the last five.
+ASIDE_SHARE = 0.2
+#: s: a mean surprise of 15 cm to one side stands for a sideways speed of 1 m/s that the filter does not believe in.
+ASIDE_S = 0.15
 #: m/s along its axis above which an object is taken to move forward.
 FORWARD = 2.0
 #: m/s above which nothing on a road goes.
 MAX_SPEED = 60.0
-#: Log-odds of existence below which a track that was never confirmed is given up: a probability of 0.1.
-DOUBTFUL = -2.2
+#: Log-odds that a track may lose from its birth until it is given up, if never confirmed: one miss in full view.
+DOUBT = 3.0
 #: m, standard deviation of the horizontal position beyond which a track is lost.
 LOST_M = 3.0
 #: Frames' worth of belief in the prior detection probability.
@@ -42,8 +46,6 @@ FIRST_REPORT = 0.9
 LANE_CHANGE_SPEED = 5.0
 #: (m/s)^2, variance of a measured speed that says nothing.
 NO_MEASUREMENT = 1e9
-#: Share of the distance at which two boxes touch, below which they are one object: boxes are only so exact.
-ONE_OBJECT = 0.6
 
 _BIPARTITE = BipartiteAssignment()
 
@@ -54,18 +56,21 @@ class KalmanBoxTracker3D(Tracker):
     position_std_m, vertical_std_m: of a detection's horizontal position per axis, and of its height, where it brings
         no covariance of its own
     size_std_m, yaw_std_rad: of a detection's sizes, and of its heading up to half a turn
-    detection_probability: prior of an object in view; each track's own record takes over
+    detection_probability: of an object in full view; each track's own record may only lower it
     report_probability: that a source of states (`step_states`) goes on reporting what is there
     clutter_per_m2: false detections per square metre and frame
     birth_odds: odds that a detection which fits no track is a new object
     lifetime_s: s, how long an object stays in view on average; memory_s: s, how long a track's record counts
     confirm_probability: of existence, to become a track; min_probability: to be reported
-    max_coast_s: s without a measurement after which a track is given up; until then it may come back under its id
+    max_coast_s: s without a measurement after which a track is given up, or sooner, when its position has become
+        uncertain by LOST_M; until then it may come back under its id
     max_std_m: m, of the horizontal position, above which a track is not reported
     jump_probability, jump_std_m: of a sudden displacement in a frame, and its size per axis for a moving car, see
         `gating`
     acceleration_scale: factor on the accelerations in `classes`
     assignment: which detection goes to which track
+
+    Raises ValueError for a probability outside (0, 1), and for anything else that is not positive.
     """
 
     filter: ClassVar[kalman.BoxFilter] = kalman.BatchedFilter()
@@ -92,6 +97,30 @@ class KalmanBoxTracker3D(Tracker):
         acceleration_scale: float = 1.0,
         assignment: Assignment = _BIPARTITE,
     ) -> None:
+        for name, value in (
+            ("detection_probability", detection_probability),
+            ("report_probability", report_probability),
+            ("confirm_probability", confirm_probability),
+            ("min_probability", min_probability),
+            ("jump_probability", jump_probability),
+        ):
+            if not 0.0 < value < 1.0:
+                raise ValueError(f"{name}: found {value}, expected more than 0 and less than 1")
+        for name, value in (
+            ("position_std_m", position_std_m),
+            ("vertical_std_m", vertical_std_m),
+            ("size_std_m", size_std_m),
+            ("yaw_std_rad", yaw_std_rad),
+            ("clutter_per_m2", clutter_per_m2),
+            ("birth_odds", birth_odds),
+            ("lifetime_s", lifetime_s),
+            ("memory_s", memory_s),
+            ("max_std_m", max_std_m),
+            ("jump_std_m", jump_std_m),
+            ("acceleration_scale", acceleration_scale),
+        ):
+            if not value > 0.0:
+                raise ValueError(f"{name}: found {value}, expected more than 0")
         std = [position_std_m, position_std_m, vertical_std_m, size_std_m, size_std_m, size_std_m]
         self._noise = np.diag(np.square(std))
         self._yaw_noise = yaw_std_rad**2
@@ -99,6 +128,7 @@ class KalmanBoxTracker3D(Tracker):
         self._report_probability = report_probability
         self._log_clutter = float(np.log(clutter_per_m2))
         self._birth = float(np.log(birth_odds))
+        self._doubtful = self._birth - DOUBT
         self._lifetime_s = lifetime_s
         self._memory_s = memory_s
         self._confirm = tracks.log_odds(confirm_probability)
@@ -124,7 +154,7 @@ class KalmanBoxTracker3D(Tracker):
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
         d = detections
         order = _canonical_order(d)
-        seen = _Measured(order, d.position[order], d.size[order], d.yaw[order], d.class_id[order].astype(np.int64))
+        seen = _Measured(order, d.position[order], d.size[order], d.yaw[order], tracks.known_class(d.class_id[order]))
         box = np.concatenate([seen.position, seen.size], axis=1)
         noise = self._detection_noise(d.covariance[order])
         self._advance(time_ns)
@@ -133,24 +163,25 @@ class KalmanBoxTracker3D(Tracker):
         if len(match.track):
             hit = self._hit(match, seen, detected)
             used = match.measurement
+            surprise = box[used, :2] - hit["mean"][:, :2]
             mean, P = self.filter.correct(hit["mean"], hit["covariance"], kalman.BOX, box[used], noise[used])
-            hit["mean"], hit["covariance"] = self._roll(mean, P, hit)
+            hit["mean"], hit["covariance"] = self._roll(mean, P, hit, surprise)
             self._store(match.track, hit)
         missed = (self._tracks["row"] < 0).nonzero()[0]
         if len(missed):
-            existence.miss(self._tracks, missed, detected[missed], self._expected(missed, view))
+            existence.miss(self._tracks, missed, detected[missed], self._expected(missed, view), self._birth)
         new = self._unexplained(match, seen)
         born = self._born(new, seen)
         if len(new):
             born["mean"][:, kalman.BOX] = box[new]
-            born["covariance"] = self._first_covariance(noise[new], born)
+            born["covariance"] = first_covariance(noise[new], seen.yaw[new], seen.class_id[new])
             born["odds"] = self._birth
         return self._finish(born)
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
         order = np.lexsort((measured.id, *measured.position.T))
         s = measured.select(order)
-        seen = _Measured(order, s.position, s.size, s.yaw, s.class_id.astype(np.int64))
+        seen = _Measured(order, s.position, s.size, s.yaw, tracks.known_class(s.class_id))
         state = np.concatenate([s.position, s.size, s.velocity], axis=1)
         noise = sound(s.covariance)
         self._advance(time_ns)
@@ -169,7 +200,7 @@ class KalmanBoxTracker3D(Tracker):
             self._store(match.track, hit)
         missed = (self._tracks["row"] < 0).nonzero()[0]
         if len(missed):
-            existence.miss(self._tracks, missed, detected[missed], np.ones(len(missed)))
+            existence.miss(self._tracks, missed, detected[missed], np.ones(len(missed)), self._birth)
         new = self._unexplained(match, seen)
         born = self._born(new, seen)
         if len(new):
@@ -230,12 +261,18 @@ class KalmanBoxTracker3D(Tracker):
         hit["seen"], hit["row"] = self._time_ns, seen.row[used]
         return hit
 
-    def _roll(self, mean: Floats, covariance: Floats, hit: tracks.Tracks) -> tuple[Floats, Floats]:
-        """What rolls moves along its heading: its speed across is a slip, plus what the heading is off."""
+    def _roll(self, mean: Floats, covariance: Floats, hit: tracks.Tracks, surprise: Floats) -> tuple[Floats, Floats]:
+        """What rolls moves along its heading: its speed across is a slip, plus what the heading is off.
+
+        surprise: (n, 2) m, measured less predicted position. If it keeps pointing to one side, the heading is wrong.
+        """
         yaw = hit["yaw"]
         across = np.empty((len(yaw), 2))
         across[:, 0], across[:, 1] = -np.sin(yaw), np.cos(yaw)
-        slip = SLIP**2 + (mean[:, 6] ** 2 + mean[:, 7] ** 2) * hit["yaw_variance"]
+        aside = surprise[:, 0] * across[:, 0] + surprise[:, 1] * across[:, 1]
+        hit["aside"] += ASIDE_SHARE * (aside - hit["aside"])
+        slip = SLIP**2 + (hit["aside"] * (1.0 / ASIDE_S)) ** 2
+        slip += (mean[:, 6] ** 2 + mean[:, 7] ** 2) * hit["yaw_variance"]
         return self.filter.correct_speed(
             mean, covariance, across, np.where(classes.ROLLS[hit["class_id"]], slip, NO_MEASUREMENT)
         )
@@ -262,14 +299,8 @@ class KalmanBoxTracker3D(Tracker):
         if len(rest):
             i, j = i[rest], j[rest]
             mean = t["mean"][i]
-            same = overlap(
-                seen.position[j, :2] - mean[:, :2],
-                mean[:, 3:6],
-                t["yaw"][i],
-                seen.size[j],
-                seen.yaw[j],
-                share=ONE_OBJECT,
-            )
+            offset = seen.position[j, :2] - mean[:, :2]
+            same = overlap(offset, mean[:, 3:6], t["yaw"][i], seen.size[j], seen.yaw[j])
             new[j[same]] = False
         return new.nonzero()[0]
 
@@ -283,29 +314,13 @@ class KalmanBoxTracker3D(Tracker):
         tracks.vote(born, seen.class_id[new])
         return born
 
-    def _first_covariance(self, noise: Floats, born: tracks.Tracks) -> Floats:
-        """(n, 9, 9) of new tracks with box noise (n, 6, 6).
-
-        A heading constrains the velocity before any motion is seen.
-        """
-        covariance = np.zeros((len(born), 9, 9))
-        covariance[:, kalman.BOX, kalman.BOX] = noise
-        c, s = np.cos(born["yaw"]), np.sin(born["yaw"])
-        along = classes.SPEED_ALONG[born["class_id"]] ** 2
-        across = classes.SPEED_ACROSS[born["class_id"]] ** 2
-        covariance[:, 6, 6] = along * c * c + across * s * s
-        covariance[:, 7, 7] = along * s * s + across * c * c
-        covariance[:, 6, 7] = covariance[:, 7, 6] = (along - across) * c * s
-        covariance[:, 8, 8] = VERTICAL_SPEED**2
-        return covariance
-
     def _finish(self, born: tracks.Tracks) -> ObjectStates:
         """Give up tracks, take in the `born` ones, report."""
         t, time_ns = self._tracks, self._time_ns
         assert time_ns is not None
         mean, P = t["mean"], t["covariance"]
         vx, vy = mean[:, 6], mean[:, 7]
-        lost = (t["odds"] < DOUBTFUL) & (t["confirmed"] == 0)
+        lost = (t["odds"] < self._doubtful) & (t["confirmed"] == 0)
         lost |= t["seen"] < time_ns - self._max_coast_ns
         lost |= (vx * vx + vy * vy > MAX_SPEED**2) | (P[:, 0, 0] + P[:, 1, 1] > LOST_M**2)
         if lost.any():
@@ -315,7 +330,7 @@ class KalmanBoxTracker3D(Tracker):
             t, before = tracks.empty(known + len(born)), t
             t[:known], t[known:] = before, born
         t["confirmed"] |= t["odds"] > self._confirm
-        bad = _duplicate(t)
+        bad = duplicates(t)
         if bad.any():
             t = t[~bad]
         self._tracks = t
@@ -355,29 +370,3 @@ def _canonical_order(d: Detections) -> Ints:
     if (x[order[1:]] == x[order[:-1]]).any():
         order = np.lexsort((d.score, d.class_id, *d.size.T, d.yaw, *d.position.T))
     return order
-
-
-def _duplicate(t: tracks.Tracks) -> Bools:
-    """(n,) which confirmed tracks are where a better one is: one measured now before one that coasts, then the older.
-
-    The footprints of road users do not overlap; where those of two tracks do, both follow one object.
-    """
-    bad = np.zeros(len(t), bool)
-    rows = t["confirmed"].nonzero()[0]
-    if len(rows) < 2:
-        return bad
-    mean, yaw = t["mean"][rows], t["yaw"][rows]
-    x, y = mean[:, 0], mean[:, 1]
-    reach = ONE_OBJECT * mean[:, 3]
-    apart = np.abs(x[:, None] - x[None, :])
-    near = (apart < reach[:, None]) & (np.abs(y[:, None] - y[None, :]) < reach[:, None])
-    np.fill_diagonal(near, False)
-    i, j = near.nonzero()
-    if len(i) == 0:
-        return bad
-    same = overlap(mean[j, :2] - mean[i, :2], mean[i, 3:6], yaw[i], mean[j, 3:6], yaw[j], share=ONE_OBJECT)
-    i, j = i[same], j[same]
-    coasts = (t["row"][rows] < 0).astype(np.int64)
-    worse = np.where((coasts[i] > coasts[j]) | ((coasts[i] == coasts[j]) & (i > j)), i, j)
-    bad[rows[worse]] = True
-    return bad

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.states import CLASS_INDEX, CLASSES
+from mast_zenoh.states import CLASS_INDEX, CLASSES, Floats, Ints
 
 #: Per class:
 #: speed_along, speed_across  m/s, standard deviation of a new object's speed along and across its heading: urban to
-#:                            motorway traffic, in either direction
+#:                            motorway traffic, in either direction, and headings that are a quarter radian off
 #: acceleration               m^2/s^3, spectral density: after 1 s of unknown driving the speed is off by its root
 #: jump                       factor on the tracker's `jump_std_m`
 #: family                     classes that detectors confuse
 _TABLE = {
     "unknown": (10.0, 10.0, 3.0, 0.5, 0),
-    "car": (12.0, 1.5, 3.0, 1.0, 1),
-    "truck": (10.0, 1.5, 2.0, 1.0, 1),
-    "bus": (10.0, 1.5, 2.0, 1.0, 1),
-    "motorcycle": (12.0, 1.5, 3.0, 0.6, 2),
-    "bicycle": (5.0, 1.5, 2.0, 0.6, 2),
+    "car": (12.0, 3.0, 3.0, 1.0, 1),
+    "truck": (10.0, 3.0, 2.0, 1.0, 1),
+    "bus": (10.0, 3.0, 2.0, 1.0, 1),
+    "motorcycle": (12.0, 3.0, 3.0, 0.6, 2),
+    "bicycle": (5.0, 3.0, 2.0, 0.6, 2),
     "pedestrian": (1.5, 1.5, 0.5, 0.3, 3),
 }
 _COLUMNS = np.array([_TABLE[name] for name in CLASSES]).T
@@ -33,3 +33,22 @@ ROLLS = np.array([name not in ("unknown", "pedestrian") for name in CLASSES])
 CONFUSION = np.where(_FAMILY[:, None] == _FAMILY[None, :], -1.0, -3.0)
 np.fill_diagonal(CONFUSION, 0.0)
 CONFUSION[CLASS_INDEX["unknown"], :] = CONFUSION[:, CLASS_INDEX["unknown"]] = 0.0
+
+#: m/s, standard deviation of a new object's vertical speed.
+SPEED_VERTICAL = 0.5
+
+
+def first_covariance(box: Floats, yaw: Floats, class_id: Ints) -> Floats:
+    """(n, 9, 9) of objects just seen: boxes with noise `box` (n, 6, 6), velocity zero as far as is known.
+
+    A heading constrains the velocity before any motion is seen.
+    """
+    covariance = np.zeros((len(yaw), 9, 9))
+    covariance[:, :6, :6] = box
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    along, across = SPEED_ALONG[class_id] ** 2, SPEED_ACROSS[class_id] ** 2
+    covariance[:, 6, 6] = along * cosine**2 + across * sine**2
+    covariance[:, 7, 7] = along * sine**2 + across * cosine**2
+    covariance[:, 6, 7] = covariance[:, 7, 6] = (along - across) * cosine * sine
+    covariance[:, 8, 8] = SPEED_VERTICAL**2
+    return covariance

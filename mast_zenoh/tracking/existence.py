@@ -29,10 +29,11 @@ def survive(tracks: Tracks, dt: float, lifetime_s: float, memory_s: float) -> No
 def detection_probability(tracks: Tracks, prior: float, weight: float) -> Floats:
     """(n,) how often each object is detected when it could be: its record, and `prior` for `weight` frames' worth.
 
-    An object that is only just in sight is detected now and then: a miss says little against it.
+    An object that is only just in sight is detected now and then: a miss says little against it. A spotless record
+    counts no more than the prior, or the first miss after it would be the end.
     """
     hits, misses = tracks["record"][:, HITS], tracks["record"][:, MISSES]
-    return np.asarray((hits + prior * weight) / (hits + misses + weight))
+    return np.asarray(np.minimum((hits + prior * weight) / (hits + misses + weight), prior))
 
 
 def hit(tracks: Tracks, detected: Floats, log_ratio: Floats) -> None:
@@ -41,7 +42,11 @@ def hit(tracks: Tracks, detected: Floats, log_ratio: Floats) -> None:
     tracks["record"][:, HITS] += 1.0
 
 
-def miss(tracks: Tracks, rows: Ints, detected: Floats, expected: Floats) -> None:
-    """Tracks at `rows` were not measured, though to be `expected` (k,), 0 to 1: what cannot be seen is not missed."""
-    tracks["odds"][rows] += np.log1p(-detected * expected)
+def miss(tracks: Tracks, rows: Ints, detected: Floats, expected: Floats, birth: float) -> None:
+    """Tracks at `rows` were not measured, though to be `expected` (k,), 0 to 1: what cannot be seen is not missed.
+
+    A confirmed one never becomes less likely than a new object, of log-odds `birth`: it may come back.
+    """
+    odds = tracks["odds"][rows] + np.log1p(-detected * expected)
+    tracks["odds"][rows] = np.where(tracks["confirmed"][rows] > 0, np.maximum(odds, birth), odds)
     tracks["record"][rows, MISSES] += expected

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.states import Bools, Floats, Ints
+from mast_zenoh.states import Floats, Ints
 from mast_zenoh.tracking.tracks import Tracks
 
 #: Squared Mahalanobis distances in the plane beyond which nothing is considered: probability 3e-4 of a true pair.
@@ -73,18 +73,3 @@ def near_pairs(tracks: Tracks, position: Floats, covariance: Floats, jump: Float
     near &= np.abs(position[:, 2][j] - mean[:, 2][i]) <= LEVEL_M
     variance = np.where(sudden > steady, added[1], 0.0)
     return Pairs(i[near], j[near], np.logaddexp(steady, sudden)[near], variance[near])
-
-
-def overlap(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other_yaw: Floats, *, share: float) -> Bools:
-    """(p,) whether boxes and others at `offset` (p, 2) m from them overlap so far that both cannot be there.
-
-    size, other_size: (p, 3) m; yaw, other_yaw: (p,) rad. True where, along both axes of the box, the centres are nearer
-    than `share` of the distance at which the boxes touch.
-    """
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    along = np.abs(cosine * offset[:, 0] + sine * offset[:, 1])
-    across = np.abs(cosine * offset[:, 1] - sine * offset[:, 0])
-    c, s = np.abs(np.cos(other_yaw - yaw)), np.abs(np.sin(other_yaw - yaw))
-    length = size[:, 0] + c * other_size[:, 0] + s * other_size[:, 1]
-    width = size[:, 1] + s * other_size[:, 0] + c * other_size[:, 1]
-    return np.asarray((along < 0.5 * share * length) & (across < 0.5 * share * width))

@@ -16,13 +16,14 @@ def sound(covariance: Floats) -> Floats:
 
     What is so comes back as it was; of the rest the symmetric part, eigenvalues brought to within LEAST and MOST.
     """
-    symmetric = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+    symmetric = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     k = covariance.shape[1]
     diagonal = np.einsum("nii->ni", symmetric)
     if len(symmetric) == 0 or (diagonal.max() <= MOST and _definite(symmetric - 0.5 * LEAST * np.eye(k))):
         return symmetric
     values, vectors = np.linalg.eigh(np.clip(symmetric, -MOST, MOST))
-    return np.asarray((vectors * np.clip(values, LEAST, MOST)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
+    repaired = (vectors * np.clip(values, LEAST, MOST)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    return np.asarray(0.5 * (repaired + repaired.transpose(0, 2, 1)))
 
 
 def _definite(matrices: Floats) -> bool:

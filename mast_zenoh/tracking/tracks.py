@@ -9,9 +9,15 @@ from numpy.typing import NDArray
 
 from mast_zenoh.states import CLASSES, Ints, ObjectStates
 
-#: id; mean (9,) and covariance (9, 9) of the state; yaw (rad) and its variance; turn: evidence, >= 0, for this
-#: heading against the opposite one; odds: log-odds of existence; record (9,): fading counts of hits, of misses, and of
-#: the classes seen; seen: ns, time of the last measurement; row: of the last input, -1 where it coasts.
+#: id
+#: mean, covariance  (9,), (9, 9) of the state
+#: yaw, yaw_variance rad, rad^2
+#: turn              evidence, >= 0, for this heading against the opposite one
+#: aside             m, running mean of how far measured positions are to the left of predicted ones
+#: odds              log-odds of existence
+#: record            (9,) fading counts of hits, of misses, and of the classes seen
+#: seen              ns, time of the last measurement
+#: row               of the last input, -1 where the track coasts
 TRACK = np.dtype(
     [
         ("id", "i8"),
@@ -20,6 +26,7 @@ TRACK = np.dtype(
         ("yaw", "f8"),
         ("yaw_variance", "f8"),
         ("turn", "f8"),
+        ("aside", "f8"),
         ("odds", "f8"),
         ("record", "f8", (2 + len(CLASSES),)),
         ("class_id", "i8"),
@@ -64,6 +71,11 @@ def to_states(tracks: Tracks) -> ObjectStates:
         score=probability(tracks["odds"]),
         class_id=tracks["class_id"].astype(np.uint8),
     )
+
+
+def known_class(class_id: NDArray[np.uint8]) -> Ints:
+    """(n,) int64: what is no class is of an unknown one."""
+    return np.where(class_id < len(CLASSES), class_id, 0).astype(np.int64)
 
 
 def vote(tracks: Tracks, class_id: Ints) -> None:

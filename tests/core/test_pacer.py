@@ -9,8 +9,14 @@ def wire(key: str, publisher: str, *subscribers: str) -> Wire:
     return Wire(key, "", "clock", (leg,))
 
 
-WIRING = Wiring((wire("clock", "simulator", "agent", "broker"), wire("tracks", "agent", "broker")))
-MEMBERS = {"simulator": "simulator", "agent": "agent", "broker": "broker"}
+WIRING = Wiring(
+    (
+        wire("clock", "simulator", "agent", "broker", "evaluator"),
+        wire("tracks", "agent", "broker"),
+        wire("collated", "broker", "evaluator"),
+    )
+)
+MEMBERS = {name: name for name in ("simulator", "agent", "broker")}
 
 
 def pacer() -> Pacer:
@@ -55,3 +61,15 @@ def test_the_dead_are_not_waited_for() -> None:
     made.report("broker", 1, {}, {"clock": 1})
     made.drop(["agent"])
     assert made.quiet()
+
+
+def test_who_only_listens_is_waited_for_only_when_everyone_is() -> None:
+    made = Pacer(WIRING)
+    made.begin_epoch({**MEMBERS, "evaluator": "evaluator"})
+    made.report("simulator", 1, {"clock": 1}, {})
+    made.report("agent", 1, {}, {"clock": 1})
+    made.report("broker", 1, {"collated": 1}, {"clock": 1})
+    assert made.quiet()
+    assert not made.quiet(everyone=True)
+    made.report("evaluator", 1, {}, {"clock": 1, "collated": 1})
+    assert made.quiet(everyone=True)

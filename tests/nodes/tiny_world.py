@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -157,16 +158,17 @@ class Run:
 
 
 class Bench:
-    """One node of a scenario by itself; the test plays all the others.
+    """One node of a scenario by itself, its configuration changed by `config`; the test plays all the others.
 
     said: everything that the node has published so far, as (key, message)
     """
 
-    def __init__(self, resolved: Resolved, name: str, *, encode: bool = True) -> None:
+    def __init__(self, resolved: Resolved, name: str, *, encode: bool = True, **config: Any) -> None:
         wiring = Wiring.from_json(resolved.wiring)
         self.encode = encode
         self.ports = wiring.ports(name)
-        self.node = scenario.build_node(resolved.nodes[name], name)
+        spec = resolved.nodes[name]
+        self.node = scenario.build_node(replace(spec, config={**spec.config, **config}), name)
         self.host = Host(name, self.node, self.ports, resolved.seed, encode=encode)
         self.host.start({other: spec.role for other, spec in resolved.nodes.items() if other != name})
         self.said: list[tuple[str, Message]] = []

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,13 @@ def test_changed_data_make_a_prepared_scene_stale(recording: Recording, tmp_path
     os.utime(file, ns=(0, 0))
     prepare(scene, 1, None, "a")
     assert scene.made == 3
+
+
+def test_two_may_prepare_one_scene_at_the_same_time(recording: Recording, folder: Path) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        made = list(pool.map(lambda _: prepare(Counted(recording), 1, None, "a"), range(16)))
+    assert all(len(each.truth) == 3 for each in made)
+    assert len(list(folder.iterdir())) == 1
 
 
 def test_a_cache_that_cannot_be_written_is_no_error(recording: Recording, folder: Path) -> None:

@@ -86,7 +86,7 @@ def test_one_seed_one_recording() -> None:
 
 
 def test_another_seed_is_other_traffic_at_the_same_junction() -> None:
-    one, other = junction(0), Intersection(scene_index=0).record(1, None)
+    one, other = junction(0), Intersection(scene_index=0).record(1, 1)
     np.testing.assert_array_equal(one.buildings[0], other.buildings[0])
     assert not np.array_equal(one.truth_at(0).position[:10], other.truth_at(0).position[:10])
 

@@ -1,0 +1,80 @@
+"""Writes the pages of docs/ that say what the code says: `python -m mast_zenoh.documentation docs`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from mast_zenoh import errors
+from mast_zenoh.messages import SCHEMAS
+from mast_zenoh.states import CLASSES
+
+_GENERATED = "<!-- Written by `make docs` from {source}; do not edit. -->\n"
+
+
+def messages_page() -> str:
+    """docs/messages.md: every message type with its columns, dtypes, shapes and units."""
+    lines = [
+        "# Messages",
+        "",
+        _GENERATED.format(source="mast_zenoh/messages.py"),
+        "A message is a MessagePack map: a header (`schema`, `version`, `source`, `frame`, `time_ns`, `seq`) and a",
+        "`body` that maps each column to `[dtype, shape, data]`, the data being raw little-endian bytes in C order.",
+        "In a shape, `n`, `m` and `k` are numbers of objects and `a` is a number of agents; equal letters in one message",
+        "are equal numbers. `time_ns` is nanoseconds since the scene began. Frames are right-handed, x forward (world:",
+        "east), y left (north), z up; quaternions are (w, x, y, z) of the active rotation into the world.",
+        "",
+        f"Classes, by `class_id`: {', '.join(f'{i} {name}' for i, name in enumerate(CLASSES))}.",
+        "",
+        "A receiver refuses, counts and drops a message that is truncated, oversized, of another schema or version, has a",
+        "missing or further column, another dtype or shape, a number that is not finite or beyond 1e9, a class out of",
+        "range, or (tracks and pictures) an id twice. A covariance may be anything finite: filters and fusion make it sound.",
+        "",
+    ]
+    for schema in SCHEMAS.values():
+        lines += [f"## `{schema.name}` (version {schema.version})", "", f"{schema.meaning[0].upper()}{schema.meaning[1:]}.", ""]
+        if not schema.columns:
+            lines += ["No columns: the header says it all.", ""]
+            continue
+        lines += ["| column | dtype | shape | unit | meaning |", "|---|---|---|---|---|"]
+        for column in schema.columns:
+            shape = "(" + ", ".join(map(str, column.shape)) + ("," if len(column.shape) == 1 else "") + ")"
+            lines.append(f"| `{column.name}` | {column.dtype} | {shape} | {column.unit} | {column.meaning} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def exit_codes_page() -> str:
+    """docs/exit_codes.md: what each exit code of `mast` means."""
+    lines = [
+        "# Exit codes",
+        "",
+        _GENERATED.format(source="mast_zenoh/errors.py"),
+        "| code | error | meaning |",
+        "|---:|---|---|",
+    ]
+    rows = [(error.exit_code, f"`{error.__name__}`", _first_line(error)) for error in error_types()]
+    rows += [(0, "", "It went well"), (2, "", "A wrong word on the command line")]
+    return "\n".join([*lines, *(f"| {code} | {name} | {meaning} |" for code, name, meaning in sorted(rows)), ""])
+
+
+def error_types(base: type[errors.MastError] = errors.MastError) -> list[type[errors.MastError]]:
+    """The whole error tree."""
+    return [base, *(found for child in base.__subclasses__() for found in error_types(child))]
+
+
+def _first_line(error: type[errors.MastError]) -> str:
+    return (error.__doc__ or "").strip().splitlines()[0].rstrip(".")
+
+
+PAGES = {"messages.md": messages_page, "exit_codes.md": exit_codes_page}
+
+
+def main(folder: Path) -> None:
+    """Write all pages."""
+    for name, page in PAGES.items():
+        (folder / name).write_text(page(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

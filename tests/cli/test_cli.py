@@ -1,0 +1,135 @@
+"""The command line says what is wrong, and exits with the code that docs/exit_codes.md lists."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mast_zenoh import cli
+
+SHORT = ("--frames", "4", "--runtime", "inproc")
+
+
+@pytest.fixture
+def mast(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    """Runs a command in an empty folder: (exit code, standard output, standard error)."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["mast", *words])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        said = capsys.readouterr()
+        return int(ended.value.code or 0), said.out, said.err
+
+    return run
+
+
+def test_a_run_in_one_process_leaves_a_run_folder_and_a_report(mast, tmp_path: Path) -> None:
+    code, out, _ = mast("run", "baseline", *SHORT, "--out", "here")
+    assert code == 0
+    assert "report:" in out
+    assert {path.name for path in (tmp_path / "here").iterdir()} >= {"run.json", "metrics.json", "report.html"}
+    record = json.loads((tmp_path / "here" / "run.json").read_text())
+    assert record["status"] == "ok"
+    assert record["frames"] == 4
+
+
+def test_without_a_folder_the_run_names_its_own(mast, tmp_path: Path) -> None:
+    for _ in range(2):
+        assert mast("run", "baseline", *SHORT, "--no-report")[0] == 0
+    assert len(list((tmp_path / "runs").iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("run",), 2, "Missing argument"),
+        (("ruin", "baseline"), 2, "No such command"),
+        (("run", "baseline", "--frames", "0"), 2, "--frames"),
+        (("run", "baseline", "--runtime", "cloud"), 2, "--runtime"),
+        (("run", "baseline", *SHORT, "--mode", "realtime"), 2, "--mode"),
+        (("run", "basline"), 10, "did you mean 'baseline.py'"),
+        (("run", "no/such/file.py"), 10, "no such file"),
+        (("run", "baseline", "--set", "n_infrastructre=3"), 10, "did you mean 'n_infrastructure'"),
+        (("run", "baseline", "--set", "n_infrastructure=many"), 10, "expected int"),
+        (("run", "baseline", "--set", "n_infrastructure"), 10, "expected KEY=VALUE"),
+        (("run", "baseline", "--set", "command_center.pipelin.clustering=1"), 10, "did you mean 'pipeline'"),
+        (
+            ("run", "baseline", "--set", "command_center.pipeline.clustering.assign_radios=3.0"),
+            10,
+            "did you mean 'assign_radius'",
+        ),
+        (("run", "baseline", "--set", "scene=intersecton"), 10, "did you mean 'intersection'"),
+        (("run", "uncoordinated", "--set", "n_adversaries=9"), 10, "no agent 'infra_5'"),
+        (("run", "baseline", "--set", "keyexpr.map=testbd.toml"), 11, "did you mean 'testbed.toml'"),
+        (("run", "baseline", "--set", "keyexpr.rewrites=['coordinted.toml']"), 11, "did you mean 'coordinated.toml'"),
+        (("run", "baseline", "--set", "broker.file='brokr.py'"), 12, "did you mean 'broker.py'"),
+        (("run", "baseline", "--set", "broker.type='Brokr'"), 12, "did you mean 'Broker'"),
+        (("run", "baseline", "--set", "scene=av2:no/such/log"), 13, "no/such/log"),
+        (("run", "baseline", "--set", "scene=avstack:no/such/scene"), 13, "no/such/scene"),
+        (("study", "case_stdy"), 10, "did you mean 'case_study.py'"),
+        (("study", "case_study", "--set", "n_adversary=1"), 10, "did you mean 'n_adversaries'"),
+        (("wiring", "baseline", "--format", "xml"), 2, "--format"),
+        (("report", "nowhere"), 15, "nowhere"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
+)
+def test_what_is_wrong_is_said_before_anything_starts(
+    mast, tmp_path: Path, words: tuple[str, ...], code: int, said: str
+) -> None:
+    found, out, err = mast(*words)
+    assert (found, said in (out + err).replace("\n", " ")) == (code, True), out + err
+    assert "Traceback" not in err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_the_paper_s_listing_pasted_as_it_is_builds_and_runs(mast, tmp_path: Path) -> None:
+    (tmp_path / "paper.py").write_text(
+        """
+from mast_zenoh import loading
+_, baseline = loading.function("scenarios", "baseline", "scenario")
+
+commandcenter = dict(
+    type="CommandCenter",
+    pipeline=dict(
+        type="CommandCenterPipeline",
+        clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
+        group_tracking=dict(
+            type="GroupTrackerWrapper",
+            fusion=dict(type="CovarianceIntersectionFusion"),
+            tracker=dict(type="KalmanBoxTracker3D"),
+        ),
+    ),
+)
+
+def scenario():
+    made = baseline()
+    del made["command_center"]
+    return made | dict(commandcenter=commandcenter)
+"""
+    )
+    assert mast("run", "paper.py", *SHORT, "--no-report", "--out", "paper")[0] == 0
+    assert mast("run", "baseline", *SHORT, "--no-report", "--out", "ours")[0] == 0
+    assert (tmp_path / "paper" / "metrics.json").read_bytes() == (tmp_path / "ours" / "metrics.json").read_bytes()
+
+
+def test_the_wiring_is_shown_in_three_forms(mast) -> None:
+    code, out, _ = mast("wiring", "uncoordinated", "--set", "n_adversaries=1")
+    assert code == 0
+    assert "[adversary_1]" in out
+    code, out, _ = mast("wiring", "uncoordinated", "--set", "n_adversaries=1", "--format", "json")
+    wires = {wire["key"]: wire for wire in json.loads(out)["wires"]}
+    assert wires["agent/infra_1/detections"]["interposers"] == ["adversary_1"]
+    assert wires["agent/infra_2/detections"]["interposers"] == []
+    code, out, _ = mast("wiring", "uncoordinated", "--format", "mermaid")
+    assert out.startswith("flowchart LR")
+
+
+def test_an_error_in_the_users_file_names_its_line(mast, tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text("x = 1\ny = 1 / 0\n")
+    code, _, err = mast("run", "broken.py")
+    assert code == 10
+    assert "broken.py:2: ZeroDivisionError" in err.replace("\n", "")

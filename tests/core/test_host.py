@@ -1,0 +1,472 @@
+"""The host stands between a node and everything else: it holds back, checks, numbers and counts."""
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh import codec
+from mast_zenoh.errors import ConfigurationError, MessageError
+from mast_zenoh.keyexpr import Input, Ports
+from mast_zenoh.messages import Header, Message, text
+from mast_zenoh.node import Context, Node, Received, handler_names
+from mast_zenoh.runtime import host as host_module
+from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.states import ObjectStates
+from mast_zenoh.streams import stream
+
+WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+
+
+class Listener(Node):
+    """Writes down what it is given, and does what the test wants on tracks."""
+
+    inputs = {"clock": "clock", "tracks": "tracks", "truth": "truth", "collated": "collated"}
+    outputs = {"tracks_out": "tracks", "status": "status", "nowhere": "status"}
+
+    def __init__(self, act: Callable[[Received, Context], None] | None = None) -> None:
+        self.got: list[tuple[str, int]] = []
+        self.received: list[Received] = []
+        self.act = act
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        self.got.append(("clock", received.frame))
+
+    def on_tracks(self, received: Received, context: Context) -> None:
+        self.got.append((received.subject, received.frame))
+        self.received.append(received)
+        if self.act:
+            self.act(received, context)
+
+    def on_truth(self, received: Received, context: Context) -> None:
+        self.got.append(("truth", received.frame))
+
+    def on_collated(self, received: Received, context: Context) -> None:
+        self.got.append(("collated", received.frame))
+
+
+CLOCK = {"clock": Input("clock", "", "clock", "simulator")}
+TRACKS = {f"agent/{name}/tracks": Input("tracks", name, "tracks", name) for name in ("a", "b")}
+OUTPUTS = {
+    ("tracks_out", "a"): "out/a",
+    ("tracks_out", "b"): "out/b",
+    ("status", ""): "out/status",
+}
+
+
+def listening(node: Node | None = None, *, clocked: bool = True, encode: bool = True) -> Host:
+    """A host of a node that hears the clock and the tracks of `a` and `b`."""
+    ports = Ports((CLOCK if clocked else {}) | TRACKS, OUTPUTS)
+    return Host("listener", node or Listener(), ports, seed=7, encode=encode)
+
+
+def tracks(n: int = 1, **columns: np.ndarray) -> dict[str, np.ndarray]:
+    states = ObjectStates.of(np.zeros((n, 3)), covariance=np.tile(np.eye(9), (n, 1, 1)))
+    return states.columns() | WORLD | columns
+
+
+def message(schema: str, source: str, frame: int, body: dict[str, np.ndarray], seq: int = 0) -> bytes:
+    return codec.encode(codec.conform(Header(schema, source, frame, frame * 10**8, seq), body))
+
+
+def clock(frame: int, source: str = "simulator") -> bytes:
+    return message("clock", source, frame, {})
+
+
+def said_by(name: str, frame: int, n: int = 1) -> bytes:
+    return message("tracks", name, frame, tracks(n))
+
+
+def test_a_message_of_a_later_step_waits_for_its_clock() -> None:
+    host = listening()
+    host.deliver("clock", clock(0), 0)
+    host.deliver("agent/a/tracks", said_by("a", 1), 1)
+    assert host.node.got == [("clock", 0)]
+    assert host.handled["agent/a/tracks"] == 0, "lock-step goes on waiting for it"
+    host.deliver("clock", clock(1), 1)
+    assert host.node.got == [("clock", 0), ("clock", 1), ("a", 1)]
+    assert host.handled["agent/a/tracks"] == 1
+
+
+def test_a_clock_that_was_skipped_lets_go_what_waited_for_it() -> None:
+    host = listening()
+    host.deliver("agent/a/tracks", said_by("a", 1), 1)
+    host.deliver("agent/b/tracks", said_by("b", 3), 3)
+    host.deliver("clock", clock(2), 2)
+    assert host.node.got == [("clock", 2), ("a", 1)]
+
+
+def test_a_message_from_outside_whose_step_nobody_knows_is_taken_at_once() -> None:
+    host = listening()
+    host.deliver("agent/a/tracks", said_by("a", 5), -1, counted=False)
+    assert host.node.got == [("a", 5)]
+    assert not host.handled
+
+
+def test_a_node_that_hears_no_clock_is_given_everything_at_once() -> None:
+    host = listening(clocked=False)
+    host.deliver("agent/a/tracks", said_by("a", 4), 4)
+    assert host.node.got == [("a", 4)]
+
+
+def test_what_a_node_without_a_clock_passes_on_is_of_the_step_of_what_it_got() -> None:
+    host = listening(Listener(lambda received, context: context.relay("tracks_out", received)), clocked=False)
+    for step in (0, 1):
+        host.deliver("agent/a/tracks", said_by("a", step), step)
+    assert [out.step for out in host.outbox] == [0, 1], "else the next node would not wait for its clock"
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None)
+def test_in_any_order_of_arrival_each_message_is_handled_once_and_not_before_its_clock(data: st.DataObject) -> None:
+    queues: dict[str, list[tuple[str, bytes, int]]] = {
+        "clock": [("clock", clock(k), k) for k in range(4)],
+        **{f"agent/{x}/tracks": [(f"agent/{x}/tracks", said_by(x, k), k) for k in range(4)] for x in "ab"},
+    }
+    host = listening()
+    while queues:
+        key = data.draw(st.sampled_from(sorted(queues)))
+        host.deliver(*queues[key].pop(0))
+        if not queues[key]:
+            del queues[key]
+    got = host.node.got
+    assert sorted(got) == sorted((who, k) for who in ("clock", "a", "b") for k in range(4))
+    for who, frame in got:
+        assert got.index((who, frame)) >= got.index(("clock", frame))
+    assert set(host.handled.values()) == {4}
+
+
+@pytest.mark.parametrize(
+    ("key", "payload", "kind"),
+    [
+        ("agent/a/tracks", said_by("b", 0), "tracks"),
+        ("agent/a/tracks", clock(0), "tracks"),
+        ("agent/a/tracks", said_by("a", 0)[:-3], "tracks"),
+        ("agent/a/tracks", b"", "tracks"),
+        ("agent/a/tracks", message("tracks", "a", 0, tracks(id=np.zeros(1))).replace(b"tracks", b"trucks"), "tracks"),
+        ("clock", clock(0, source="mallory"), "clock"),
+    ],
+)
+def test_what_is_wrong_costs_one_message_and_is_counted(key: str, payload: bytes, kind: str) -> None:
+    host = listening()
+    host.deliver(key, payload, -1)
+    assert host.node.got == []
+    assert sum(host.rejected.values()) == 1
+    assert next(iter(host.rejected))[0] == key
+    assert next(iter(host.rejected))[1].startswith(kind)
+    assert host.handled[key] == 1, "lock-step does not wait for it"
+    host.deliver("agent/a/tracks", said_by("a", 0), -1)
+    assert host.node.got == [("a", 0)]
+
+
+def test_what_was_not_sent_by_a_node_of_the_run_is_never_counted_for_lock_step() -> None:
+    host = listening()
+    host.deliver("agent/a/tracks", b"rubbish", -1, counted=False)
+    host.deliver("agent/a/tracks", said_by("a", 0), -1, counted=False)
+    assert sum(host.rejected.values()) == 1
+    assert not host.handled
+
+
+def test_a_clock_never_goes_backwards() -> None:
+    host = listening()
+    for frame in (0, 2, 2, 1, 3):
+        host.deliver("clock", clock(frame), frame)
+    assert host.node.got == [("clock", 0), ("clock", 2), ("clock", 3)]
+    assert host.rejected["clock", "clock"] == 2
+    assert host.handled["clock"] == 5
+    assert (host.frame, host.time_ns) == (3, 3 * 10**8)
+
+
+def test_a_rejected_message_is_logged_once_for_each_key(caplog: pytest.LogCaptureFixture) -> None:
+    host = listening()
+    with caplog.at_level(logging.WARNING):
+        for key in ("agent/a/tracks", "agent/b/tracks"):
+            for payload in (b"rubbish", b"", said_by("mallory", 0)):
+                host.deliver(key, payload, -1)
+    assert [key for record in caplog.records for key in TRACKS if key in record.getMessage()] == list(TRACKS)
+    assert sum(host.rejected.values()) == 6
+
+
+def test_a_handler_that_raises_costs_one_message_and_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    def fail_on_even(received: Received, context: Context) -> None:
+        if received.frame % 2 == 0:
+            raise ZeroDivisionError(f"in frame {received.frame}")
+        context.publish("status", status())
+
+    host = listening(Listener(fail_on_even))
+    with caplog.at_level(logging.ERROR):
+        for frame in range(6):
+            host.deliver("clock", clock(frame), frame)
+            host.deliver("agent/a/tracks", said_by("a", frame), frame)
+    assert host.failures == {"tracks": 3}
+    assert host.handled["agent/a/tracks"] == 6
+    assert len(host.outbox) == 3
+    assert ["in frame 0" in record.exc_text for record in caplog.records] == [True]
+
+
+def status() -> dict[str, np.ndarray]:
+    return {"mobile": np.array([0]), "detections": np.array([1]), "tracks": np.array([2])}
+
+
+def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host_module, "MAX_HELD", 5)
+    host = listening()
+    for frame in range(1, 9):
+        host.deliver("agent/a/tracks", said_by("a", frame), frame)
+    assert sum(host.rejected.values()) == 3
+    host.deliver("clock", clock(8), 8)
+    assert [who for who, _ in host.node.got] == ["clock", *"aaaaa"]
+    host.deliver("agent/a/tracks", said_by("a", 9), 9)
+    host.deliver("clock", clock(9), 9)
+    assert host.node.got[-1] == ("a", 9), "there is room again"
+
+
+def test_a_relayed_message_is_the_same_bytes() -> None:
+    host = listening(Listener(lambda received, context: context.relay("tracks_out", received)))
+    payload = said_by("a", 0)
+    host.deliver("agent/a/tracks", payload, -1)
+    assert host.outbox == [Outgoing("out/a", payload, -1)]
+    assert host.sent == {"out/a": 1}
+
+
+@pytest.mark.parametrize("encode", [True, False])
+def test_a_message_relayed_in_a_later_frame_is_as_it_came(encode: bool) -> None:
+    kept: list[Received] = []
+    host = listening(Listener(lambda received, context: kept.append(received)), encode=encode)
+    payload = said_by("a", 0)
+    host.deliver("clock", clock(0), 0)
+    host.deliver("agent/a/tracks", payload if encode else codec.decode(payload, "tracks"), 0)
+    host.deliver("clock", clock(1), 1)
+    host.relay("tracks_out", kept[0])
+    (out,) = host.outbox
+    assert (out.payload if encode else codec.encode(out.payload)) == payload
+    assert out.step == 1, "it goes out in the step it is sent in"
+
+
+def test_a_relayed_message_with_another_body_keeps_its_header() -> None:
+    host = listening()
+    received = Received(codec.decode(said_by("b", 3), "tracks"), "b")
+    host.relay("tracks_out", received, tracks(4))
+    (out,) = host.outbox
+    changed = codec.decode(out.payload, "tracks")
+    assert out.key == "out/b"
+    assert changed.header == received.message.header
+    assert len(changed.body["id"]) == 4
+
+
+def test_a_message_cannot_be_relayed_on_a_port_of_another_type() -> None:
+    host = listening()
+    with pytest.raises(ConfigurationError, match="carries 'status' messages, not 'tracks'"):
+        host.relay("status", Received(codec.decode(said_by("b", 3), "tracks"), "b"))
+
+
+def test_messages_are_numbered_for_each_key() -> None:
+    host = listening()
+    for port, subject in (("tracks_out", "a"), ("tracks_out", "b"), ("tracks_out", "a"), ("status", None)):
+        body = status() if port == "status" else tracks()
+        host.publish(port, body, subject=subject, frame=0)
+    numbers = [(out.key, codec.decode(out.payload, schema_of(out)).header.seq) for out in host.outbox]
+    assert numbers == [("out/a", 0), ("out/b", 0), ("out/a", 1), ("out/status", 0)]
+
+
+def schema_of(out: Outgoing) -> str:
+    return "status" if out.key == "out/status" else "tracks"
+
+
+def test_a_message_that_could_not_be_made_takes_no_number() -> None:
+    host = listening()
+    with pytest.raises(MessageError, match=r"status: columns missing: \['mobile'\]"):
+        host.publish("status", {"detections": np.zeros(1), "tracks": np.zeros(1)}, frame=0)
+    host.publish("status", status(), frame=0)
+    assert codec.decode(host.outbox[0].payload, "status").header.seq == 0
+
+
+def test_a_message_is_about_the_current_frame_unless_said() -> None:
+    host = listening()
+    host.deliver("clock", clock(4), 4)
+    host.publish("status", status())
+    host.publish("status", status(), frame=2, time_ns=5)
+    headers = [codec.decode(out.payload, "status").header for out in host.outbox]
+    assert [(h.frame, h.time_ns, h.source) for h in headers] == [(4, 4 * 10**8, "listener"), (2, 5, "listener")]
+    assert [out.step for out in host.outbox] == [4, 4]
+
+
+def test_a_port_that_is_not_connected_swallows_what_is_published() -> None:
+    host = listening()
+    host.publish("nowhere", status())
+    host.publish("tracks_out", tracks(), subject="nobody")
+    host.relay("tracks_out", Received(codec.decode(said_by("c", 0), "tracks"), "c"))
+    assert host.outbox == []
+    assert not host.sent
+    assert not host.connected("nowhere")
+    assert not host.connected("tracks_out", "nobody")
+    assert host.connected("tracks_out", "a")
+    assert host.connected("tracks_out"), "some wire is"
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda host: host.publish("tracks_ot", tracks()),
+        lambda host: host.relay("tracks_ot", Received(codec.decode(said_by("a", 0), "tracks"), "a")),
+        lambda host: host.connected("tracks_ot"),
+    ],
+)
+def test_a_port_that_does_not_exist_is_named_with_the_nearest(use: Callable[[Host], None]) -> None:
+    with pytest.raises(ConfigurationError, match="no output port 'tracks_ot'; did you mean 'tracks_out'"):
+        use(listening())
+
+
+def test_of_several_wires_on_a_port_one_must_be_chosen() -> None:
+    with pytest.raises(ConfigurationError, match="has 2 wires: say which by subject"):
+        listening().publish("tracks_out", tracks())
+
+
+def texts(*values: Any) -> np.ndarray:
+    column = text([""] * len(values))
+    column[:] = values
+    return column
+
+
+def collated(**columns: np.ndarray) -> dict[str, np.ndarray]:
+    states = ObjectStates.of(np.zeros((2, 3)), covariance=np.tile(np.eye(9), (2, 1, 1)))
+    batch = {"agent": np.array([0, 1]), "agents": texts("a", "b"), "age_ns": np.zeros(2, np.int64)}
+    return states.columns() | batch | columns
+
+
+#: (message type, body, header fields): what a node may publish by mistake, and something sound at the end.
+SLIPS = {
+    "not a number": ("tracks", tracks(position=np.full((1, 3), np.nan)), {}),
+    "infinite": ("tracks", tracks(velocity=np.full((1, 3), -np.inf)), {}),
+    "absurdly large": ("tracks", tracks(yaw=np.array([1e300])), {}),
+    "a class that does not exist": ("tracks", tracks(class_id=np.array([200])), {}),
+    "an id twice": ("tracks", tracks(2, id=np.array([3, 3])), {}),
+    "no rotation": ("tracks", tracks(rotation=np.zeros(4)), {}),
+    "before the first frame": ("tracks", tracks(), {"frame": -1}),
+    "at a negative time": ("tracks", tracks(), {"time_ns": -5}),
+    "at a time that is no whole number": ("tracks", tracks(), {"time_ns": 1.5}),
+    "an agent that does not exist": ("collated", collated(agent=np.array([0, 2])), {}),
+    "a name that is no text": ("collated", collated(agents=texts("a", 3)), {}),
+    "a name without end": ("collated", collated(agents=texts("a", "b" * 300)), {}),
+    "more than a message may hold": ("tracks", tracks(30_000, id=np.arange(30_000)), {}),
+    "nothing wrong": ("tracks", tracks(2), {}),
+}
+
+
+class Speaker(Node):
+    outputs = {"tracks": "tracks", "collated": "collated"}
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_bytes_and_messages_themselves_are_refused_alike(slip: str) -> None:
+    schema, body, header = SLIPS[slip]
+    outcomes = []
+    for encode in (True, False):
+        speaker = Host("a", Speaker(), Ports({}, {(schema, ""): "key"}), seed=0, encode=encode)
+        heard = Ports({"key": Input(schema, "a", schema, "a")}, {})
+        listener = Host("listener", Listener(), heard, seed=0, encode=encode)
+        speaker.publish(schema, body, **{"frame": 0, "time_ns": 0} | header)
+        (out,) = speaker.outbox
+        listener.deliver(out.key, out.payload, out.step, flaw=out.flaw)
+        outcomes.append((dict(listener.rejected), dict(listener.handled), listener.node.got))
+    assert outcomes[0] == outcomes[1]
+    assert bool(outcomes[0][0]) == (slip != "nothing wrong")
+
+
+@pytest.mark.parametrize("encode", [True, False])
+def test_what_a_node_receives_cannot_be_written_to(encode: bool) -> None:
+    host = listening(encode=encode)
+    speaker = Host("a", Speaker(), Ports({}, {("tracks", ""): "agent/a/tracks"}), seed=0, encode=encode)
+    body = tracks(3)
+    speaker.publish("tracks", body, frame=0)
+    host.deliver("agent/a/tracks", speaker.outbox[0].payload, -1)
+    with pytest.raises(ValueError, match="read-only"):
+        host.node.received[0].body["position"][0] = 1.0
+    body["position"][0] = 0.0  # the publisher's own array is still its own
+
+
+def test_a_key_that_the_node_does_not_hear_is_not_for_it() -> None:
+    host = listening()
+    host.deliver("agent/c/tracks", said_by("c", 0), 0)
+    assert not host.node.got
+    assert not host.rejected
+
+
+def test_every_sound_message_is_shown_to_an_observer() -> None:
+    host = listening()
+    seen: list[tuple[str, int]] = []
+    host.observe = lambda key, header: seen.append((key, header.frame))
+    host.deliver("agent/a/tracks", said_by("a", 3), 3)
+    host.deliver("agent/a/tracks", b"rubbish", 3)
+    assert seen == [("agent/a/tracks", 3)], "when it comes, though it waits for its clock"
+
+
+def test_random_streams_are_named_by_seed_node_and_purpose() -> None:
+    host = listening()
+    drawn = host.rng("noise", 3).random(4)
+    np.testing.assert_array_equal(drawn, stream(7, "listener", "noise", 3).random(4))
+    assert not np.array_equal(drawn, host.rng("noise", 4).random(4))
+
+
+def test_a_node_learns_of_the_others_before_the_first_frame_and_later() -> None:
+    class Watcher(Node):
+        def __init__(self) -> None:
+            self.saw: list[tuple[str, ...]] = []
+
+        def start(self, context: Context) -> None:
+            self.saw.append(("start", context.name))
+
+        def joined(self, node: str, role: str, context: Context) -> None:
+            self.saw.append(("joined", node, role))
+
+        def left(self, node: str, role: str, context: Context) -> None:
+            self.saw.append(("left", node, role))
+
+    host = Host("watcher", Watcher(), Ports({}, {}), seed=0, encode=True)
+    host.start({"ego": "agent", "broker": "broker"})
+    host.left("ego", "agent")
+    host.joined("ego", "agent")
+    assert host.node.saw == [
+        ("start", "watcher"),
+        ("joined", "broker", "broker"),
+        ("joined", "ego", "agent"),
+        ("left", "ego", "agent"),
+        ("joined", "ego", "agent"),
+    ]
+
+
+def test_a_node_that_fails_at_the_end_still_ends() -> None:
+    class Failing(Node):
+        def finish(self, context: Context) -> dict[str, Any]:
+            raise RuntimeError("no results")
+
+    host = Host("failing", Failing(), Ports({}, {}), seed=0, encode=True)
+    assert host.finish() == {}
+    assert host.failures == {"finish": 1}
+
+
+def test_counting_starts_anew_when_asked_and_rejections_are_kept() -> None:
+    host = listening(Listener(lambda received, context: context.relay("tracks_out", received)))
+    host.deliver("agent/a/tracks", said_by("a", 0), -1)
+    host.deliver("agent/a/tracks", b"rubbish", -1)
+    host.reset_counts()
+    assert not host.sent
+    assert not host.handled
+    assert sum(host.rejected.values()) == 1
+
+
+def test_a_node_needs_a_handler_for_every_input() -> None:
+    class Deaf(Node):
+        inputs = {"tracks": "tracks"}
+
+    with pytest.raises(TypeError, match="Deaf has no on_tracks"):
+        handler_names(Deaf)
+
+
+def test_a_message_knows_its_frame_time_and_columns() -> None:
+    received = Received(Message(Header("clock", "simulator", 3, 9, 0), {}), "")
+    assert (received.frame, received.time_ns, received.body) == (3, 9, {})

@@ -1,0 +1,174 @@
+"""Users write Python files; what is wrong in one is told by its file and line."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from mast_zenoh import bundle, loading
+from mast_zenoh.errors import ConfigurationError, NodeFileError
+
+NODE = """
+from mast_zenoh.node import Node
+
+class {name}(Node):
+    role = "{role}"
+    inputs = {{"clock": "clock"}}
+
+    def on_clock(self, received, context):
+        pass
+"""
+
+
+def write(folder: Path, name: str, text: str) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_a_function_is_found_in_a_file_of_the_users(tmp_path: Path) -> None:
+    file = write(tmp_path, "mine.py", "def scenario(a=1):\n    return dict(a=a)\n")
+    path, function = loading.function("scenarios", str(file), "scenario")
+    assert path == file
+    assert function(a=3) == {"a": 3}
+
+
+@pytest.mark.parametrize("name", ["baseline", "baseline.py", "scenarios/baseline.py"])
+def test_ours_are_known_by_name_from_anywhere(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path, function = loading.function("scenarios", name, "scenario")
+    assert path == bundle.ROOT / "scenarios" / "baseline.py"
+    assert callable(function)
+
+
+def test_a_file_of_the_users_wins_over_ours_of_the_same_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = write(tmp_path, "baseline.py", "def scenario():\n    return {}\n")
+    monkeypatch.chdir(tmp_path)
+    assert loading.function("scenarios", "baseline.py", "scenario")[0] == file
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("baselin", "baselin: no such file; did you mean 'baseline.py'"),
+        ("nowhere/baseline.py", "nowhere/baseline.py: no such file"),
+        ("", "no such file"),
+    ],
+)
+def test_a_missing_file_is_named_with_the_nearest(name: str, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        loading.function("scenarios", name, "scenario")
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("x = 1\n", "defines no function `scenario`"),
+        ("scenario = 3\n", "defines no function `scenario`"),
+        ("x = 1\ndef scenario(:\n", "bad.py:2: SyntaxError"),
+        ("x = 1\n\nimport no_such_module\n", "bad.py:3: ModuleNotFoundError: No module named 'no_such_module'"),
+        ("def f():\n    return 1 / 0\n\nf()\n", "bad.py:2: ZeroDivisionError"),
+        ("\udcff".encode("utf-8", "surrogateescape").decode("latin-1") + "=\n", "bad.py"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_told_by_file_and_line(tmp_path: Path, text: str, reason: str) -> None:
+    file = write(tmp_path, "bad.py", text)
+    with pytest.raises(ConfigurationError, match=reason):
+        loading.function("scenarios", str(file), "scenario")
+
+
+def test_a_file_that_is_no_python_is_refused(tmp_path: Path) -> None:
+    file = write(tmp_path, "scenario.txt", "hello\n")
+    with pytest.raises(ConfigurationError, match=r"scenario\.txt: not a Python file"):
+        loading.function("scenarios", str(file), "scenario")
+
+
+def test_files_beside_it_can_be_imported_and_are_not_mistaken_for_others_of_the_same_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in ("one", "two"):
+        write(tmp_path / folder, "beside.py", f"WHERE = {folder!r}\n")
+        write(tmp_path / folder, "main.py", "from beside import WHERE\n\ndef scenario():\n    return WHERE\n")
+    monkeypatch.chdir(tmp_path)
+    for folder in ("one", "two", "one"):
+        for name in (f"{folder}/main.py", str(tmp_path / folder / "main.py")):
+            assert loading.function("scenarios", name, "scenario")[1]() == folder
+    assert "beside" not in sys.modules
+    assert str(tmp_path / "one") not in sys.path
+
+
+def test_the_path_is_put_back_when_a_file_fails(tmp_path: Path) -> None:
+    file = write(tmp_path, "bad.py", "import beside_bad\n1 / 0\n")
+    write(tmp_path, "beside_bad.py", "")
+    before, modules = list(sys.path), set(sys.modules)
+    with pytest.raises(ConfigurationError):
+        loading.module(file)
+    assert sys.path == before
+    assert set(sys.modules) == modules
+
+
+def test_a_file_may_be_called_like_a_module_of_pythons(tmp_path: Path) -> None:
+    import types
+
+    loaded = loading.module(write(tmp_path, "types.py", "MINE = True\n"))
+    assert loaded.MINE
+    assert sys.modules["types"] is types
+
+
+def test_a_file_may_define_dataclasses_with_postponed_annotations(tmp_path: Path) -> None:
+    text = (
+        "from __future__ import annotations\n"
+        "from dataclasses import dataclass\n"
+        "from typing import ClassVar\n"
+        "@dataclass\n"
+        "class Point:\n"
+        "    x: float\n"
+        "    kind: ClassVar[str] = 'point'\n"
+    )
+    assert loading.module(write(tmp_path, "points.py", text)).Point(1.0).x == 1.0
+
+
+def test_a_file_is_run_once_so_that_its_classes_stay_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = write(tmp_path, "mine.py", "class Mine:\n    pass\n")
+    monkeypatch.chdir(tmp_path)
+    assert loading.module(file).Mine is loading.module(Path("mine.py")).Mine
+
+
+# -- nodes ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_only_node_in_a_file_needs_no_name(tmp_path: Path) -> None:
+    file = write(tmp_path, "mine.py", NODE.format(name="Mine", role="link"))
+    assert loading.node_class(file).__name__ == "Mine"
+    assert loading.node_class(file, "Mine") is loading.node_class(file, "Mine"), "one class, however often it is named"
+
+
+def test_of_several_nodes_one_must_be_named(tmp_path: Path) -> None:
+    file = write(tmp_path, "two.py", NODE.format(name="One", role="link") + NODE.format(name="Two", role="link"))
+    with pytest.raises(NodeFileError, match=r"two\.py: defines 2 nodes \(One, Two\): say which by type=…"):
+        loading.node_class(file)
+    assert loading.node_class(file, "Two").__name__ == "Two"
+
+
+def test_a_node_that_is_only_imported_is_not_the_files_own(tmp_path: Path) -> None:
+    write(tmp_path, "base_node.py", NODE.format(name="Base", role="link"))
+    text = "from base_node import Base\n\nclass Mine(Base):\n    pass\n"
+    assert loading.node_class(write(tmp_path, "mine.py", text)).__name__ == "Mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "reason"),
+    [
+        ("x = 1\n", None, r"mine\.py: defines 0 nodes"),
+        (NODE.format(name="Mine", role="link"), "Mnie", r"mine\.py: defines no node 'Mnie'; did you mean 'Mine'"),
+        (NODE.format(name="Mine", role="link"), 3, r"mine\.py: type is 3, expected the name of a node"),
+        (NODE.format(name="Mine", role="link"), ["Mine"], r"type is \['Mine'\], expected the name of a node"),
+        (NODE.replace("on_clock", "on_clok").format(name="Mine", role="x"), None, "mine.py: Mine has no on_clock"),
+    ],
+)
+def test_a_file_without_the_node_is_refused(tmp_path: Path, text: str, name: object, reason: str) -> None:
+    file = write(tmp_path, "mine.py", text)
+    with pytest.raises(NodeFileError, match=reason):
+        loading.node_class(file, name)  # type: ignore[arg-type]

@@ -1,0 +1,62 @@
+"""The table of message types is whole, and everyone who sends or hears one finds it there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mast_zenoh import bundle, loading
+from mast_zenoh.attacks import ACTIONS
+from mast_zenoh.codec import _INDEX_LIMITS
+from mast_zenoh.messages import SCHEMAS, text
+from mast_zenoh.node import Node
+from mast_zenoh.states import CLASSES
+
+OURS = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_every_message_type_says_what_its_columns_are(name: str) -> None:
+    schema = SCHEMAS[name]
+    assert schema.name == name
+    assert schema.version >= 1
+    assert schema.meaning
+    assert len({column.name for column in schema.columns}) == len(schema.columns)
+    for column in schema.columns:
+        assert column.dtype in ("float64", "int64", "int32", "uint8", "str")
+        assert all(size in ("n", "a", "m", "k") or (isinstance(size, int) and size > 0) for size in column.shape)
+        if column.dtype == "float64" and column.name.rpartition("_")[2] in ("position", "velocity", "size", "yaw"):
+            assert column.unit in ("m", "m/s", "rad")
+        if column.dtype == "str":
+            assert len(column.shape) == 1
+
+
+def test_indices_are_limited_to_what_they_index() -> None:
+    assert {"class_id": len(CLASSES), "action": len(ACTIONS)} == _INDEX_LIMITS
+
+
+@pytest.mark.parametrize("node", OURS, ids=lambda node: node.__name__)
+def test_our_nodes_send_and_hear_messages_that_there_are(node: type[Node]) -> None:
+    assert node.role
+    assert node.__doc__
+    assert {*node.inputs.values(), *node.outputs.values()} <= SCHEMAS.keys()
+    for port, schema in node.inputs.items():
+        assert callable(getattr(node, f"on_{port}")), schema
+
+
+def test_there_is_one_node_of_ours_for_each_role() -> None:
+    assert sorted(node.role for node in OURS) == [Path(name).stem for name in bundle.names("nodes")]
+
+
+def test_every_message_type_is_used() -> None:
+    used = {schema for node in OURS for ports in (node.inputs, node.outputs) for schema in ports.values()}
+    assert used == SCHEMAS.keys()
+
+
+def test_text_is_a_column_of_any_length() -> None:
+    for values in ([], ["ego"], ["ego", "infra_1", "é" * 300]):
+        column = text(values)
+        assert column.dtype == object
+        assert column.shape == (len(values),)
+        assert column.tolist() == values
+    assert np.array_equal(text(["a", "b"]), text(["a", "b"]))

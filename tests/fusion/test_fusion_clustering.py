@@ -1,0 +1,93 @@
+"""Clusters: the same whatever the order, and never two tracks of one agent in one."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.fusion import Clusterer, DBSCANClusterer, SampledAssignmentClusterer
+from mast_zenoh.states import ObjectStates
+
+#: (x, y, agent) of tracks; coarse places, so that distances tie.
+tracks = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6), st.integers(0, 4)), max_size=25)
+clusterers = st.sampled_from(
+    [
+        SampledAssignmentClusterer(),
+        SampledAssignmentClusterer(assign_radius=0.7),
+        DBSCANClusterer(),
+        DBSCANClusterer(eps=1.2, min_samples=3),
+    ]
+)
+
+
+def states(rows: list[tuple[float, float, int]]) -> tuple[ObjectStates, np.ndarray]:
+    """Tracks at (x, y) and their agents; ids count up within an agent."""
+    agent = np.array([row[2] for row in rows], np.int64)
+    ids = np.array([np.sum(agent[:k] == agent[k]) for k in range(len(rows))], np.int64)
+    position = np.array([[row[0] * 0.8, row[1] * 0.8, 0.0] for row in rows]).reshape(len(rows), 3)
+    return ObjectStates.of(position, id=ids), agent
+
+
+@settings(max_examples=150)
+@given(tracks, clusterers, st.randoms(use_true_random=False))
+def test_the_order_of_tracks_does_not_matter(rows, clusterer, random):
+    objects, agent = states(rows)
+    order = np.array(random.sample(range(len(rows)), len(rows)), int)
+    labels = clusterer.cluster(objects, agent)
+    np.testing.assert_array_equal(clusterer.cluster(objects.select(order), agent[order]), labels[order])
+
+
+@settings(max_examples=150)
+@given(tracks, clusterers)
+def test_a_cluster_has_at_most_one_track_of_an_agent(rows, clusterer):
+    objects, agent = states(rows)
+    labels = clusterer.cluster(objects, agent)
+    assert len(set(zip(labels.tolist(), agent.tolist(), strict=True))) == len(rows)
+
+
+@settings(max_examples=100)
+@given(tracks, clusterers)
+def test_labels_count_up_in_the_order_of_each_clusters_first_track(rows, clusterer):
+    objects, agent = states(rows)
+    labels = clusterer.cluster(objects, agent)[np.lexsort((objects.id, agent))]
+    _, first = np.unique(labels, return_index=True)
+    assert (np.diff(first) > 0).all()
+    assert sorted(set(labels.tolist())) == list(range(len(first)))
+
+
+@pytest.mark.parametrize("clusterer", [SampledAssignmentClusterer(assign_radius=2.0), DBSCANClusterer(eps=2.0)])
+def test_tracks_of_one_object_by_four_agents_are_one_cluster(clusterer: Clusterer):
+    objects, agent = states([(10, 10, 0), (10.5, 10, 1), (10, 10.4, 2), (9.8, 9.9, 3), (20, 10, 0), (20, 10.3, 1)])
+    assert clusterer.cluster(objects, agent).tolist() == [0, 0, 0, 0, 1, 1]
+
+
+def test_of_two_candidates_the_nearer_one_joins():
+    objects, agent = states([(0, 0, 0), (2, 0, 1), (0.5, 0, 1)])
+    assert SampledAssignmentClusterer().cluster(objects, agent).tolist() == [0, 1, 0]
+
+
+def test_the_radius_bounds_how_far_centres_are_apart():
+    objects, agent = states([(0, 0, 0), (2, 0, 1), (4, 0, 2)])
+    # 1.6 m apart each: the first two join, and their centre is 2.4 m from the third.
+    assert SampledAssignmentClusterer(assign_radius=2.0).cluster(objects, agent).tolist() == [0, 0, 1]
+    assert DBSCANClusterer(eps=2.0).cluster(objects, agent).tolist() == [0, 0, 0]
+
+
+def test_a_sparse_point_does_not_link_the_dense_clusters_beside_it():
+    left, right = [(0.25 * k, 0, k) for k in range(4)], [(2.75 + 0.25 * k, 0, 5 + k) for k in range(4)]
+    objects, agent = states([*left, *right, (1.75, 0, 10)])
+    # The last is 0.8 m from both, and no core: it joins the first of the two.
+    assert DBSCANClusterer(eps=0.85, min_samples=4).cluster(objects, agent).tolist() == [0] * 4 + [1] * 4 + [0]
+    assert DBSCANClusterer(eps=0.85, min_samples=3).cluster(objects, agent).tolist() == [0] * 9
+
+
+def test_nothing_gives_no_clusters():
+    for clusterer in (SampledAssignmentClusterer(), DBSCANClusterer()):
+        assert clusterer.cluster(ObjectStates.empty(), np.zeros(0, np.int64)).tolist() == []
+
+
+def test_a_radius_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="assign_radius: found 0"):
+        SampledAssignmentClusterer(assign_radius=0.0)
+    with pytest.raises(ValueError, match="eps"):
+        DBSCANClusterer(eps=-1.0)

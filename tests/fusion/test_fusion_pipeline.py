@@ -1,0 +1,177 @@
+"""From the tracks of many agents to the picture."""
+
+import numpy as np
+import pytest
+
+from mast_zenoh.fusion import (
+    BestMemberFusion,
+    CommandCenterPipeline,
+    CovarianceIntersectionFusion,
+    GroupTracker,
+    GroupTrackerWrapper,
+    Pipeline,
+    SampledAssignmentClusterer,
+    UnfilteredGroupTracker,
+)
+from mast_zenoh.registry import build
+from mast_zenoh.states import ObjectStates
+from mast_zenoh.tracking import KalmanBoxTracker3D
+
+NAMES = ("ego", "infra_1", "infra_2")
+
+
+def wrapper() -> GroupTracker:
+    return GroupTrackerWrapper(fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D())
+
+
+def unfiltered() -> GroupTracker:
+    return UnfilteredGroupTracker(fusion=BestMemberFusion())
+
+
+def centre(group: GroupTracker) -> CommandCenterPipeline:
+    return CommandCenterPipeline(clustering=SampledAssignmentClusterer(), group_tracking=group)
+
+
+def nanoseconds(frame: int) -> int:
+    return frame * 100_000_000
+
+
+def tracks(xy, variance: float = 0.05, speed: float = 0.0) -> ObjectStates:
+    """Tracks of cars at `xy` (n, 2) m that drive along x."""
+    xy = np.asarray(xy, float).reshape(-1, 2)
+    n = len(xy)
+    return ObjectStates.of(
+        np.column_stack([xy, np.full(n, 0.8)]),
+        size=np.tile([4.5, 1.8, 1.5], (n, 1)),
+        velocity=np.tile([speed, 0.0, 0.0], (n, 1)),
+        covariance=np.tile(variance * np.eye(9), (n, 1, 1)),
+        score=np.full(n, 0.99),
+        class_id=np.ones(n, np.uint8),
+    )
+
+
+def of_agents(*parts: ObjectStates) -> tuple[ObjectStates, np.ndarray]:
+    columns = {name: np.concatenate([part.columns()[name] for part in parts]) for name in parts[0].columns()}
+    return ObjectStates(**columns), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+
+
+def test_the_papers_configuration_builds_and_runs_as_it_is_written():
+    pipeline = build(
+        dict(
+            type="CommandCenterPipeline",
+            clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
+            group_tracking=dict(
+                type="GroupTrackerWrapper",
+                fusion=dict(type="CovarianceIntersectionFusion"),
+                tracker=dict(type="KalmanBoxTracker3D"),
+            ),
+        ),
+        Pipeline,
+        "command_center.pipeline",
+    )
+    for frame in range(3):
+        picture, support = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0]), tracks([10.4, 0])), NAMES)
+    assert len(picture) == 1
+    assert support.tolist() == [2]
+
+
+@pytest.mark.parametrize("group", [wrapper, unfiltered])
+def test_an_object_seen_by_three_is_one_with_one_id_and_its_support(group):
+    pipeline = centre(group())
+    ids = set()
+    for frame in range(10):
+        x = 3.0 * frame
+        seen = of_agents(
+            tracks([[x, 0], [50, 9]], speed=30.0), tracks([x + 0.3, 0.2], speed=30.0), tracks([x, -0.4], speed=30.0)
+        )
+        picture, support = pipeline.step(nanoseconds(frame), *seen, NAMES)
+        if frame > 1:
+            ids.add(tuple(picture.id.tolist()))
+            assert sorted(support.tolist()) == [1, 3]
+    assert len(ids) == 1
+
+
+def test_the_picture_is_as_sure_as_the_fusion_says():
+    pipeline = centre(wrapper())
+    for frame in range(20):
+        sure, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.01), tracks([10, 0], 0.01)), NAMES)
+    pipeline = centre(wrapper())
+    for frame in range(20):
+        unsure, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.5), tracks([10, 0], 0.5)), NAMES)
+    assert 0.003 < sure.covariance[0, 0, 0] < 0.02
+    assert 0.1 < unsure.covariance[0, 0, 0] < 0.7
+
+
+def test_an_agent_that_falls_silent_leaves_the_object_with_less_support():
+    pipeline = centre(wrapper())
+    for frame in range(5):
+        pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0]), tracks([10, 0.3])), NAMES)
+    picture, support = pipeline.step(nanoseconds(5), *of_agents(tracks([10, 0])), NAMES)
+    assert len(picture) == 1
+    assert support.tolist() == [1]
+
+
+def test_what_nobody_reports_any_more_goes_within_half_a_second():
+    pipeline = centre(wrapper())
+    for frame in range(5):
+        pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0])), NAMES)
+    for frame in range(5, 10):
+        picture, support = pipeline.step(nanoseconds(frame), ObjectStates.empty(), np.zeros(0, np.int64), NAMES)
+        assert (support == 0).all()
+    assert len(picture) == 0
+
+
+@pytest.mark.parametrize("group", [wrapper, unfiltered])
+def test_an_untrusted_agents_object_does_not_reach_the_picture(group):
+    pipeline = centre(group())
+    states, agent = of_agents(tracks([10, 0]), tracks([[10, 0.2], [60, 0]]))
+    for frame in range(5):
+        picture, support = pipeline.step(nanoseconds(frame), states, agent, NAMES, np.array([1.0, 0.0, 0.0]))
+    np.testing.assert_allclose(picture.position[:, :2], [[10.0, 0.0]], atol=1e-6)
+    assert support.tolist() == [1]
+
+
+@pytest.mark.parametrize("group", [wrapper, unfiltered])
+def test_rows_and_agents_may_come_in_any_order(group):
+    random = np.random.default_rng(0)
+    a, b = centre(group()), centre(group())
+    for frame in range(12):
+        parts = [tracks(random.uniform(0, 8, (4, 2))) for _ in NAMES]
+        states, agent = of_agents(*parts)
+        rows, order = random.permutation(len(states)), random.permutation(len(NAMES))
+        one = a.step(nanoseconds(frame), states, agent, NAMES)
+        names = tuple(NAMES[k] for k in order)
+        other = b.step(nanoseconds(frame), states.select(rows), np.argsort(order)[agent][rows], names)
+        assert one[1].tobytes() == other[1].tobytes()
+        for name, column in one[0].columns().items():
+            assert column.tobytes() == other[0].columns()[name].tobytes(), name
+
+
+def test_an_unfiltered_object_comes_back_under_its_id_where_its_speed_has_taken_it():
+    pipeline = centre(unfiltered())
+    first, _ = pipeline.step(0, *of_agents(tracks([0, 0], speed=20.0)), NAMES)
+    none, _ = pipeline.step(nanoseconds(4), ObjectStates.empty(), np.zeros(0, np.int64), NAMES)
+    again, _ = pipeline.step(nanoseconds(8), *of_agents(tracks([16, 0], speed=20.0)), NAMES)
+    late, _ = pipeline.step(nanoseconds(30), *of_agents(tracks([60, 0], speed=20.0)), NAMES)
+    assert len(none) == 0
+    np.testing.assert_array_equal(again.id, first.id)
+    assert late.id[0] != first.id[0]
+
+
+@pytest.mark.parametrize("group", [wrapper, unfiltered])
+def test_reset_starts_anew(group):
+    pipeline = centre(group())
+    runs = []
+    for _ in range(2):
+        for frame in range(4):
+            picture, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([[frame, 0], [30, 5]])), NAMES)
+        runs.append(picture)
+        pipeline.reset()
+    np.testing.assert_array_equal(runs[0].id, runs[1].id)
+    np.testing.assert_array_equal(runs[0].position, runs[1].position)
+
+
+@pytest.mark.parametrize("group", [wrapper, unfiltered])
+def test_no_agents_give_an_empty_picture(group):
+    picture, support = centre(group()).step(0, ObjectStates.empty(), np.zeros(0, np.int64), ())
+    assert len(picture) == len(support) == 0

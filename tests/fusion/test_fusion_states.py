@@ -1,0 +1,159 @@
+"""Fusing the members of clusters."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from mast_zenoh.fusion import BestMemberFusion, CovarianceIntersectionFusion
+from mast_zenoh.states import CLASS_INDEX, ObjectStates
+
+CI = CovarianceIntersectionFusion
+
+
+def members(n: int, seed: int = 0, spread: float = 1.0) -> ObjectStates:
+    """n states near each other with covariances of all shapes."""
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(n, 9, 9)) * spread * random.uniform(0.3, 3.0, (n, 1, 1))
+    return ObjectStates.of(
+        random.normal(size=(n, 3)),
+        id=random.permutation(n),
+        velocity=random.normal(size=(n, 3)),
+        size=random.uniform(1, 5, (n, 3)),
+        yaw=random.uniform(-0.3, 0.3, n),
+        covariance=root @ root.transpose(0, 2, 1) + 0.1 * np.eye(9),
+        score=random.uniform(0, 1, n),
+        class_id=random.integers(0, 7, n).astype(np.uint8),
+    )
+
+
+def together(n: int) -> np.ndarray:
+    return np.zeros(n, np.int64)
+
+
+@pytest.mark.parametrize("fusion", [CI(), CI(weights="optimised"), BestMemberFusion()])
+def test_a_cluster_of_one_is_that_one(fusion):
+    one = members(1)
+    fused = fusion.fuse(one, together(1))
+    for name in ("position", "velocity", "size", "yaw", "covariance", "score"):
+        np.testing.assert_allclose(getattr(fused, name), getattr(one, name), atol=1e-12)
+    assert fused.id.tolist() == [0]
+
+
+def test_uniform_weights_follow_the_formula():
+    three = members(3)
+    information = np.linalg.inv(three.covariance)
+    P = np.linalg.inv(information.mean(axis=0))
+    x = np.column_stack([three.position, three.size, three.velocity])
+    mean = P @ np.einsum("nij,nj->i", information, x) / 3
+    fused = CI().fuse(three, together(3))
+    np.testing.assert_allclose(fused.covariance[0], P, atol=1e-9)
+    np.testing.assert_allclose(fused.position[0], mean[:3], atol=1e-9)
+    np.testing.assert_allclose(fused.size[0], mean[3:6], atol=1e-9)
+    np.testing.assert_allclose(fused.velocity[0], mean[6:], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_optimised_weights_give_nearly_the_least_trace(seed):
+    n = 2 + seed % 3
+    some = members(n, seed)
+    some.covariance[:, 2:, :2] = some.covariance[:, :2, 2:] = 0.0
+    information = np.linalg.inv(some.covariance[:, :2, :2])
+
+    def trace(logits: np.ndarray) -> float:
+        weight = np.exp(logits) / np.exp(logits).sum()
+        return float(np.trace(np.linalg.inv(np.einsum("n,nij->ij", weight, information))))
+
+    least = min(minimize(trace, start, method="Nelder-Mead").fun for start in (np.zeros(n), *(4.0 * np.eye(n))))
+    fused = CI(weights="optimised").fuse(some, together(n))
+    assert np.trace(fused.covariance[0, :2, :2]) <= 1.05 * least
+    assert np.trace(fused.covariance[0, :2, :2]) <= np.trace(CI().fuse(some, together(n)).covariance[0, :2, :2]) + 1e-9
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(2, 5), st.integers(0, 1000), st.sampled_from(["uniform", "optimised"]))
+def test_the_bound_holds_even_if_all_members_share_their_error(n, seed, weights):
+    some = members(n, seed)
+    # Fully correlated errors: e_i = root_i u. The fused error is P sum w_i P_i^-1 root_i u; the bound must cover it.
+    fused = CI(weights=weights).fuse(some, together(n)).covariance[0]
+    root = np.linalg.cholesky(some.covariance)
+    shifted = some.with_(position=root[:, :3, 0], size=root[:, 3:6, 0], velocity=root[:, 6:, 0])
+    error = CI(weights=weights).fuse(shifted, together(n))
+    e = np.concatenate([error.position[0], error.size[0], error.velocity[0]])
+    assert e @ np.linalg.solve(fused, e) <= 1.0 + 1e-9
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 12),
+    st.integers(0, 1000),
+    st.sampled_from([CI(), CI(weights="optimised"), BestMemberFusion()]),
+    st.booleans(),
+)
+def test_the_order_of_members_does_not_matter(n, seed, fusion, trusted):
+    random = np.random.default_rng(seed)
+    some, labels = members(n, seed), np.unique(random.integers(0, 4, n), return_inverse=True)[1]
+    weights = random.choice([0.0, 0.5, 1.0], n) if trusted else None
+    order = random.permutation(n)
+    one = fusion.fuse(some, labels, weights)
+    other = fusion.fuse(some.select(order), labels[order], None if weights is None else weights[order])
+    for name, column in one.columns().items():
+        assert column.tobytes() == other.columns()[name].tobytes()
+
+
+def test_clusters_do_not_touch_each_other():
+    some = members(6)
+    labels = np.array([0, 1, 0, 2, 1, 0])
+    fused = CI().fuse(some, labels)
+    assert fused.id.tolist() == [0, 1, 2]
+    for label in range(3):
+        alone = CI().fuse(some.select(labels == label), together(int(np.sum(labels == label))))
+        np.testing.assert_allclose(fused.position[label], alone.position[0], atol=1e-12)
+
+
+def test_an_untrusted_member_is_left_out_and_a_cluster_without_trust_too():
+    some = members(3)
+    fused = CI().fuse(some, np.array([0, 0, 1]), np.array([1.0, 0.0, 0.0]))
+    assert fused.id.tolist() == [0]
+    np.testing.assert_allclose(fused.position[0], some.position[0], atol=1e-12)
+
+
+def test_a_member_of_more_trust_pulls_harder():
+    pair = members(2)
+    pair.covariance[:] = np.eye(9)
+    fused = CI().fuse(pair, together(2), np.array([3.0, 1.0]))
+    np.testing.assert_allclose(fused.position[0], 0.75 * pair.position[0] + 0.25 * pair.position[1])
+
+
+def test_headings_half_a_turn_apart_are_one_axis_and_the_majority_has_the_front():
+    three = members(3).with_(yaw=np.array([3.1, -3.1, 0.0]), covariance=np.tile(np.eye(9), (3, 1, 1)))
+    assert abs(abs(CI().fuse(three, together(3)).yaw[0]) - np.pi) < 0.05
+
+
+def test_the_class_is_voted_for_and_the_score_is_that_of_the_surest():
+    car, truck = CLASS_INDEX["car"], CLASS_INDEX["truck"]
+    three = members(3).with_(class_id=np.array([truck, car, car], np.uint8), score=np.array([0.9, 0.6, 0.7]))
+    fused = CI().fuse(three, together(3))
+    assert fused.class_id.tolist() == [car]
+    assert fused.score.tolist() == [0.9]
+
+
+def test_the_best_member_is_the_one_that_knows_its_position_best():
+    three = members(3)
+    three.covariance[:] = np.eye(9) * np.array([3.0, 1.0, 2.0])[:, None, None]
+    np.testing.assert_array_equal(BestMemberFusion().fuse(three, together(3)).position[0], three.position[1])
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.eye(9) * 1e-300])
+@pytest.mark.parametrize("fusion", [CI(), CI(weights="optimised"), BestMemberFusion()])
+def test_no_covariance_from_outside_breaks_the_fusion(fusion, covariance):
+    three = members(3)
+    three.covariance[1] = covariance
+    fused = fusion.fuse(three, together(3))
+    assert all(np.isfinite(column).all() for column in fused.columns().values())
+
+
+def test_nothing_fuses_to_nothing():
+    for fusion in (CI(), CI(weights="optimised"), BestMemberFusion()):
+        assert len(fusion.fuse(ObjectStates.empty(), together(0))) == 0

@@ -1,0 +1,327 @@
+"""An adversary changes what it means to change, and leaves no other trace on its wire."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tiny_world import PERIOD_NS, Bench, Run, detections, pose, states, tiny, tracks
+
+from mast_zenoh import codec
+from mast_zenoh.attacks import ACTIONS, UncoordinatedAttack
+from mast_zenoh.keyexpr import Wiring
+from mast_zenoh.messages import Message
+from mast_zenoh.states import DETECTION_COLUMNS, STATE_COLUMNS
+
+PLACES = ((10.0, 0.0), (20.0, 5.0), (15.0, -8.0), (30.0, 2.0), (5.0, 12.0))
+WIRES = {"detections": ("uncoordinated", DETECTION_COLUMNS), "tracks": ("coordinated", STATE_COLUMNS)}
+ATTACK = dict(
+    type="UncoordinatedAttack",
+    start_s=0.1,
+    selection=dict(type="UncoordinatedSelection", n_false_positives=5.0, fraction_false_negatives=0.4),
+)
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    settings_ = ("n_adversaries=1", "attack_start_s=0.1")
+    return {wire: tiny(name, *settings_) for wire, (name, _) in WIRES.items()}
+
+
+def bench(worlds, wire: str, **attack: Any) -> Bench:
+    """The adversary on a wire of infra_1, with an attack of its own on either."""
+    return Bench(worlds[wire], "adversary_1", attack=ATTACK | attack)
+
+
+def body_on(wire: str, *places: tuple[float, float]) -> dict[str, np.ndarray]:
+    return (detections if wire == "detections" else tracks)(*places)
+
+
+def out_key(wire: str) -> str:
+    return f"agent/infra_1/{wire}"
+
+
+def play(adversary: Bench, wire: str, frames: int, places=PLACES) -> list[tuple[Message, list[Message]]]:
+    """(what came, what went out on the wire in the same frame) of some frames."""
+    pairs = []
+    for frame in range(frames):
+        adversary.clock(frame)
+        adversary.send("pose", pose(), frame)
+        key = adversary.key(wire)
+        message = adversary.message(key, body_on(wire, *places), frame)
+        said = adversary.deliver(key, message)
+        pairs.append((message, [sent for out, sent in said if out == out_key(wire)]))
+    return pairs
+
+
+def rows(message: Message, columns: tuple[str, ...]) -> list[bytes]:
+    """Each row of a message as bytes."""
+    table = [np.ascontiguousarray(message.body[name]) for name in columns]
+    return [b"|".join(column[i].tobytes() for column in table) for i in range(len(table[0]))]
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_there_is_one_message_for_each_that_comes_with_its_header_as_it_was(worlds, wire: str) -> None:
+    for message, sent in play(bench(worlds, wire), wire, 8):
+        assert [out.header for out in sent] == [message.header]
+        assert sent[0].header.source == ("simulator" if wire == "detections" else "infra_1")
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_rows_that_are_left_alone_keep_their_bytes(worlds, wire: str) -> None:
+    columns = WIRES[wire][1]
+    added = removed = 0
+    for message, (sent,) in play(bench(worlds, wire), wire, 10):
+        before, after = rows(message, columns), rows(sent, columns)
+        kept = [row for row in after if row in before]
+        assert kept == [row for row in before if row in after], "in their order"
+        assert after[: len(kept)] == kept, "what is added comes last"
+        added += len(after) - len(kept)
+        removed += len(before) - len(kept)
+    assert added > 0
+    assert removed > 0
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_what_belongs_to_the_whole_message_is_left_alone(worlds, wire: str) -> None:
+    whole = {"detections": ("mount_position", "mount_rotation"), "tracks": ("origin", "rotation")}[wire]
+    for message, (sent,) in play(bench(worlds, wire), wire, 5):
+        for name in whole:
+            assert sent.body[name].tobytes() == message.body[name].tobytes()
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_before_the_attack_begins_the_payload_is_the_same(worlds, wire: str) -> None:
+    adversary = bench(worlds, wire, start_s=0.3)
+    pairs = play(adversary, wire, 5)
+    same = [codec.encode(message) == codec.encode(sent[0]) for message, sent in pairs]
+    assert same == [True, True, True, False, False]
+    assert len(adversary.heard("attack/adversary_1/report")) == 2, "and there is nothing to report"
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_a_pass_through_relays_the_very_payload_at_once(worlds, wire: str) -> None:
+    adversary = Bench(worlds[wire], "adversary_1", attack=dict(type="PassThrough"))
+    key = adversary.key(wire)
+    adversary.clock(0)
+    payload = codec.encode(adversary.message(key, body_on(wire, *PLACES), 0))
+    adversary.host.deliver(key, payload, 0)
+    (out,) = adversary.host.outbox
+    assert out.key == out_key(wire)
+    assert out.payload is payload
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_a_message_whose_pose_never_comes_is_passed_on_unchanged_at_the_next_clock(worlds, wire: str) -> None:
+    adversary = bench(worlds, wire)
+    play(adversary, wire, 3)
+    adversary.clock(3)
+    key = adversary.key(wire)
+    payload = codec.encode(adversary.message(key, body_on(wire, *PLACES), 3))
+    adversary.host.deliver(key, payload, 3)
+    assert adversary.host.outbox == []
+    adversary.host.deliver("clock", codec.encode(adversary.message("clock", {}, 4)), 4)
+    (out,) = adversary.host.outbox
+    assert (out.key, out.payload, out.step) == (out_key(wire), payload, 4)
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_a_message_that_is_late_is_not_lost(worlds, wire: str) -> None:
+    adversary = bench(worlds, wire)
+    play(adversary, wire, 3)
+    adversary.clock(3)
+    adversary.send("pose", pose(), 3)
+    adversary.clock(4)
+    said = adversary.send(wire, body_on(wire, *PLACES), 3, step=4)
+    assert [message.header.frame for key, message in said if key == out_key(wire)] == [3]
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_two_messages_of_one_frame_stay_two(worlds, wire: str) -> None:
+    adversary = bench(worlds, wire)
+    adversary.clock(0)
+    adversary.send("pose", pose(), 0)
+    for _ in range(2):
+        adversary.send(wire, body_on(wire, *PLACES), 0)
+    assert [message.header.seq for message in adversary.heard(out_key(wire))] == [0, 1]
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_messages_do_not_overtake_each_other(worlds, wire: str) -> None:
+    """A message without a pose waits, and those behind it wait with it."""
+    adversary = bench(worlds, wire)
+    adversary.clock(0)
+    adversary.clock(1)
+    adversary.send(wire, body_on(wire, *PLACES), 0, step=1)
+    adversary.send("pose", pose(), 1)
+    assert adversary.send(wire, body_on(wire, *PLACES), 1) == []
+    adversary.clock(2)
+    assert [message.header.frame for message in adversary.heard(out_key(wire))] == [0, 1]
+
+
+@given(st.data())
+@settings(max_examples=40, deadline=None)
+@pytest.mark.parametrize("wire", WIRES)
+def test_the_order_of_pose_and_message_changes_nothing(worlds, wire: str, data: st.DataObject) -> None:
+    """Whatever is lost or late: what goes out on each key is a function of what came in each frame."""
+    fates = st.sampled_from(["in time", "in time", "late", "lost"])
+    fate = {(port, frame): data.draw(fates) for frame in range(5) for port in ("pose", wire)}
+
+    def run(shuffle: Any) -> dict[str, list[Message]]:
+        adversary = bench(worlds, wire)
+        for frame in range(6):
+            adversary.clock(frame)
+            queues = {
+                port: [f for f in (frame - 1, frame) if fate.get((port, f)) == ("late" if f < frame else "in time")]
+                for port in ("pose", wire)
+            }
+            for port in shuffle([port for port, queue in queues.items() for _ in queue]):
+                about = queues[port].pop(0)
+                body = pose(x=float(about)) if port == "pose" else body_on(wire, *PLACES)
+                adversary.send(port, body, about, step=frame)
+        adversary.clock(6)
+        assert not adversary.host.failures
+        keys = {key for key, _ in adversary.said}
+        return {key: [codec.encode(message) for message in adversary.heard(key)] for key in keys}
+
+    plain = run(list)
+    assert run(lambda order: data.draw(st.permutations(order))) == plain
+    came = [frame for frame in range(5) if fate[wire, frame] != "lost"]
+    sent = [codec.decode(payload, wire).header.frame for payload in plain.get(out_key(wire), [])]
+    assert sorted(sent) == came, "nothing is held back"
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_it_reports_what_it_changed_before_and_after(worlds, wire: str) -> None:
+    adversary = bench(worlds, wire)
+    for message, (sent,) in play(adversary, wire, 6):
+        reports = [r for r in adversary.heard("attack/adversary_1/report") if r.header.frame == message.header.frame]
+        before, after = (m.body["position"][:, :2] for m in (message, sent))
+        actions = reports[0].body["action"] if reports else np.zeros(0, np.uint8)
+        assert np.count_nonzero(actions == ACTIONS.index("added")) - np.count_nonzero(
+            actions == ACTIONS.index("removed")
+        ) == len(after) - len(before)
+        if reports:
+            assert reports[0].header.time_ns == message.header.time_ns
+            gone = reports[0].body["before_position"][actions == ACTIONS.index("removed"), :2]
+            for place in gone:
+                assert np.abs(before - place).sum(axis=1).min() < 1e-6, "on a pole at the origin: world = sensor"
+                assert np.abs(after - place).sum(axis=1).min() > 1e-6
+
+
+def test_only_the_evaluator_hears_reports_and_the_truth() -> None:
+    for name in ("baseline", "uncoordinated", "coordinated", "passthrough"):
+        wiring = Wiring.from_json(tiny(name).wiring)
+        for wire, leg in wiring.legs():
+            if wire.message in ("attack_report", "truth"):
+                assert [end.node for end in leg.subscribers] == ["evaluator"]
+                assert not wire.interposers
+
+
+def test_an_adversary_on_both_wires_of_its_agent_holds_back_neither() -> None:
+    def on_both(scenario: dict) -> None:
+        scenario["adversaries"] = {"adversary_1": dict(agent="infra_1", attack=ATTACK)}
+
+    run = Run(tiny("passthrough", edit=on_both))
+    assert not run.failures
+    assert len(run.messages["agent/infra_1/detections"]) == len(run.messages["agent/infra_1/tracks"]) == 12
+
+
+def test_two_adversaries_on_one_wire_make_a_chain() -> None:
+    def twice(scenario: dict) -> None:
+        scenario["adversaries"] = {f"adversary_{i}": dict(agent="infra_1", attack=ATTACK) for i in (1, 2)}
+
+    run = Run(tiny("uncoordinated", edit=twice))
+    assert not run.failures
+    sizes = [
+        [len(message.body["yaw"]) for message in run.decoded(f"agent/infra_1/detections{leg}", "detections")]
+        for leg in ("/@tap/0", "/@tap/1", "")
+    ]
+    assert sum(sizes[0]) < sum(sizes[1]) < sum(sizes[2])
+    assert {len(leg) for leg in sizes} == {12}
+
+
+# -- coordinated ---------------------------------------------------------------------------------------------------
+
+
+def directive(*add: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Columns of a directive that asks for cars at these places."""
+    columns: dict[str, np.ndarray] = {"move_offset": np.zeros((0, 3))}
+    for prefix, wanted in (("add_", states(*add)), ("remove_", states()), ("move_", states())):
+        for name in ("id", "position", "velocity", "size", "yaw", "class_id"):
+            columns[prefix + name] = getattr(wanted, name)
+    return columns
+
+
+def coordinated(worlds) -> Bench:
+    return Bench(worlds["tracks"], "adversary_1", attack=dict(type="CoordinatedAttack", start_s=0.0))
+
+
+@pytest.mark.parametrize("directive_first", [True, False])
+def test_a_directive_is_followed_from_the_next_frame_on(worlds, directive_first: bool) -> None:
+    adversary = coordinated(worlds)
+    counts = []
+    for frame in range(4):
+        adversary.clock(frame)
+        if frame == 1 and directive_first:
+            adversary.send("directive", directive((12.0, 12.0)), frame)
+        adversary.send("pose", pose(), frame)
+        adversary.send("tracks", tracks(*PLACES), frame)
+        if frame == 1 and not directive_first:
+            adversary.send("directive", directive((12.0, 12.0)), frame)
+        counts.append(len(adversary.heard(out_key("tracks"))[-1].body["id"]) - len(PLACES))
+    assert counts == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize("directive_first", [True, False])
+def test_a_directive_that_comes_late_waits_for_the_frame_after_it_came(worlds, directive_first: bool) -> None:
+    adversary = coordinated(worlds)
+    counts = []
+    for frame in range(5):
+        adversary.clock(frame)
+        if frame == 2 and directive_first:
+            adversary.send("directive", directive((12.0, 12.0)), 1, step=2)
+        adversary.send("pose", pose(), frame)
+        adversary.send("tracks", tracks(*PLACES), frame)
+        if frame == 2 and not directive_first:
+            adversary.send("directive", directive((12.0, 12.0)), 1, step=2)
+        counts.append(len(adversary.heard(out_key("tracks"))[-1].body["id"]) - len(PLACES))
+    assert counts == [0, 0, 0, 1, 1]
+
+
+def test_the_coordinator_is_told_what_there_was_before_any_change(worlds) -> None:
+    adversary = coordinated(worlds)
+    for frame in range(3):
+        adversary.clock(frame)
+        adversary.send("directive", directive((12.0, 12.0)), frame)
+        adversary.send("pose", pose(x=3.0), frame)
+        adversary.send("tracks", tracks(*PLACES), frame)
+    seen = adversary.heard("attack/adversary_1/observation")
+    assert [message.header.frame for message in seen] == [0, 1, 2]
+    assert [message.header.time_ns for message in seen] == [0, PERIOD_NS, 2 * PERIOD_NS]
+    for message in seen:
+        np.testing.assert_array_equal(message.body["position"][:, :2], PLACES)
+        np.testing.assert_array_equal(message.body["agent_position"], [3.0, 0.0, 0.0])
+
+
+def test_forged_tracks_are_in_the_frame_of_reference_of_the_message(worlds) -> None:
+    adversary = coordinated(worlds)
+    reference = {"origin": np.array([100.0, 0.0, 0.0]), "rotation": np.array([0.0, 0.0, 0.0, 1.0])}  # half a turn
+    for frame in range(2):
+        adversary.clock(frame)
+        adversary.send("directive", directive((90.0, 5.0)), frame)
+        adversary.send("pose", pose(x=100.0), frame)
+        adversary.send("tracks", tracks((20.0, 0.0)) | reference, frame)
+    body = adversary.heard(out_key("tracks"))[-1].body
+    np.testing.assert_allclose(body["position"][1, :2], [10.0, -5.0], atol=1e-9)
+    np.testing.assert_array_equal(body["origin"], reference["origin"])
+
+
+def test_its_draws_are_its_own() -> None:
+    first, second = UncoordinatedAttack(start_s=0.0), UncoordinatedAttack(start_s=0.0)
+    for attack, name in ((first, "adversary_1"), (second, "adversary_2")):
+        attack.bind(0, name)
+    seen = states(*PLACES)
+    places = [attack.step(0, 0, seen, np.zeros(3)).added.position for attack in (first, second)]
+    assert not np.array_equal(*places)

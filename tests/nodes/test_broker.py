@@ -1,0 +1,282 @@
+"""The broker brings the tracks of all agents to one time, and waits for nobody longer than it must."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tiny_world import PERIOD_NS, Bench, tiny, tracks
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw
+
+COLLATED = "cc/collated"
+AGENTS = ("ego", "infra_1", "infra_2")
+STATUS = {"mobile": np.array([0]), "detections": np.array([0]), "tracks": np.array([0])}
+
+
+@pytest.fixture(scope="module")
+def resolved():
+    return tiny()
+
+
+def bench(resolved, **config: Any) -> Bench:
+    return Bench(resolved, "broker", **config)
+
+
+def say(broker: Bench, agent: str, frame: int, *, step: int | None = None, x: float = 0.0, **more: Any):
+    """One track of an agent, in a place of its own."""
+    place = (x, 10.0 * AGENTS.index(agent))
+    return broker.send("tracks", tracks(place, **more), frame, subject=agent, step=step)
+
+
+def summary(messages: Any) -> list[tuple[int, dict[str, float]]]:
+    """(frame, age in ms of each agent in the batch)."""
+    found = []
+    for _, message in messages:
+        ages = message.body["age_ns"] * 1e-6
+        found.append((message.header.frame, dict(zip(message.body["agents"], ages.tolist(), strict=True))))
+    return found
+
+
+def test_a_batch_goes_out_when_everyone_has_spoken(resolved) -> None:
+    broker = bench(resolved)
+    assert broker.clock(0) == []
+    assert say(broker, "infra_2", 0) == []
+    assert say(broker, "ego", 0) == []
+    ((key, message),) = say(broker, "infra_1", 0)
+    assert key == COLLATED
+    assert message.body["agents"].tolist() == sorted(AGENTS)
+    assert message.body["agent"].tolist() == [0, 1, 2]
+    np.testing.assert_array_equal(message.body["position"][:, 1], [0.0, 10.0, 20.0])
+    assert message.body["age_ns"].tolist() == [0, 0, 0]
+
+
+def test_tracks_come_out_in_the_world_frame(resolved) -> None:
+    broker = bench(resolved)
+    broker.clock(0)
+    say(broker, "ego", 0)
+    say(broker, "infra_1", 0)
+    turned = {"origin": np.array([100.0, 0.0, 0.0]), "rotation": quaternion_from_rotation(rotation_from_yaw(np.pi / 2))}
+    body = tracks((10.0, 0.0), velocity=(5.0, 0.0)) | turned
+    ((_, message),) = broker.send("tracks", body, 0, subject="infra_2")
+    np.testing.assert_allclose(message.body["position"][2], [100.0, 10.0, 0.8], atol=1e-9)
+    np.testing.assert_allclose(message.body["velocity"][2], [0.0, 5.0, 0.0], atol=1e-9)
+    assert message.body["yaw"][2] == pytest.approx(np.pi / 2)
+
+
+def test_an_empty_message_is_a_word_too(resolved) -> None:
+    broker = bench(resolved)
+    broker.clock(0)
+    for agent in AGENTS:
+        said = broker.send("tracks", tracks(), 0, subject=agent)
+    assert summary(said) == [(0, dict.fromkeys(sorted(AGENTS), 0.0))]
+    assert len(said[0][1].body["id"]) == 0
+
+
+def test_who_does_not_speak_is_waited_for_until_the_next_clock(resolved) -> None:
+    broker = bench(resolved)
+    broker.clock(0)
+    say(broker, "ego", 0)
+    say(broker, "infra_1", 0)
+    assert summary(broker.clock(1)) == [(0, {"ego": 0.0, "infra_1": 0.0})]
+    assert say(broker, "infra_2", 0, step=1) == [], "too late"
+    results = broker.host.finish()["collation"]
+    assert (results["complete"], results["overdue"], results["late"]) == (0, 1, {"infra_2": 1})
+
+
+def test_the_last_word_of_a_silent_agent_is_carried_along_until_it_is_too_old(resolved) -> None:
+    broker = bench(resolved, max_age_s=0.25)
+    for agent in AGENTS:
+        broker.clock(0) if agent == "ego" else None
+        say(broker, agent, 0, velocity=(10.0, 0.0))
+    batches = []
+    for frame in range(1, 6):
+        batches += broker.clock(frame)
+        for agent in ("ego", "infra_1"):
+            say(broker, agent, frame)
+    ages = [found.get("infra_2") for _, found in summary(batches)]
+    assert ages == [100.0, 200.0, None, None]
+    carried = [message.body["position"][message.body["agent"] == 2, 0] for _, message in batches[:2]]
+    np.testing.assert_allclose(carried, [[1.0], [2.0]], err_msg="moved at 10 m/s")
+    spread = [message.body["covariance"][-1, 0, 0] for _, message in batches[:2]]
+    assert 0.1 < spread[0] < spread[1], "and less certain"
+
+
+def test_an_agent_that_has_gone_is_waited_for_no_longer(resolved) -> None:
+    broker = bench(resolved)
+    broker.clock(0)
+    say(broker, "ego", 0)
+    say(broker, "infra_1", 0)
+    assert summary(broker.left("infra_2", "agent")) == [(0, {"ego": 0.0, "infra_1": 0.0})]
+    broker.clock(1)
+    say(broker, "ego", 1)
+    assert summary(say(broker, "infra_1", 1)) == [(1, {"ego": 0.0, "infra_1": 0.0})]
+
+
+def test_a_node_that_is_no_agent_may_come_and_go(resolved) -> None:
+    broker = bench(resolved)
+    broker.host.joined("recorder", "recorder")
+    broker.clock(0)
+    for agent in AGENTS:
+        said = say(broker, agent, 0)
+    assert len(said) == 1
+    assert broker.left("recorder", "recorder") == []
+
+
+def test_an_agent_that_comes_back_is_waited_for_again(resolved) -> None:
+    broker = bench(resolved)
+    broker.left("infra_2", "agent")
+    broker.host.joined("infra_2", "agent")
+    broker.clock(0)
+    say(broker, "ego", 0)
+    assert say(broker, "infra_1", 0) == []
+    assert len(say(broker, "infra_2", 0)) == 1
+
+
+def test_a_newcomer_that_nobody_announced_is_waited_for_from_the_frame_after_its_first_status(resolved) -> None:
+    broker = bench(resolved)
+    broker.node.agents.discard("infra_2")  # as if it were not yet seen on the mesh
+    for frame in (0, 1):
+        broker.clock(frame)
+        say(broker, "ego", frame)
+        if frame == 0:
+            broker.send("status", STATUS, frame, subject="infra_2")
+        said = say(broker, "infra_1", frame)
+        assert len(said) == (1 if frame == 0 else 0)
+    assert summary(say(broker, "infra_2", 1)) == [(1, dict.fromkeys(AGENTS, 0.0))]
+
+
+def test_the_tracks_of_a_newcomer_count_from_the_frame_after_its_first_ones(resolved) -> None:
+    for newcomer_first in (True, False):
+        broker = bench(resolved)
+        broker.node.agents.discard("infra_2")
+        said = []
+        for frame in (0, 1):
+            broker.clock(frame)
+            for agent in ("infra_2", "ego", "infra_1") if newcomer_first else ("ego", "infra_1", "infra_2"):
+                said += say(broker, agent, frame)
+        assert summary(said) == [(0, dict.fromkeys(("ego", "infra_1"), 0.0)), (1, dict.fromkeys(AGENTS, 0.0))]
+
+
+def test_the_status_of_an_agent_that_has_gone_does_not_bring_it_back(resolved) -> None:
+    broker = bench(resolved)
+    broker.clock(0)
+    broker.send("status", STATUS, 0, subject="infra_2")
+    broker.left("infra_2", "agent")
+    broker.clock(1)
+    say(broker, "ego", 1)
+    assert len(say(broker, "infra_1", 1)) == 1
+
+
+def test_with_a_latency_factor_the_batch_is_of_the_earlier_time(resolved) -> None:
+    broker = bench(resolved, latency_s=0.2)
+    said = []
+    for frame in range(5):
+        fresh = broker.clock(frame)
+        for agent in AGENTS:
+            fresh += say(broker, agent, frame, x=float(frame))
+        said.append(summary(fresh))
+    whole = dict.fromkeys(sorted(AGENTS), 0.0)
+    assert said == [[], [], [(0, whole)], [(1, whole)], [(2, whole)]]
+    batch = broker.heard(COLLATED)[-1]
+    assert batch.header.time_ns == 2 * PERIOD_NS
+    np.testing.assert_array_equal(batch.body["position"][:, 0], [2.0, 2.0, 2.0])
+
+
+def test_within_the_latency_a_late_message_is_in_time(resolved) -> None:
+    broker = bench(resolved, latency_s=0.1)
+    broker.clock(0)
+    say(broker, "ego", 0)
+    say(broker, "infra_1", 0)
+    assert broker.clock(1) == [], "the frame is just old enough now"
+    assert summary(say(broker, "infra_2", 0, step=1)) == [(0, dict.fromkeys(AGENTS, 0.0))]
+
+
+def test_patience_waits_for_more_clocks(resolved) -> None:
+    broker = bench(resolved, patience=2)
+    broker.clock(0)
+    say(broker, "ego", 0)
+    say(broker, "infra_1", 0)
+    assert broker.clock(1) == []
+    assert broker.clock(2) == []
+    assert summary(broker.clock(3)) == [(0, {"ego": 0.0, "infra_1": 0.0})]
+
+
+def test_frames_go_out_in_their_order_even_if_a_later_one_is_complete_first(resolved) -> None:
+    broker = bench(resolved, patience=3)
+    broker.clock(0)
+    for agent in ("ego", "infra_1"):
+        say(broker, agent, 0)
+    broker.clock(1)
+    for agent in AGENTS[:2]:
+        say(broker, agent, 1)
+    assert say(broker, "infra_2", 1) == [], "frame 0 still waits"
+    assert [frame for frame, _ in summary(say(broker, "infra_2", 0, step=1))] == [0, 1]
+
+
+def test_without_agents_there_is_an_empty_batch_every_frame(resolved) -> None:
+    broker = bench(resolved)
+    for agent in AGENTS:
+        broker.left(agent, "agent")
+    assert summary(broker.clock(0)) == [(0, {})]
+    assert summary(broker.clock(1)) == [(1, {})]
+
+
+def test_what_overflows_and_what_comes_late_is_counted(resolved) -> None:
+    broker = bench(resolved, latency_s=0.5, capacity=2)
+    for frame in range(4):
+        broker.clock(frame)
+        say(broker, "ego", frame)
+    assert broker.host.finish()["collation"] == {"complete": 0, "overdue": 0, "late": {}, "overflowed": 2}
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None)
+def test_every_order_of_delivery_gives_the_same_batches(resolved, data: st.DataObject) -> None:
+    """Messages of a frame in any order, some lost, some a frame late, through the host as on a mesh."""
+    configs = [{}, {"latency_s": 0.1}, {"latency_s": 0.2, "patience": 1}, {"patience": 1}, {"max_age_s": 0.1}]
+    config = data.draw(st.sampled_from(configs))
+    fates = st.sampled_from(["in time", "in time", "in time", "late", "lost"])
+    fate = {(agent, frame): data.draw(fates) for frame in range(5) for agent in AGENTS}
+    presents_itself = data.draw(st.integers(0, 4))
+
+    def play(shuffle: Any) -> list[bytes]:
+        broker = bench(resolved, **config)
+        broker.node.agents.discard("infra_2")
+        for frame in range(5):
+            broker.clock(frame)
+            due = [(agent, frame) for agent in AGENTS if fate[agent, frame] == "in time"]
+            if presents_itself == frame:
+                due.append(("status", frame))
+            queues: dict[str, list] = {}
+            for agent in AGENTS:  # on one key the order stays
+                queues[agent] = [(agent, frame - 1)] if frame and fate[agent, frame - 1] == "late" else []
+            for agent, about in due:
+                queues.setdefault(agent, []).append((agent, about))
+            order = shuffle([name for name, queue in queues.items() for _ in queue])
+            for name in order:
+                agent, about = queues[name].pop(0)
+                if agent == "status":
+                    broker.send("status", STATUS, about, subject="infra_2")
+                else:
+                    say(broker, agent, about, step=frame, x=float(about), velocity=(about, 0.0))
+        assert not broker.host.failures
+        return broker.payloads
+
+    assert play(lambda order: data.draw(st.permutations(order))) == play(list)
+
+
+@pytest.mark.parametrize(
+    ("config", "reason"),
+    [
+        ({"latency_s": -0.1}, "broker: Broker: latency_s: found -0.1, expected 0 or more"),
+        ({"patience": -1}, "patience: found -1, expected 0 or more"),
+        ({"capacity": 0}, "capacity: found 0, expected 1 or more"),
+        ({"max_age_s": -1.0}, "max_age_s: found -1.0, expected 0 or more"),
+    ],
+)
+def test_parameters_that_make_no_sense_are_refused(resolved, config: dict, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        bench(resolved, **config)

@@ -1,0 +1,101 @@
+"""The coordinator gives all its adversaries one plan, and goes on without those that have gone."""
+
+import numpy as np
+import pytest
+from tiny_world import Bench, Run, states, tiny
+
+from mast_zenoh.messages import Message
+
+DIRECTIVES = tuple(f"attack/adversary_{i}/directive" for i in (1, 2))
+
+
+@pytest.fixture(scope="module")
+def resolved():
+    return tiny("coordinated", "n_adversaries=2", "attack_start_s=0.0", "false_positives=6.0")
+
+
+def observation(*places: tuple[float, float], x: float = 0.0) -> dict[str, np.ndarray]:
+    return states(*places).columns() | {"agent_position": np.array([x, 0.0, 0.0])}
+
+
+def observe(coordinator: Bench, adversary: int, frame: int, *, step: int | None = None) -> list[tuple[str, Message]]:
+    body = observation((10.0 * adversary, 5.0), (30.0, 5.0), x=5.0 * adversary)
+    return coordinator.send("observations", body, frame, subject=f"adversary_{adversary}", step=step)
+
+
+def test_everyone_gets_the_same_plan_when_all_have_spoken(resolved) -> None:
+    coordinator = Bench(resolved, "coordinator")
+    coordinator.clock(0)
+    assert observe(coordinator, 2, 0) == []
+    said = observe(coordinator, 1, 0)
+    assert [key for key, _ in said] == list(DIRECTIVES)
+    first, second = (message for _, message in said)
+    assert first.header.frame == second.header.frame == 0
+    assert len(first.body["add_id"]) > 0
+    for name, column in first.body.items():
+        np.testing.assert_array_equal(column, second.body[name])
+
+
+def test_the_order_in_which_they_speak_changes_nothing(resolved) -> None:
+    outcomes = []
+    for order in ((1, 2), (2, 1)):
+        coordinator = Bench(resolved, "coordinator")
+        for frame in range(4):
+            coordinator.clock(frame)
+            for adversary in order:
+                observe(coordinator, adversary, frame)
+        outcomes.append(coordinator.payloads)
+    assert outcomes[0] == outcomes[1]
+    assert len(outcomes[0]) == 8
+
+
+def test_of_a_silent_adversary_nothing_is_awaited_beyond_the_next_clock(resolved) -> None:
+    coordinator = Bench(resolved, "coordinator")
+    coordinator.clock(0)
+    assert observe(coordinator, 1, 0) == []
+    said = coordinator.clock(1)
+    assert [(key, message.header.frame) for key, message in said] == [(DIRECTIVES[0], 0)]
+    observe(coordinator, 1, 1)
+    assert [key for key, _ in observe(coordinator, 2, 1)] == list(DIRECTIVES), "it may speak again"
+
+
+def test_a_dead_adversary_is_waited_for_no_longer_until_it_comes_back(resolved) -> None:
+    coordinator = Bench(resolved, "coordinator")
+    coordinator.clock(0)
+    coordinator.left("adversary_2", "adversary")
+    assert [key for key, _ in observe(coordinator, 1, 0)] == [DIRECTIVES[0]]
+    coordinator.host.joined("adversary_2", "adversary")
+    coordinator.clock(1)
+    assert observe(coordinator, 1, 1) == []
+    assert len(observe(coordinator, 2, 1)) == 2
+
+
+def test_others_adversaries_are_not_waited_for(resolved) -> None:
+    """A pass-through or an uncoordinated adversary in the same run says nothing to a coordinator."""
+    coordinator = Bench(resolved, "coordinator", adversaries=["adversary_1"])
+    coordinator.clock(0)
+    assert observe(coordinator, 2, 0) == [], "nor listened to"
+    assert [key for key, _ in observe(coordinator, 1, 0)] == [DIRECTIVES[0]]
+
+
+def test_a_run_in_which_one_adversary_is_not_directed_is_not_delayed() -> None:
+    def leave_out(scenario: dict) -> None:
+        scenario["coordinator"]["adversaries"] = ["adversary_1"]
+        scenario["adversaries"]["adversary_2"]["attack"] = dict(type="PassThrough")
+
+    run = Run(tiny("coordinated", "n_adversaries=2", "attack_start_s=0.2", edit=leave_out))
+    assert not run.failures
+    directives = run.decoded(DIRECTIVES[0], "directive")
+    assert [message.header.frame for message in directives] == list(range(12))
+    assert "attack/adversary_2/directive" not in run.messages
+    first = run.decoded("attack/adversary_1/report", "attack_report")[0].header.frame
+    assert first == 3, "the frame after the first plan, which is of frame 2"
+
+
+def test_a_run_goes_on_when_nothing_is_ever_seen() -> None:
+    def blind(scenario: dict) -> None:
+        scenario["coordinator"]["adversaries"] = []
+
+    run = Run(tiny("coordinated", "n_adversaries=1", edit=blind))
+    assert not run.failures
+    assert len(run.messages["cc/picture"]) == 12

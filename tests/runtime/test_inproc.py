@@ -1,0 +1,186 @@
+"""What a run says is a function of its scenario and seed, to the last byte."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tiny_world import Run, tiny
+
+from mast_zenoh.errors import RunError
+from mast_zenoh.runtime import results
+from mast_zenoh.runtime.inproc import InProcess, results_of
+from mast_zenoh.scenario import Resolved
+
+LINK = Path(__file__).with_name("lossy_link.py")
+ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")
+
+
+def with_loss(scenario: dict[str, Any], doubles: bool = False) -> None:
+    """Put the lossy link before infra_1, and let the broker wait a little."""
+    scenario["nodes"] = {"link": dict(role="link", file=str(LINK), agent="infra_1", doubles=doubles)}
+    insert = [
+        dict(wire=f"agent/{{agent}}/{port}", role="link", input=port, output=f"{port}_out")
+        for port in ("pose", "detections")
+    ]
+    scenario["keyexpr"]["rewrites"] = [{"insert": insert}, *scenario["keyexpr"]["rewrites"]]
+    scenario["broker"] = dict(latency_s=0.1, patience=1)
+
+
+@cache
+def world(name: str, *settings: str, lossy: bool = False, infrastructure: int = 2, seed: int = 0) -> Resolved:
+    edit = with_loss if lossy else None
+    return tiny(name, *settings, edit=edit, infrastructure=infrastructure, seed=seed)
+
+
+@cache
+def played(name: str, *settings: str, **options: Any) -> Run:
+    run = Run(world(name, *settings, **options))
+    assert not run.failures
+    assert not run.rejected
+    return run
+
+
+KINDS = {"uncoordinated": ATTACKED, "coordinated": ATTACKED, "baseline": ()}
+
+
+@pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
+def test_200_orders_of_delivery_give_the_same_bytes(name: str) -> None:
+    plain = played(name, *KINDS[name])
+    for shuffle in range(100):
+        shuffled = Run(world(name, *KINDS[name]), shuffle=shuffle)
+        assert shuffled.messages == plain.messages
+        assert shuffled.packed == plain.packed
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_so_they_do_when_messages_are_lost_or_late_and_the_broker_waits(name: str) -> None:
+    plain = played(name, *KINDS[name], lossy=True)
+    assert len(plain.messages["agent/infra_1/pose"]) == 8
+    for shuffle in range(20):
+        shuffled = Run(world(name, *KINDS[name], lossy=True), shuffle=shuffle)
+        assert shuffled.messages == plain.messages
+        assert shuffled.packed == plain.packed
+
+
+@pytest.mark.xfail(strict=True, reason="Gather takes a second message of a completed frame for a new frame")
+def test_so_they_do_when_messages_are_doubled() -> None:
+    resolved = tiny(edit=lambda scenario: with_loss(scenario, doubles=True))
+    plain = Run(resolved)
+    for shuffle in range(5):
+        assert Run(resolved, shuffle=shuffle).messages == plain.messages
+
+
+def test_an_agent_that_lacks_sensor_data_still_has_its_say_in_every_frame() -> None:
+    run = played("coordinated", *ATTACKED, lossy=True)
+    for key in ("agent/infra_1/tracks/@tap/0", "agent/infra_1/tracks"):
+        frames = [message.header.frame for message in run.decoded(key, "tracks")]
+        assert frames == list(range(11)), "the last frame has no next clock"
+
+
+@pytest.mark.parametrize("lossy", [False, True])
+@pytest.mark.parametrize("name", KINDS)
+def test_passing_messages_themselves_gives_the_same_bytes_as_passing_bytes(name: str, lossy: bool) -> None:
+    plain = played(name, *KINDS[name], lossy=lossy)
+    for shuffle in (None, 5):
+        unencoded = Run(world(name, *KINDS[name], lossy=lossy), encode=False, shuffle=shuffle)
+        assert unencoded.messages == plain.messages
+        assert unencoded.packed == plain.packed
+
+
+def test_interposers_that_change_nothing_leave_no_trace() -> None:
+    plain, tapped = played("baseline"), played("passthrough")
+    taps = {key for key in tapped.messages if "@tap" in key}
+    assert len(taps) == 6, "two wires of each of three agents"
+    assert {key: payloads for key, payloads in tapped.messages.items() if key not in taps} == plain.messages
+    assert results.pack(tapped.results["evaluator"]) == results.pack(plain.results["evaluator"])
+    for tap in taps:
+        assert tapped.messages[tap] == plain.messages[tap.split("/@tap")[0]]
+
+
+def test_an_attack_that_has_not_begun_leaves_no_trace() -> None:
+    plain = played("baseline")
+    for name in ("uncoordinated", "coordinated"):
+        waiting = played(name, "n_adversaries=2", "attack_start_s=99.0")
+        assert {key: waiting.messages[key] for key in plain.messages} == plain.messages
+
+
+def test_the_same_seed_gives_the_same_run_and_another_one_another() -> None:
+    for name in ("uncoordinated", "coordinated"):
+        again = Run(tiny(name, *ATTACKED))
+        assert again.messages == played(name, *ATTACKED).messages
+        other = played(name, *ATTACKED, seed=1)
+        for key in ("agent/ego/detections", "agent/infra_1/tracks", "cc/picture"):
+            assert other.messages[key] != again.messages[key]
+        report = "attack/adversary_1/report"
+        assert other.decoded(report, "attack_report")[0].body["after_position"].tobytes() != (
+            again.decoded(report, "attack_report")[0].body["after_position"].tobytes()
+        )
+
+
+@pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
+def test_one_adversary_more_changes_nobody_elses_draws(name: str) -> None:
+    """Common random numbers: what is not attacked is equal, and so is what the first adversary did."""
+    plain, one, two = (
+        played("baseline", infrastructure=3),
+        played(name, "n_adversaries=1", "attack_start_s=0.2", infrastructure=3),
+        played(name, "n_adversaries=2", "attack_start_s=0.2", infrastructure=3),
+    )
+    for run, untouched in ((one, ("ego", "infra_2", "infra_3")), (two, ("ego", "infra_3"))):
+        for agent in untouched:
+            for what in ("detections", "tracks"):
+                assert run.messages[f"agent/{agent}/{what}"] == plain.messages[f"agent/{agent}/{what}"]
+    if name == "uncoordinated":
+        for key in ("attack/adversary_1/report", "agent/infra_1/detections", "agent/infra_1/tracks"):
+            assert one.messages[key] == two.messages[key]
+
+
+@pytest.mark.parametrize("infrastructure", [0, 1, 2, 6])
+def test_any_number_of_agents_will_do(infrastructure: int) -> None:
+    run = played("baseline", infrastructure=infrastructure)
+    agents = ["ego", *(f"infra_{i + 1}" for i in range(infrastructure))]
+    assert list(run.results["evaluator"]["metrics"]["agents"]) == agents
+    for agent in agents:
+        for what in ("tracks", "mission"):
+            assert len(run.messages[f"agent/{agent}/{what}"]) == 12
+    assert run.results["broker"]["collation"] == {"complete": 12, "overdue": 0, "late": {}, "overflowed": 0}
+    assert run.decoded("cc/collated", "collated")[-1].body["agents"].tolist() == sorted(agents)
+
+
+def test_more_agents_change_nothing_for_those_that_are_there() -> None:
+    few, many = played("baseline", infrastructure=2), played("baseline", infrastructure=6)
+    for agent in ("ego", "infra_1", "infra_2"):
+        assert few.messages[f"agent/{agent}/tracks"] == many.messages[f"agent/{agent}/tracks"]
+
+
+def test_the_picture_is_worth_having() -> None:
+    """Not a figure to be proud of; but if the wires were crossed it would not hold."""
+    found = played("baseline", infrastructure=3).results["evaluator"]["metrics"]["agents"]["ego"]
+    assert found["picture"]["fn"]["mean"] < found["local"]["fn"]["mean"]
+    assert found["picture"]["rmse_m"] < 0.2
+
+
+def test_messages_are_numbered_on_every_key_as_their_publisher_sent_them() -> None:
+    run = played("coordinated", *ATTACKED)
+    for wire in world("coordinated", *ATTACKED).wiring["wires"]:
+        messages = run.decoded(wire["key"], wire["message"])
+        assert [message.header.seq for message in messages] == list(range(len(messages)))
+        assert {message.header.source for message in messages} <= {wire["publisher"]}
+
+
+def test_progress_is_told_frame_by_frame() -> None:
+    told: list[int] = []
+    outcome = InProcess(world("baseline"), progress=told.append).run()
+    assert told == list(range(1, 13))
+    assert outcome[""]["frames"] == 12
+    assert results_of(outcome, "metrics")["frames"] == 12
+    assert results_of(outcome, "nothing of this name") is None
+
+
+def test_a_run_needs_one_node_that_drives_the_scene() -> None:
+    resolved = world("baseline")
+    nodes = {name: spec for name, spec in resolved.nodes.items() if name != "simulator"}
+    wires = [wire for wire in resolved.wiring["wires"] if wire["publisher"] != "simulator"]
+    without = Resolved(**{**vars(resolved), "nodes": nodes, "wiring": {"wires": wires}})
+    with pytest.raises(RunError, match="0 nodes drive the scene, expected one simulator"):
+        InProcess(without)

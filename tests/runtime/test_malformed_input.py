@@ -1,0 +1,135 @@
+"""Whatever comes in on whatever wire costs one message, and nothing else."""
+
+import pickle
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+
+import msgpack
+import pytest
+from malformed import malformed
+from tiny_world import Bench, Run, tiny, tracks
+
+from mast_zenoh import codec
+from mast_zenoh.errors import MessageError
+from mast_zenoh.keyexpr import Wiring
+
+TOTAL = 100_000
+SCENARIOS = {"baseline": (), "uncoordinated": ("attack_start_s=0.2",), "coordinated": ("attack_start_s=0.2",)}
+FRAMES = 6
+BEFORE = 3  # frames that a node has played when the rubbish comes
+
+
+@cache
+def world(name: str):
+    return tiny(name, *SCENARIOS[name], infrastructure=2, frames=FRAMES)
+
+
+@cache
+def played(name: str) -> Run:
+    return Run(world(name))
+
+
+@cache
+def inputs() -> tuple[tuple[str, str, str, str], ...]:
+    """(scenario, node, key, schema) of every input of every node."""
+    found = []
+    for name in SCENARIOS:
+        wiring = Wiring.from_json(world(name).wiring)
+        for node in world(name).nodes:
+            found += [(name, node, key, hears.message) for key, hears in wiring.ports(node).inputs.items()]
+    return tuple(found)
+
+
+@cache
+def sound(schema: str) -> tuple[bytes, ...]:
+    """What runs have really said."""
+    said = [
+        payload
+        for name in SCENARIOS
+        for wire in world(name).wiring["wires"]
+        if wire["message"] == schema
+        for payload in played(name).messages[wire["key"]]
+    ]
+    return tuple(said[:: 1 + len(said) // 40])
+
+
+def rubbish(place: int) -> Iterator[bytes]:
+    """The malformed payloads for one of `inputs()`: its share of them all, no two the same."""
+    count = TOTAL // len(inputs()) + (place < TOTAL % len(inputs()))
+    schema = inputs()[place][3]
+    return malformed(schema, sound(schema), count, seed=place)
+
+
+def play(bench: Bench, run: Run, frames: range) -> None:
+    """Give a node what it got in a run: in each frame its clock, then the rest."""
+    for frame in frames:
+        for key, hears in sorted(bench.ports.inputs.items(), key=lambda item: item[1].message != "clock"):
+            for message, payload in zip(run.decoded(key, hears.message), run.messages[key], strict=True):
+                if message.header.frame == frame:
+                    bench.host.deliver(key, payload, frame)
+
+
+def test_100_000_malformed_messages_cost_one_message_each_and_no_node() -> None:
+    places: dict[tuple[str, str], list[int]] = {}
+    for place, (name, node, _, _) in enumerate(inputs()):
+        places.setdefault((name, node), []).append(place)
+    roles = {world(name).nodes[node].role for name, node in places}
+    assert roles == {"agent", "broker", "command_center", "evaluator", "adversary", "coordinator"}
+    total = 0
+    for (name, node), here in places.items():
+        bench = Bench(world(name), node)
+        play(bench, played(name), range(BEFORE))
+        state, said, handled = pickle.dumps(bench.node), list(bench.host.outbox), bench.host.handled.copy()
+        bench.host.observe = lambda key, header: pytest.fail(f"{key}: a malformed message was taken for a sound one")
+        sent: Counter[str] = Counter()
+        for place in here:
+            key = inputs()[place][2]
+            for payload in rubbish(place):
+                bench.host.deliver(key, payload, -1, counted=False)
+                sent[key] += 1
+        rejected: Counter[str] = Counter()
+        for (key, _), n in bench.host.rejected.items():
+            rejected[key] += n
+        assert rejected == sent
+        assert pickle.dumps(bench.node) == state
+        assert (bench.host.outbox, bench.host.handled) == (said, handled)
+        assert not bench.host.failures
+        total += sent.total()
+
+        bench.host.observe = None
+        undisturbed = Bench(world(name), node)
+        play(bench, played(name), range(BEFORE, FRAMES))
+        play(undisturbed, played(name), range(FRAMES))
+        assert bench.host.outbox == undisturbed.host.outbox, "it goes on as if nothing had been"
+    assert total == TOTAL
+
+
+@pytest.mark.parametrize("schema", ["clock", "status", "tracks", "collated", "directive", "truth"])
+def test_malformed_messages_are_of_many_kinds(schema: str) -> None:
+    """The test above would be worth little if all its payloads failed at the first byte."""
+    reasons: set[str] = set()
+    for payload in malformed(schema, sound(schema), 1_000, seed=1):
+        with pytest.raises(MessageError) as caught:
+            codec.decode(payload, schema)
+        reasons.add(" ".join(str(caught.value).split()[:3]))
+    assert len(reasons) >= {"clock": 15, "status": 25}.get(schema, 40)
+
+
+@pytest.mark.parametrize("odd", [float, bool])
+def test_a_size_that_only_equals_a_whole_number_is_refused_whatever_came_before(odd: type) -> None:
+    payload = codec.encode(codec.conform(codec.Header("tracks", "ego", 0, 0, 0), tracks((1.0, 2.0))))
+    codec.decode(payload, "tracks")
+    fields = msgpack.unpackb(payload)
+    fields["body"]["yaw"][1] = [odd(1)]
+    for body in (fields["body"], {name: [c[0], list(map(odd, c[1])), c[2]] for name, c in fields["body"].items()}):
+        with pytest.raises(MessageError, match="shape"):
+            codec.decode(msgpack.packb(fields | {"body": body}), "tracks")
+
+
+def test_a_node_that_hears_nothing_but_rubbish_ends_well() -> None:
+    bench = Bench(world("baseline"), "evaluator")
+    for key, hears in bench.ports.inputs.items():
+        for payload in malformed(hears.message, sound(hears.message), 50, seed=2):
+            bench.host.deliver(key, payload, -1)
+    assert bench.host.finish()["metrics"]["frames"] == 0

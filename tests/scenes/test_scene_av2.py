@@ -1,0 +1,212 @@
+"""Reading Argoverse 2 logs, and what is refused."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow
+import pytest
+from pyarrow import feather
+
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes import AV2Log, Recording
+from mast_zenoh.sensing import CleanDetector
+from mast_zenoh.states import CLASSES
+
+FRAMES = 5
+POSES, BOXES = "city_SE3_egovehicle.feather", "annotations.feather"
+
+
+def poses() -> dict[str, Any]:
+    """A car that drives north at 10 m/s, 60 m above sea level, with a pose every 50 ms."""
+    n = 2 * FRAMES
+    return {
+        "timestamp_ns": 10**18 + 50_000_000 * np.arange(n),
+        "qw": np.full(n, np.cos(np.pi / 4)),
+        "qx": np.zeros(n),
+        "qy": np.zeros(n),
+        "qz": np.full(n, np.sin(np.pi / 4)),
+        "tx_m": np.full(n, 5000.0),
+        "ty_m": 2000.0 + 0.5 * np.arange(n),
+        "tz_m": np.full(n, 60.0),
+    }
+
+
+def boxes() -> dict[str, Any]:
+    """In every frame, seen from the car: a bus 20 m ahead, a cone, a pedestrian 10 m to the left."""
+    rows = [("bus-1", "BUS", 20.0, 0.0, 3.0, 90), ("cone", "CONSTRUCTION_CONE", 5.0, 2.0, 0.8, 30)]
+    rows += [("a-person", "PEDESTRIAN", 0.0, 10.0, 1.8, 3), ("ego", "EGO_VEHICLE", 0.0, 0.0, 1.5, 1)]
+    table = [(10**18 + 100_000_000 * frame, *row) for frame in range(FRAMES) for row in rows]
+    time, track, category, x, y, height, points = map(list, zip(*table, strict=True))
+    n = len(table)
+    return {
+        "timestamp_ns": np.array(time),
+        "track_uuid": track,
+        "category": category,
+        "length_m": np.array([{"BUS": 12.0}.get(name, 0.8) for name in category]),
+        "width_m": np.array([{"BUS": 2.5}.get(name, 0.8) for name in category]),
+        "height_m": np.array(height),
+        "qw": np.ones(n),
+        "qx": np.zeros(n),
+        "qy": np.zeros(n),
+        "qz": np.zeros(n),
+        "tx_m": np.array(x),
+        "ty_m": np.array(y),
+        "tz_m": np.array(height) / 2 - 0.33,
+        "num_interior_pts": np.array(points),
+    }
+
+
+def write(folder: Path, name: str, columns: dict[str, Any]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    feather.write_feather(pyarrow.table(columns), folder / name)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    folder = tmp_path / "logs" / "7fab"
+    write(folder, POSES, poses())
+    write(folder, BOXES, boxes())
+    return folder
+
+
+def read(path: Path, **parameters: Any) -> Recording:
+    return AV2Log(path=str(path), **parameters).record(0, None)
+
+
+def test_objects_are_in_the_world_whose_origin_is_below_the_first_pose(log: Path) -> None:
+    recording = read(log)
+    truth = recording.truth_at(2)
+    assert [CLASSES[k] for k in truth.class_id] == ["car", "pedestrian", "bus"]
+    assert truth.id.tolist() == [0, 1, 2]
+    # The car heads north: ahead is y, left is -x.
+    np.testing.assert_allclose(truth.position[2], [0.0, 22.0, 1.5], atol=1e-9)
+    np.testing.assert_allclose(truth.position[1], [-10.0, 2.0, 0.9], atol=1e-9)
+    np.testing.assert_allclose(truth.position[0, 2] - truth.size[0, 2] / 2, 0.0, atol=1e-9)
+    np.testing.assert_allclose(truth.yaw, np.pi / 2)
+    np.testing.assert_allclose(truth.velocity, [[0.0, 10.0, 0.0]] * 3, atol=1e-6)
+    assert recording.times_ns.tolist() == [k * 100_000_000 for k in range(FRAMES)]
+
+
+def test_the_ego_sees_what_the_data_set_counts(log: Path) -> None:
+    recording = read(log)
+    assert recording.agents[0].name == "ego"
+    assert recording.agents[0].object_id == 0
+    assert recording.points_at(3)[:, 0].tolist() == [0, 3, 90]
+    np.testing.assert_allclose(recording.agent_velocity[2, 0], [0.0, 10.0, 0.0], atol=1e-6)
+
+
+def test_poles_stand_beside_the_path_and_see_by_ray_casting(log: Path) -> None:
+    recording = read(log, n_infrastructure=6)
+    assert recording.agent_names[1:] == tuple(f"infra_{k}" for k in range(1, 7))
+    position = recording.agent_position[0, 1:]
+    np.testing.assert_allclose(position[:, 2], 15.0, atol=1e-6)
+    np.testing.assert_allclose(np.abs(position[:, 0]), 16.0, atol=1e-6)
+    assert recording.points_at(0)[2, 1:].max() >= 5
+
+
+def test_more_poles_do_not_move_the_others(log: Path) -> None:
+    few, many = read(log, n_infrastructure=2), read(log, n_infrastructure=9)
+    np.testing.assert_array_equal(few.agent_position[:, :3], many.agent_position[:, :3])
+    np.testing.assert_array_equal(few.detections_at(1, 2).position, many.detections_at(1, 2).position)
+
+
+def test_the_order_of_the_rows_makes_no_difference(log: Path, tmp_path: Path) -> None:
+    order = np.random.default_rng(0).permutation(4 * FRAMES)
+    shuffled = {name: np.array(values)[order] for name, values in boxes().items()}
+    write(tmp_path / "other", POSES, poses())
+    write(tmp_path / "other", BOXES, shuffled)
+    one, other = read(log), read(tmp_path / "other")
+    np.testing.assert_array_equal(one.truth.position, other.truth.position)
+    np.testing.assert_array_equal(one.detections.position, other.detections.position)
+
+
+def test_the_log_is_found_from_the_folder_above(log: Path) -> None:
+    assert read(log.parent).name == "7fab"
+
+
+def test_fewer_frames_are_the_beginning_of_more(log: Path) -> None:
+    short, whole = AV2Log(path=str(log)).record(0, 2), read(log)
+    assert len(short) == 2
+    np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
+    np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
+    with pytest.raises(ConfigurationError, match="6 frames asked for, the log has 5"):
+        AV2Log(path=str(log)).record(0, 6)
+
+
+def test_too_many_poles_are_refused(log: Path) -> None:
+    with pytest.raises(ConfigurationError, match="n_infrastructure is 17, expected 0 to 16"):
+        AV2Log(path=str(log), n_infrastructure=17)
+
+
+def with_value(name: str, row: int, value: object) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    def change(columns: dict[str, Any]) -> dict[str, Any]:
+        values = list(columns[name])
+        values[row] = value
+        return columns | {name: values}
+
+    return change
+
+
+def without(name: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    return lambda columns: {key: values for key, values in columns.items() if key != name}
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "reason"),
+    [
+        (BOXES, without("track_uuid"), "no column track_uuid; found timestamp_ns"),
+        (BOXES, with_value("tx_m", 7, float("nan")), "column tx_m, row 7 is nan"),
+        (BOXES, with_value("tx_m", 7, None), "column tx_m has 1 empty values"),
+        (BOXES, with_value("length_m", 0, 0.0), "a size is not more than 0"),
+        (BOXES, with_value("num_interior_pts", 0, -3), "num_interior_pts is negative"),
+        (BOXES, with_value("qw", 0, 3.0), "quaternion .* has not the length 1"),
+        (BOXES, with_value("track_uuid", 2, "bus-1"), "track bus-1 is there twice at timestamp_ns 1000000000000000000"),
+        (BOXES, lambda columns: {name: values[:0] for name, values in columns.items()}, "no row"),
+        (BOXES, lambda columns: columns | {"tx_m": ["x"] * 4 * FRAMES}, "column tx_m: "),
+        (POSES, without("qz"), "no column qz"),
+        (POSES, with_value("timestamp_ns", 2, 5), "no pose at timestamp_ns 1000000000100000000"),
+        (POSES, with_value("timestamp_ns", 1, 10**18), "timestamp_ns 1000000000000000000 is there twice"),
+        (POSES, with_value("tz_m", 4, float("inf")), "column tz_m, row 4 is inf"),
+    ],
+)
+def test_a_damaged_table_is_refused_with_file_column_and_reason(
+    log: Path, file: str, change: Callable[[dict[str, Any]], dict[str, Any]], reason: str
+) -> None:
+    write(log, file, change(poses() if file == POSES else boxes()))
+    with pytest.raises(SceneError, match=rf"{file}: .*{reason}"):
+        read(log)
+
+
+@pytest.mark.parametrize("file", [POSES, BOXES])
+def test_a_truncated_file_is_refused_by_name(log: Path, file: str) -> None:
+    (log / file).write_bytes((log / file).read_bytes()[:200])
+    with pytest.raises(SceneError, match=rf"{file}: not a feather file"):
+        read(log)
+
+
+def test_a_missing_file_is_refused_by_name(log: Path) -> None:
+    (log / BOXES).unlink()
+    with pytest.raises(SceneError, match=r"7fab: 0 files annotations\*\.feather, expected one"):
+        read(log)
+    (log / POSES).unlink()
+    with pytest.raises(SceneError, match=r"7fab: 0 logs with a file city_SE3_egovehicle\.feather"):
+        read(log)
+    with pytest.raises(SceneError, match="nowhere: no such folder"):
+        read(log.parent / "nowhere")
+
+
+def test_every_real_log_is_read_and_the_poles_see_what_the_ego_does_not(av2_logs: list[Path]) -> None:
+    for path in av2_logs:
+        recording = AV2Log(path=str(path), detector=CleanDetector()).record(0, 40)
+        assert len(recording) == 40
+        assert recording.period_ns == pytest.approx(1e8, rel=0.01)
+        assert 25 < len(recording.truth) / 40 < 100
+        seen = recording.points >= 5
+        assert seen.any(axis=1).sum() > seen[:, 0].sum() + 40
+        # Nothing drives faster than a car in town, and what stands on the ground stands near the others.
+        assert np.linalg.norm(recording.truth.velocity, axis=1).max() < 40
+        assert np.abs(recording.truth.position[:, 2]).max() < 20
+        pole = recording.agent_position[0, 1:, 2]
+        assert (np.abs(pole - 15) < 5).all()

@@ -1,0 +1,139 @@
+"""What the chain from detections to the picture makes of the reference scene."""
+
+import numpy as np
+import pytest
+from reference_scene import Frames, read, run, score, unpacked
+
+from mast_zenoh.fusion import (
+    BestMemberFusion,
+    Clusterer,
+    CommandCenterPipeline,
+    CovarianceIntersectionFusion,
+    DBSCANClusterer,
+    Fusion,
+    GroupTrackerWrapper,
+    SampledAssignmentClusterer,
+    UnfilteredGroupTracker,
+)
+from mast_zenoh.states import Detections, ObjectStates, concatenate
+from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, Tracker
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Frames:
+    return read(unpacked(tmp_path_factory.mktemp("scene_a")))
+
+
+def pipeline(
+    tracker: type[Tracker] = KalmanBoxTracker3D,
+    clustering: Clusterer | None = None,
+    fusion: Fusion | None = None,
+) -> CommandCenterPipeline:
+    return CommandCenterPipeline(
+        clustering=clustering or SampledAssignmentClusterer(assign_radius=2.0),
+        group_tracking=GroupTrackerWrapper(fusion=fusion or CovarianceIntersectionFusion(), tracker=tracker()),
+    )
+
+
+@pytest.fixture(scope="module")
+def result(scene: Frames) -> tuple[list[list[ObjectStates]], list[ObjectStates]]:
+    return run(scene, KalmanBoxTracker3D, pipeline())
+
+
+def test_the_picture_misses_few_objects_and_invents_hardly_any(scene, result):
+    found = score(scene, result[1])
+    assert found.fn <= 1.25
+    assert found.fp <= 0.15
+    assert found.rmse_m <= 0.30
+    assert found.id_switches <= 3
+
+
+def test_the_ego_alone_misses_what_it_cannot_see_and_invents_nothing(scene, result):
+    found = score(scene, [tracks[0] for tracks in result[0]])
+    assert found.fn <= 6.35
+    assert found.fp <= 0.05
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        pipeline(clustering=DBSCANClusterer()),
+        pipeline(fusion=CovarianceIntersectionFusion(weights="optimised")),
+        pipeline(fusion=BestMemberFusion()),
+        CommandCenterPipeline(
+            clustering=SampledAssignmentClusterer(),
+            group_tracking=UnfilteredGroupTracker(fusion=CovarianceIntersectionFusion()),
+        ),
+    ],
+    ids=["dbscan", "optimised weights", "best member", "unfiltered"],
+)
+def test_every_other_stage_serves_as_well(scene, result, other):
+    found = score(scene, run_again(scene, result[0], other))
+    assert found.fn <= 1.25
+    assert found.fp <= 0.15
+    assert found.rmse_m <= 0.30
+    assert found.id_switches <= 3
+
+
+def run_again(scene: Frames, tracks: list[list[ObjectStates]], centre: CommandCenterPipeline) -> list[ObjectStates]:
+    """The pictures that another centre makes of the same tracks."""
+    names = tuple(f"agent_{row}" for row in range(len(tracks[0])))
+    return [
+        centre.step(time_ns, concatenate(own), np.repeat(np.arange(len(own)), [len(o) for o in own]), names)[0]
+        for time_ns, own in zip(scene.time_ns, tracks, strict=True)
+    ]
+
+
+def test_ids_are_sorted_and_unique(result):
+    for picture in result[1]:
+        assert (np.diff(picture.id) > 0).all()
+
+
+def test_filterpy_gives_the_same_tracks_and_picture(scene, result):
+    frames = 60
+    tracks, pictures = run(scene, FilterpyBoxTracker3D, pipeline(FilterpyBoxTracker3D), frames)
+    for mine, theirs in zip(result[1], pictures, strict=False):
+        assert_close(mine, theirs)
+    for mine_, theirs_ in zip(result[0], tracks, strict=False):
+        for mine, theirs in zip(mine_, theirs_, strict=True):
+            assert_close(mine, theirs)
+
+
+def assert_close(a: ObjectStates, b: ObjectStates) -> None:
+    np.testing.assert_array_equal(a.id, b.id)
+    for name in ("position", "velocity", "size", "yaw", "covariance", "score"):
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9)
+
+
+def test_no_order_of_arrival_changes_a_single_bit(scene, result):
+    frames = 50
+    random = np.random.default_rng(3)
+    shuffled = Frames(scene.time_ns, [], scene.view, scene.truth, scene.ego)
+    for detections in scene.detections:
+        shuffled.detections.append([shuffle(one, random) for one in detections])
+    tracks, pictures = run(shuffled, KalmanBoxTracker3D, ShuffledPipeline(pipeline(), random), frames)
+    for frame in range(frames):
+        assert_same_bits(result[1][frame], pictures[frame])
+        for mine, theirs in zip(result[0][frame], tracks[frame], strict=True):
+            assert_same_bits(mine, theirs)
+
+
+def shuffle(detections: Detections, random: np.random.Generator) -> Detections:
+    return detections.select(random.permutation(len(detections)))
+
+
+class ShuffledPipeline(CommandCenterPipeline):
+    """Gives a pipeline the tracks in any order, and the agents too."""
+
+    def __init__(self, inner: CommandCenterPipeline, random: np.random.Generator) -> None:
+        self.inner, self.random = inner, random
+
+    def step(self, time_ns, states, agent, agents, weights=None):
+        rows, order = self.random.permutation(len(states)), self.random.permutation(len(agents))
+        renamed = np.argsort(order)[agent]
+        return self.inner.step(time_ns, states.select(rows), renamed[rows], tuple(agents[one] for one in order))
+
+
+def assert_same_bits(a: ObjectStates, b: ObjectStates) -> None:
+    for name, column in a.columns().items():
+        assert column.tobytes() == b.columns()[name].tobytes(), name

@@ -1,0 +1,327 @@
+"""How the box tracker behaves."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tracking_worlds import detected, joined, nanoseconds
+
+from mast_zenoh.geometry import rotation_from_yaw
+from mast_zenoh.states import CLASS_INDEX, Detections, ObjectStates
+from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, SensorView
+
+NOTHING = Detections.empty()
+
+
+def view(azimuth: float = np.pi, max_range: float = 100.0) -> SensorView:
+    return SensorView(np.array([0.0, 0.0, 2.0]), rotation_from_yaw(0.0), -azimuth, azimuth, -1.0, 0.5, max_range)
+
+
+def settled(tracker: KalmanBoxTracker3D, xy, frames: int = 10, **kinds) -> ObjectStates:
+    """The tracks after objects stood at `xy` for some frames."""
+    for frame in range(frames):
+        tracks = tracker.step(nanoseconds(frame), detected(xy, **kinds), view())
+    return tracks
+
+
+# -- existence
+
+
+def test_one_false_detection_never_becomes_a_track():
+    tracker = KalmanBoxTracker3D()
+    tracker.step(0, detected([20.0, 5.0]))
+    for frame in range(1, 40):
+        assert len(tracker.step(nanoseconds(frame), NOTHING)) == 0
+
+
+def test_an_object_is_a_track_by_its_third_detection():
+    tracker = KalmanBoxTracker3D()
+    counts = [len(tracker.step(nanoseconds(frame), detected([20.0, 5.0]))) for frame in range(3)]
+    assert counts[0] == 0
+    assert counts[2] == 1
+
+
+def test_what_is_gone_from_view_is_soon_gone_from_the_tracks():
+    tracker = KalmanBoxTracker3D()
+    settled(tracker, [20.0, 5.0], 30)
+    after = [len(tracker.step(nanoseconds(30 + frame), NOTHING, view())) for frame in range(10)]
+    assert after[0] == 1
+    assert after[-1] == 0
+
+
+def test_what_cannot_be_seen_is_not_missed():
+    tracker = KalmanBoxTracker3D()
+    before = settled(tracker, [20.0, 5.0])
+    narrow = view(azimuth=0.05)
+    for frame in range(10, 14):
+        after = tracker.step(nanoseconds(frame), NOTHING, narrow)
+    assert len(after) == 1
+    assert after.score[0] > 0.98 * before.score[0]
+
+
+def test_what_stands_behind_a_lorry_is_not_missed():
+    tracker = KalmanBoxTracker3D()
+    lorry, car = detected([15.0, 0.0], np.pi / 2, "truck"), detected([40.0, 0.0])
+    for frame in range(10):
+        tracker.step(nanoseconds(frame), joined(lorry, car), view())
+    low = SensorView(np.array([0.0, 0.0, 1.0]), np.eye(3), -np.pi, np.pi, -1.0, 0.5, 100.0)
+    for frame in range(10, 14):
+        hidden = tracker.step(nanoseconds(frame), lorry, low)
+    assert len(hidden) == 2
+    assert hidden.score.min() > 0.95
+
+
+def test_an_object_seen_now_and_then_stays_one_track():
+    tracker = KalmanBoxTracker3D()
+    settled(tracker, [20.0, 5.0])
+    ids = set()
+    for frame in range(10, 100):
+        seen = detected([20.0, 5.0]) if frame % 4 == 0 else NOTHING
+        ids.update(tracker.step(nanoseconds(frame), seen, view()).id.tolist())
+    assert len(ids) == 1
+
+
+def test_an_object_that_comes_back_within_a_second_has_its_id_again():
+    tracker = KalmanBoxTracker3D()
+    before = settled(tracker, [20.0, 5.0], 20)
+    for frame in range(20, 30):
+        gone = tracker.step(nanoseconds(frame), NOTHING, view())
+    assert len(gone) == 0
+    after = tracker.step(nanoseconds(30), detected([20.2, 5.0]), view())
+    np.testing.assert_array_equal(after.id, before.id)
+
+
+def test_after_a_long_absence_the_id_is_a_new_one():
+    tracker = KalmanBoxTracker3D()
+    before = settled(tracker, [20.0, 5.0])
+    tracker.step(nanoseconds(60), NOTHING, view())
+    for frame in range(61, 65):
+        after = tracker.step(nanoseconds(frame), detected([20.0, 5.0]), view())
+    assert after.id.min() > before.id.max()
+
+
+def test_two_detections_of_one_object_are_one_track():
+    tracker = KalmanBoxTracker3D()
+    tracks = settled(tracker, [[20.0, 5.0], [20.8, 5.1]], 20)
+    assert len(tracks) == 1
+
+
+def test_neighbours_in_adjacent_lanes_are_two_tracks():
+    tracker = KalmanBoxTracker3D()
+    assert len(settled(tracker, [[20.0, 0.0], [20.5, 3.0]])) == 2
+
+
+# -- motion
+
+
+def test_two_detections_give_a_fast_cars_velocity():
+    tracker = KalmanBoxTracker3D()
+    for frame in range(4):
+        tracks = tracker.step(nanoseconds(frame), detected([-40.0 + 3.3 * frame, 2.0], 0.0))
+    assert len(tracks) == 1
+    np.testing.assert_allclose(tracks.velocity[0, :2], [33.0, 0.0], atol=3.0)
+
+
+def test_a_car_goes_where_it_points_a_pedestrian_anywhere_slowly():
+    tracker = KalmanBoxTracker3D()
+    tracker.step(0, joined(detected([0.0, 0.0], np.pi / 2), detected([30.0, 0.0], 0.0, "pedestrian")))
+    tracks = tracker.step(
+        nanoseconds(1), joined(detected([0.0, 0.0], np.pi / 2), detected([30.0, 0.0], 0.0, "pedestrian"))
+    )
+    car, pedestrian = (np.sqrt(np.diagonal(one))[6:8] for one in tracks.covariance)
+    assert car[1] > 3 * car[0]
+    assert pedestrian.max() < 2.0
+
+
+def test_the_heading_is_not_turned_by_a_detection_the_wrong_way_round():
+    tracker = KalmanBoxTracker3D()
+    for frame in range(20):
+        yaw = 0.3 + (np.pi if frame % 4 == 3 else 0.0)
+        tracks = tracker.step(nanoseconds(frame), detected([10.0, 0.0], yaw))
+        if len(tracks):
+            assert abs(tracks.yaw[0] - 0.3) < 0.05
+
+
+def test_a_heading_that_began_the_wrong_way_round_follows_the_motion():
+    tracker = KalmanBoxTracker3D()
+    for frame in range(15):
+        tracks = tracker.step(nanoseconds(frame), detected([frame * 1.0, 0.0], np.pi if frame < 3 else 0.0))
+    assert abs(tracks.yaw[0]) < 0.1
+
+
+def test_the_class_is_that_of_most_detections():
+    tracker = KalmanBoxTracker3D()
+    for frame in range(12):
+        tracks = tracker.step(nanoseconds(frame), detected([10.0, 0.0], 0.0, "truck" if frame % 3 else "car"))
+    assert tracks.class_id[0] == CLASS_INDEX["truck"]
+
+
+def test_a_detection_that_says_it_is_precise_is_believed():
+    sure, unsure = KalmanBoxTracker3D(), KalmanBoxTracker3D()
+    for frame in range(3):
+        covariance = np.eye(3)[None] * 1e-3
+        a = sure.step(nanoseconds(frame), detected([10.0, 0.0], covariance=covariance))
+        b = unsure.step(nanoseconds(frame), detected([10.0, 0.0]))
+    assert a.covariance[0, 0, 0] < 0.05 * b.covariance[0, 0, 0]
+
+
+def test_errors_are_as_large_as_the_covariance_says():
+    random = np.random.default_rng(1)
+    tracker = KalmanBoxTracker3D()
+    xy = np.column_stack([np.arange(20) * 15.0, np.zeros(20)])
+    errors = []
+    for frame in range(60):
+        tracks = tracker.step(nanoseconds(frame), detected(xy + 0.4 * random.normal(size=xy.shape)))
+        if frame > 20:
+            error = (tracks.position - detected(xy).position)[:, :2]
+            information = np.linalg.inv(tracks.covariance[:, :2, :2])
+            errors.append(np.einsum("ni,nij,nj->n", error, information, error).mean())
+    # Two degrees of freedom would give 2; what stands still moves less than the model allows for.
+    assert 0.5 < np.mean(errors) < 2.5
+
+
+# -- contract
+
+
+detections = st.lists(
+    st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(-3, 3), st.sampled_from(["car", "pedestrian"])),
+    max_size=8,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(detections, min_size=2, max_size=6), st.randoms(use_true_random=False))
+def test_the_order_of_detections_does_not_matter(frames, random):
+    a, b = KalmanBoxTracker3D(), KalmanBoxTracker3D()
+    for frame, objects in enumerate(frames * 2):
+        seen = joined(NOTHING, *(detected([x, y], yaw, kind) for x, y, yaw, kind in objects))
+        order = random.sample(range(len(seen)), len(seen))
+        one = a.step(nanoseconds(frame), seen, view())
+        other = b.step(nanoseconds(frame), seen.select(np.array(order, int)), view())
+        for name, column in one.columns().items():
+            assert column.tobytes() == other.columns()[name].tobytes()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(detections, min_size=2, max_size=5))
+def test_filterpy_agrees_on_any_detections(frames):
+    a, b = KalmanBoxTracker3D(), FilterpyBoxTracker3D()
+    for frame, objects in enumerate(frames * 2):
+        seen = joined(NOTHING, *(detected([x, y], yaw, kind) for x, y, yaw, kind in objects))
+        one, other = a.step(nanoseconds(frame), seen, view()), b.step(nanoseconds(frame), seen, view())
+        assert_close(one, other)
+        assert_close(a.step_states(nanoseconds(frame), one), b.step_states(nanoseconds(frame), other))
+
+
+def assert_close(a: ObjectStates, b: ObjectStates) -> None:
+    np.testing.assert_array_equal(a.id, b.id)
+    for name in ("position", "velocity", "size", "yaw", "covariance", "score"):
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9)
+
+
+def test_matched_names_the_row_each_track_was_updated_with():
+    tracker = KalmanBoxTracker3D()
+    xy = np.array([[40.0, 0.0], [-10.0, 5.0], [20.0, -8.0]])
+    tracks = settled(tracker, xy)
+    np.testing.assert_allclose(xy[tracker.matched], tracks.position[:, :2], atol=0.1)
+    tracks = tracker.step(nanoseconds(10), detected(xy[[2]]), view())
+    assert tracker.matched.tolist() == [0 if round(x) == 20 else -1 for x in tracks.position[:, 0]]
+
+
+def test_what_is_returned_is_the_callers():
+    tracker = KalmanBoxTracker3D()
+    tracks = settled(tracker, [10.0, 0.0])
+    tracks.position[:] = 1e6
+    tracks.covariance[:] = np.nan
+    again = tracker.step(nanoseconds(10), detected([10.0, 0.0]))
+    np.testing.assert_allclose(again.position[0, :2], [10.0, 0.0], atol=0.1)
+
+
+def test_reset_starts_anew():
+    tracker = KalmanBoxTracker3D()
+    first = settled(tracker, [10.0, 0.0])
+    tracker.reset()
+    second = settled(tracker, [10.0, 0.0])
+    for name, column in first.columns().items():
+        np.testing.assert_array_equal(column, second.columns()[name])
+
+
+def test_steps_of_any_length_and_of_none_are_fine():
+    tracker = KalmanBoxTracker3D()
+    for time_s in (0.0, 0.05, 0.05, 0.3, 0.31, 1.0, 1.1):
+        tracks = tracker.step(round(time_s * 1e9), detected([10.0 * time_s, 0.0]))
+    assert len(tracks) == 1
+    assert tracks.velocity[0, 0] == pytest.approx(10.0, abs=1.5)
+
+
+def test_time_does_not_run_backwards():
+    tracker = KalmanBoxTracker3D()
+    tracker.step(100, NOTHING)
+    with pytest.raises(ValueError, match="found 99, expected at least 100"):
+        tracker.step(99, NOTHING)
+
+
+@pytest.mark.parametrize("name", ["detection_probability", "clutter_per_m2", "position_std_m", "jump_probability"])
+def test_a_parameter_that_makes_no_sense_is_refused_by_name(name):
+    with pytest.raises(ValueError, match=f"{name}: found -1.0"):
+        KalmanBoxTracker3D(**{name: -1.0})
+
+
+def test_a_class_that_does_not_exist_is_an_unknown_one():
+    tracker = KalmanBoxTracker3D()
+    for frame in range(4):
+        seen = detected([10.0, 0.0])
+        seen.class_id[:] = 200
+        tracks = tracker.step(nanoseconds(frame), seen)
+    assert tracks.class_id.tolist() == [CLASS_INDEX["unknown"]]
+
+
+# -- full states
+
+
+def states(xy, velocity=(0.0, 0.0, 0.0), variance: float = 0.04, score: float = 0.99) -> ObjectStates:
+    seen = detected(xy)
+    return ObjectStates.of(
+        seen.position,
+        size=seen.size,
+        velocity=np.tile(np.asarray(velocity, float), (len(seen), 1)),
+        class_id=seen.class_id,
+        covariance=np.tile(np.eye(9) * variance, (len(seen), 1, 1)),
+        score=np.full(len(seen), score),
+    )
+
+
+def test_repeated_states_are_not_counted_as_new_evidence():
+    tracker = KalmanBoxTracker3D()
+    for frame in range(50):
+        tracks = tracker.step_states(nanoseconds(frame), states([10.0, 0.0]))
+    # Fifty independent measurements would bring it to a fraction of what one says; repeated ones must not.
+    assert tracks.covariance[0, 0, 0] > 0.5 * 0.04
+
+
+def test_states_bring_their_velocity_along():
+    tracker = KalmanBoxTracker3D()
+    for frame in range(3):
+        tracks = tracker.step_states(nanoseconds(frame), states([2.0 * frame, 0.0], (20.0, 0.0, 0.0)))
+    np.testing.assert_allclose(tracks.velocity[0], [20.0, 0.0, 0.0], atol=1e-6)
+
+
+def test_a_doubtful_report_is_not_taken_up_at_once():
+    tracker = KalmanBoxTracker3D()
+    assert len(tracker.step_states(0, states([10.0, 0.0], score=0.5))) == 0
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.triu(np.full((9, 9), 5.0)), np.diag([1e-300] * 9)],
+    ids=["none", "negative", "huge", "not symmetric", "tiny"],
+)
+def test_no_covariance_from_outside_stops_the_tracker(covariance):
+    tracker = KalmanBoxTracker3D()
+    for frame in range(6):
+        hostile = states([[10.0, 0.0], [30.0, 0.0]])
+        hostile.covariance[1] = covariance
+        tracks = tracker.step_states(nanoseconds(frame), hostile)
+        tracker.step(nanoseconds(frame), detected([50.0, 0.0], covariance=covariance[None, :3, :3]))
+    assert all(np.isfinite(column).all() for column in tracks.columns().values())
+    assert np.isclose(tracks.position[:, 0], 10.0, atol=0.1).any()

@@ -1,0 +1,200 @@
+"""The parts that trackers are made of."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.geometry import rotation_from_yaw_pitch
+from mast_zenoh.tracking import BipartiteAssignment, GreedyAssignment, SensorView
+from mast_zenoh.tracking.classes import first_covariance
+from mast_zenoh.tracking.duplicates import overlap
+from mast_zenoh.tracking.filterpy_tracker import FilterpyFilter
+from mast_zenoh.tracking.kalman import BOX, WHOLE, BatchedFilter, process_noise
+from mast_zenoh.tracking.soundness import sound
+from mast_zenoh.tracking.view import unblocked
+
+# -- assignment
+
+costs = st.lists(
+    st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(-9, 3).map(float)),
+    max_size=12,
+    unique_by=lambda p: p[:2],
+)
+
+
+def columns(pairs):
+    row, column, cost = (np.array([pair[k] for pair in pairs]) for k in range(3))
+    return row.astype(int), column.astype(int), cost.astype(float)
+
+
+@given(costs)
+def test_bipartite_assignment_has_the_least_total_cost(pairs):
+    row, column, cost = columns(pairs)
+    chosen = BipartiteAssignment().match(row, column, cost)
+    least = min(
+        sum(pair[2] for pair in subset)
+        for k in range(len(pairs) + 1)
+        for subset in itertools.combinations(pairs, min(k, 5))
+        if len({p[0] for p in subset}) == len(subset) == len({p[1] for p in subset})
+    )
+    assert cost[chosen].sum() == least
+
+
+@given(costs, st.sampled_from([BipartiteAssignment(), GreedyAssignment()]))
+def test_nothing_is_assigned_twice_or_at_a_loss(pairs, assignment):
+    row, column, cost = columns(pairs)
+    chosen = assignment.match(row, column, cost)
+    assert len(set(row[chosen])) == len(chosen) == len(set(column[chosen]))
+    assert (cost[chosen] < 0).all()
+    assert (np.diff(chosen) > 0).all()
+
+
+def test_greedy_assignment_takes_the_cheapest_pair_even_if_that_is_dear_in_total():
+    row, column, cost = columns([(0, 0, -9.0), (0, 1, -8.0), (1, 0, -8.0)])
+    assert GreedyAssignment().match(row, column, cost).tolist() == [0]
+    assert BipartiteAssignment().match(row, column, cost).tolist() == [1, 2]
+
+
+# -- filter
+
+
+def some_states(n: int, seed: int = 0):
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(n, 9, 9))
+    return random, random.normal(size=(n, 9)), root @ root.transpose(0, 2, 1) + np.eye(9)
+
+
+def test_the_batched_filter_is_filterpys():
+    random, mean, P = some_states(20)
+    batched, reference = BatchedFilter(), FilterpyFilter()
+    Q = process_noise(0.1, random.uniform(0.5, 4, 20), 0.2, 1e-3)
+    direction = np.exp(1j * random.uniform(0, 6, 20))
+    direction = np.column_stack([direction.real, direction.imag])
+    for one, other in (
+        (batched.predict(mean, P, 0.1, Q), reference.predict(mean, P, 0.1, Q)),
+        *(
+            (
+                batched.correct(mean, P, part, mean[:, part] + 1.0, P[:, part, part]),
+                reference.correct(mean, P, part, mean[:, part] + 1.0, P[:, part, part]),
+            )
+            for part in (BOX, WHOLE)
+        ),
+        (
+            batched.correct_speed(mean, P, direction, np.arange(1.0, 21.0)),
+            reference.correct_speed(mean, P, direction, np.arange(1.0, 21.0)),
+        ),
+    ):
+        np.testing.assert_allclose(one[0], other[0], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(one[1], other[1], rtol=0, atol=1e-9)
+
+
+def test_a_thousand_steps_leave_covariances_symmetric_and_positive_definite():
+    random, mean, P = some_states(5)
+    one = BatchedFilter()
+    Q = process_noise(0.1, np.full(5, 3.0), 0.2, 4e-4)
+    for _ in range(1000):
+        mean, P = one.predict(mean, P, 0.1, Q)
+        mean, P = one.correct(mean, P, BOX, random.normal(size=(5, 6)), np.tile(0.1 * np.eye(6), (5, 1, 1)))
+        mean, P = one.correct_speed(mean, P, np.tile([0.6, 0.8], (5, 1)), np.full(5, 0.3))
+    np.testing.assert_allclose(P, P.transpose(0, 2, 1), rtol=0, atol=1e-12)
+    assert np.linalg.eigvalsh(P).min() > 0
+
+
+def test_process_noise_adds_up_over_steps():
+    acceleration = np.array([2.0])
+    whole = process_noise(0.4, acceleration, 0.3, 1e-3)
+    P = np.zeros((1, 9, 9))
+    for _ in range(4):
+        _, P = BatchedFilter().predict(np.zeros((1, 9)), P, 0.1, process_noise(0.1, acceleration, 0.3, 1e-3))
+    np.testing.assert_allclose(P, whole, atol=1e-12)
+
+
+def test_a_new_cars_speed_is_open_along_its_heading_only():
+    covariance = first_covariance(np.eye(6)[None], np.array([np.pi / 6]), np.array([1]))[0]
+    along, across = np.array([np.cos(np.pi / 6), 0.5]), np.array([-0.5, np.cos(np.pi / 6)])
+    assert np.sqrt(along @ covariance[6:8, 6:8] @ along) == pytest.approx(12.0)
+    assert np.sqrt(across @ covariance[6:8, 6:8] @ across) == pytest.approx(3.0)
+
+
+# -- covariances from outside
+
+
+@settings(max_examples=100)
+@given(st.lists(st.floats(-1e300, 1e300, allow_nan=False), min_size=9, max_size=9))
+def test_any_finite_matrix_is_made_sound(values):
+    result = sound(np.array(values).reshape(1, 3, 3))
+    assert np.isfinite(np.linalg.inv(result)).all()
+    assert np.linalg.eigvalsh(result).min() > 0
+    np.testing.assert_array_equal(result, result.transpose(0, 2, 1))
+
+
+def test_a_sound_covariance_is_left_as_it_is():
+    P = some_states(4)[2]
+    P = 0.5 * (P + P.transpose(0, 2, 1))
+    np.testing.assert_array_equal(sound(P), P)
+
+
+# -- what can be seen
+
+
+def test_an_object_is_expected_inside_the_field_of_view_and_half_at_its_edge():
+    pole = SensorView(
+        np.array([0.0, 0.0, 15.0]),
+        rotation_from_yaw_pitch(0.0, np.deg2rad(30)),
+        -np.pi / 4,
+        np.pi / 4,
+        np.deg2rad(-25),
+        np.deg2rad(30),
+        100.0,
+    )
+    points = np.array([[30.0, 0.0, 0.8], [-30.0, 0.0, 0.8], [120.0, 0.0, 0.8], [5.0, 0.0, 0.8], [0.0, 30.0, 0.8]])
+    assert pole.expects(points).tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+    edge = np.sqrt(100.0**2 - 14.2**2)
+    assert pole.expects(np.array([[edge, 0.0, 0.8]]))[0] == pytest.approx(0.5)
+
+
+def test_a_full_turn_has_no_edge_behind():
+    roof = SensorView(np.zeros(3), np.eye(3), -np.pi, np.pi, -0.3, 0.3, 50.0)
+    assert roof.expects(np.array([[-20.0, 0.0, 0.0], [-20.0, -0.01, 0.0]])).tolist() == [1.0, 1.0]
+
+
+def test_an_object_hides_what_is_behind_it_but_not_what_is_beside_or_before_it():
+    car, lorry = [4.5, 1.8, 1.5], [9.0, 2.5, 3.5]
+    position = np.array([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7], [8.0, 0.0, 0.7]])
+    clear = unblocked(
+        np.array([0.0, 0.0, 1.8]), position, np.array([car] * 3), np.array([[20.0, 0.0, 1.7]]), np.array([lorry])
+    )
+    assert clear.tolist() == [0.0, 1.0, 1.0]
+
+
+def test_a_pole_looks_over_a_car():
+    position, size = np.array([[40.0, 0.0, 0.7]]), np.array([[4.5, 1.8, 1.5]])
+    over = unblocked(np.array([0.0, 0.0, 15.0]), position, size, np.array([[20.0, 0.0, 0.7]]), size)
+    assert over.tolist() == [1.0]
+
+
+def test_nothing_hides_itself():
+    position, size = np.array([[40.0, 0.0, 0.7], [60.0, 30.0, 0.7]]), np.tile([4.5, 1.8, 1.5], (2, 1))
+    assert unblocked(np.zeros(3), position, size, position, size).tolist() == [1.0, 1.0]
+
+
+# -- footprints
+
+
+@pytest.mark.parametrize(
+    ("offset", "yaw", "same"),
+    [
+        ((0.5, 0.3), 0.0, True),
+        ((0.5, 0.3), np.pi, True),
+        ((0.0, 3.2), 0.0, False),
+        ((5.5, 0.0), 0.0, False),
+        ((2.5, 2.5), np.pi / 2, False),
+        ((1.0, 1.0), np.pi / 2, True),
+    ],
+)
+def test_cars_are_one_where_they_would_overlap(offset, yaw, same):
+    size = np.array([[4.5, 1.8, 1.5]])
+    assert overlap(np.array([offset]), size, np.zeros(1), size, np.array([yaw]))[0] == same

@@ -1,0 +1,96 @@
+"""Traffic of all kinds, with the tracker's constants as they come: nothing here is tuned to a place."""
+
+import numpy as np
+import pytest
+from tracking_worlds import changing_lanes, speeding_up, straight, turning, watch
+
+from mast_zenoh.streams import stream
+from mast_zenoh.tracking import GreedyAssignment, KalmanBoxTracker3D
+
+
+def motorway(random):
+    lanes = [(2.0, 0.0, 25.0), (5.5, 0.0, 33.0), (-2.0, np.pi, 28.0), (-5.5, np.pi, 36.0)]
+    return [
+        ("truck" if y == 2.0 and row % 3 == 0 else "car", straight(-np.cos(yaw) * (75 + 45 * row), y, yaw, speed))
+        for y, yaw, speed in lanes
+        for row in range(8)
+    ]
+
+
+def stop_and_go(random):
+    return [
+        ("car", speeding_up(-60.0 + 12.0 * row, 3.5 * lane, 0.0, 6.0, 5.0, 8.0))
+        for lane in range(2)
+        for row in range(8)
+    ]
+
+
+def junction(random):
+    """From each of four arms a car turns left, one after the other."""
+    cars = []
+    for k, yaw in enumerate([0.0, np.pi / 2, np.pi, -np.pi / 2]):
+        x, y = -45.0 - 25.0 * k, -3.0
+        start = (x * np.cos(yaw) - y * np.sin(yaw), x * np.sin(yaw) + y * np.cos(yaw))
+        cars.append(("car", turning(*start, yaw, 9.0, 12.0, (-9.0 - x) / 9.0)))
+    return cars
+
+
+def pavement(random):
+    places, ways = random.uniform(-30, 30, (15, 2)), random.uniform(-np.pi, np.pi, 15)
+    return [("pedestrian", straight(x, y, yaw, 1.4)) for (x, y), yaw in zip(places, ways, strict=True)]
+
+
+def lane_changes(random):
+    return [("car", changing_lanes(straight(-75.0 - 40 * row, 0.0, 0.0, 20.0), 2.0 + 2 * row, 3.2)) for row in range(5)]
+
+
+def run(world, assignment=None, **sensor):
+    random = stream(5, world.__name__)
+    tracker = KalmanBoxTracker3D() if assignment is None else KalmanBoxTracker3D(assignment=assignment)
+    return watch(tracker, world(random), 150, random, **sensor)
+
+
+@pytest.mark.parametrize("world", [motorway, stop_and_go, junction, pavement])
+def test_hardly_anything_is_missed_or_invented_and_ids_last(world):
+    result = run(world)
+    assert result["fn"] <= 0.10
+    assert result["fp"] <= 0.15
+    assert result["switches"] <= 1
+    assert result["rmse_m"] <= 0.40
+
+
+def test_a_lane_change_in_one_step_keeps_the_id():
+    assert run(lane_changes)["switches"] <= 1
+
+
+@pytest.mark.parametrize("error", [0.3, 0.8, np.pi / 2])
+def test_cars_whose_heading_is_measured_wrong_are_followed_all_the_same(error):
+    def askew(random):
+        return [("car", (lambda t, y=8.0 * row: (15.0 * t - 60.0, y - 20.0, error))) for row in range(6)]
+
+    result = run(askew, flips=0.0, clutter=0.0)
+    assert result["fn"] <= 0.1
+    assert result["switches"] == 0
+    assert result["rmse_m"] <= 0.7
+
+
+@pytest.mark.parametrize("world", [motorway, junction, pavement])
+def test_greedy_assignment_does_nearly_as_well(world):
+    result = run(world, GreedyAssignment())
+    assert result["fn"] <= 0.2
+    assert result["switches"] <= 2
+
+
+def test_a_poor_detector_in_dense_clutter_costs_little():
+    result = run(motorway, probability=0.65, noise_m=0.5, yaw_noise=0.1, flips=0.1, clutter=3.0)
+    assert result["fn"] <= 1.0
+    assert result["fp"] <= 0.5
+    assert result["switches"] <= 5
+
+
+def test_clutter_alone_makes_hardly_any_track():
+    random = np.random.default_rng(0)
+    result = watch(
+        KalmanBoxTracker3D(), [("car", straight(500.0, 0.0, 0.0, 0.0)), *pavement(random)[:1]], 300, random, clutter=3.0
+    )
+    assert result["fp"] <= 0.1
