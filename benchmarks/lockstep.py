@@ -1,8 +1,9 @@
 """Lock-step frames/s of the testbed beside those of bare messages over the same graph and payload sizes, in one run.
 
-The bare loop has the same processes, router, keys and payload sizes, and does nothing else: an agent publishes when its pose
-and detections are there, the broker when all tracks are there, the centre when the batch is there, and the simulator begins the
-next frame when it hears the picture. What the testbed adds to that is the price of what it computes and of its lock-step.
+The bare loop has the same processes, router, keys and payload sizes, and does nothing else: an agent publishes when
+its pose and detections are there, the broker when all tracks are there, the centre when the batch is there, and the
+simulator begins the next frame when it hears the picture. What the testbed adds to that is the price of what it
+computes and of its lock-step.
 
     python benchmarks/lockstep.py [--frames 600] [--repeats 3]
 """
@@ -62,7 +63,9 @@ def bare(resolved: scenario.Resolved, sizes: dict[str, int], frames: int) -> flo
         roles = {name: spec.role for name, spec in resolved.nodes.items()}
         plan.write_text(json.dumps({"wiring": resolved.wiring, "roles": roles, "sizes": sizes, "frames": frames}))
         processes = {
-            name: subprocess.Popen([sys.executable, __file__, "--node", name, str(plan), endpoint], stdout=subprocess.PIPE)
+            name: subprocess.Popen(
+                [sys.executable, __file__, "--node", name, str(plan), endpoint], stdout=subprocess.PIPE
+            )
             for name in roles
         }
         try:
@@ -86,7 +89,9 @@ def bare_node(name: str, plan_file: str, endpoint: str) -> None:
     with open_client(endpoint) as session:
 
         def listen(key: str) -> None:
-            handler = zenoh.handlers.Callback(lambda sample: inbox.put(key) if sample.payload.to_bytes() is not None else 0, indirect=False)
+            handler = zenoh.handlers.Callback(
+                lambda sample: inbox.put(key) if sample.payload.to_bytes() is not None else 0, indirect=False
+            )
             subscribers.append(session.declare_subscriber(PREFIX + key, handler))
 
         subscribers: list = []
@@ -99,7 +104,10 @@ def bare_node(name: str, plan_file: str, endpoint: str) -> None:
         for key in (*hears, "@stop"):
             listen(key)
         publishers = [
-            (session.declare_publisher(PREFIX + key, congestion_control=zenoh.CongestionControl.BLOCK, express=True), b"x" * plan["sizes"][key])
+            (
+                session.declare_publisher(PREFIX + key, congestion_control=zenoh.CongestionControl.BLOCK, express=True),
+                b"x" * plan["sizes"][key],
+            )
             for key in ports.outputs.values()
             if key in plan["sizes"] and not key.endswith("status")
         ]

@@ -25,7 +25,9 @@ _err = Console(stderr=True, soft_wrap=True)
 Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")
 ]
-Scenario = Annotated[str, typer.Argument(help="A scenario file, or the name of one of ours: baseline, uncoordinated, …")]
+Scenario = Annotated[
+    str, typer.Argument(help="A scenario file, or the name of one of ours: baseline, uncoordinated, …")
+]
 Out = Annotated[Path | None, typer.Option(help="Folder for the results; new or empty. Default: runs/NAME-TIME.")]
 Frames = Annotated[int | None, typer.Option(min=1, help="How many frames to play.")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Of all random draws.")]
@@ -46,13 +48,16 @@ def run(
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh.launch import local
-    from mast_zenoh.report import html, terminal
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate)
     if runtime == "inproc" and resolved.mode == "realtime":
-        raise typer.BadParameter("real time needs the mesh: one process has no network to be late on", param_hint="--mode")
+        raise typer.BadParameter(
+            "real time needs the mesh: one process has no network to be late on", param_hint="--mode"
+        )
     ended = local.run(resolved, out, runtime=runtime, endpoint=endpoint, console=_out)
+    from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
+
     if (ended.folder / "metrics.json").is_file():
         terminal.show(_out, {resolved.name: ended.folder})
     if report:
@@ -75,12 +80,11 @@ def study(
     out: Out = None,
 ) -> None:
     """Run the scenarios of a study one after the other, and compare them."""
-    from mast_zenoh.report import html, terminal
     from mast_zenoh.study import comparison
 
-    ended = comparison.run(
-        study_file, settings or (), out, frames=frames, seed=seed, runtime=runtime, console=_out
-    )
+    ended = comparison.run(study_file, settings or (), out, frames=frames, seed=seed, runtime=runtime, console=_out)
+    from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
+
     terminal.show(_out, ended.folders)
     _out.print(f"report: {html.write_study_report(ended.out, ended.folders)}", highlight=False)
 

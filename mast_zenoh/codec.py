@@ -253,10 +253,11 @@ def _check_texts(schema: str, column: Column, texts: Sequence[object] | NDArray[
 
 def _check_values(schema: str, column: Column, array: NDArray[Any]) -> None:
     if column.dtype == "float64":
-        # The sum of squares is not finite, or too large, as soon as one value is: one pass, no temporary.
+        # The sum of squares is not finite as soon as one value is, and too large where one is absurd: one pass, no
+        # temporary. The mean, not the sum, is limited, so that what is made of many sound messages is sound.
         flat = array.reshape(-1)
         squares = np.vdot(flat, flat)
-        if not squares <= _MAX_SQUARES:
+        if not squares <= _MAX_SQUARES * max(len(flat), 1):
             raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")
         if column.name.endswith("rotation") and squares < LEAST_QUATERNION**2:
             raise MessageError(f"{schema}.{column.name}: a quaternion of no length, which is no rotation")

@@ -20,19 +20,25 @@ def messages_page() -> str:
         _GENERATED.format(source="mast_zenoh/messages.py"),
         "A message is a MessagePack map: a header (`schema`, `version`, `source`, `frame`, `time_ns`, `seq`) and a",
         "`body` that maps each column to `[dtype, shape, data]`, the data being raw little-endian bytes in C order.",
-        "In a shape, `n`, `m` and `k` are numbers of objects and `a` is a number of agents; equal letters in one message",
-        "are equal numbers. `time_ns` is nanoseconds since the scene began. Frames are right-handed, x forward (world:",
-        "east), y left (north), z up; quaternions are (w, x, y, z) of the active rotation into the world.",
+        "In a shape, `n`, `m` and `k` are numbers of objects and `a` is a number of agents; equal letters in one",
+        "message are equal numbers. `time_ns` is nanoseconds since the scene began. Frames are right-handed, x forward",
+        "(world: east), y left (north), z up; quaternions are (w, x, y, z) of the active rotation into the world.",
         "",
         f"Classes, by `class_id`: {', '.join(f'{i} {name}' for i, name in enumerate(CLASSES))}.",
         "",
-        "A receiver refuses, counts and drops a message that is truncated, oversized, of another schema or version, has a",
-        "missing or further column, another dtype or shape, a number that is not finite or beyond 1e9, a class out of",
-        "range, or (tracks and pictures) an id twice. A covariance may be anything finite: filters and fusion make it sound.",
+        "A receiver refuses, counts and drops a message that is truncated, oversized, of another schema or version,",
+        "has a missing or further column, another dtype or shape, a number that is not finite or absurdly large, a",
+        "class out of range, or (tracks and pictures) an id twice. A covariance may be anything finite: filters and",
+        "fusion make it sound.",
         "",
     ]
     for schema in SCHEMAS.values():
-        lines += [f"## `{schema.name}` (version {schema.version})", "", f"{schema.meaning[0].upper()}{schema.meaning[1:]}.", ""]
+        lines += [
+            f"## `{schema.name}` (version {schema.version})",
+            "",
+            f"{schema.meaning[0].upper()}{schema.meaning[1:]}.",
+            "",
+        ]
         if not schema.columns:
             lines += ["No columns: the header says it all.", ""]
             continue

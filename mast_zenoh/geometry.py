@@ -29,7 +29,8 @@ def rotation_from_yaw(yaw: float) -> Floats:
 def rotation_from_yaw_pitch(yaw: float, pitch_down: float) -> Floats:
     """(3, 3) rotation of a body that heads to `yaw` and looks `pitch_down` rad below the horizon."""
     c, s = np.cos(pitch_down), np.sin(pitch_down)
-    return rotation_from_yaw(yaw) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    pitch = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return np.asarray(rotation_from_yaw(yaw) @ pitch, np.float64)
 
 
 def rotation_from_quaternion(quaternion: Floats) -> Floats:
@@ -118,4 +119,4 @@ def box_corners(position: Floats, size: Floats, yaw: Floats) -> Floats:
 def within_range(position: Floats, centre: Floats, radius: float) -> Bools:
     """(n,) whether (n, 3) positions lie within `radius` m of `centre` (3,) in the bird's-eye view."""
     offset = position[:, :2] - centre[:2]
-    return np.einsum("ij,ij->i", offset, offset) <= radius * radius
+    return np.asarray(np.einsum("ij,ij->i", offset, offset) <= radius * radius)

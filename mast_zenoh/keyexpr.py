@@ -345,9 +345,14 @@ def to_text(wiring: Wiring) -> str:
         mark = "*" if wire.interposers else " "
         first, *rest = wire.legs
         chain = f"{first.publisher.node} ─▶ " + "".join(f"[{leg.publisher.node}] ─▶ " for leg in rest)
-        lines.append(f"{mark} {wire.key:<34} {chain}{', '.join(end.node for end in wire.legs[-1].subscribers) or '(nobody)'}")
+        lines.append(
+            f"{mark} {wire.key:<34} {chain}{', '.join(end.node for end in wire.legs[-1].subscribers) or '(nobody)'}"
+        )
         if rest:
-            lines += [f"      {leg.publisher.node} ── {leg.key} ──▶ {', '.join(e.node for e in leg.subscribers)}" for leg in wire.legs]
+            lines += [
+                f"      {leg.publisher.node} ── {leg.key} ──▶ {', '.join(e.node for e in leg.subscribers)}"
+                for leg in wire.legs
+            ]
     return "\n".join([*lines, "", f"{len(wiring.wires)} wires; * rewritten, [node] inserted"])
 
 

@@ -23,7 +23,8 @@ ALGORITHMS = (attacks, fusion, metrics, scenes, sensing, tracking)
 def known_types(base: type) -> dict[str, type]:
     """The concrete classes that can be named where `base` is expected, by name."""
     found: dict[str, type] = {} if inspect.isabstract(base) else {base.__name__: base}
-    for subclass in base.__subclasses__():
+    children: list[type] = base.__subclasses__()
+    for subclass in children:
         found |= known_types(subclass)
     return found
 
@@ -50,7 +51,7 @@ def build(spec: object, base: type, path: str) -> Any:
 def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
     """An object of `cls` from plain values; nested dicts are built where a class is annotated."""
     parameters = {k: p for k, p in inspect.signature(cls).parameters.items() if p.kind is not p.VAR_KEYWORD}
-    hints = typing.get_type_hints(cls.__init__)
+    hints = typing.get_type_hints(getattr(cls, "__init__"))  # noqa: B009 (mypy takes cls for an instance)
     for key in arguments:
         if key not in parameters:
             hint = nearest(str(key), parameters)

@@ -328,9 +328,10 @@ def _checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
     for key, value in scenario.items():
         if key not in KEYS:
             raise ConfigurationError(f"{place}: {key}: unknown key{nearest(str(key), KEYS)}")
+        if key == "coordinator" and value is None:
+            continue
         if key in (*_SINGLE, "agents", "adversaries", "nodes", "keyexpr", "run") and not isinstance(value, Mapping):
-            if not (key == "coordinator" and value is None):
-                raise ConfigurationError(f"{place}: {key}: found {value!r}, expected a dict")
+            raise ConfigurationError(f"{place}: {key}: found {value!r}, expected a dict")
     return scenario
 
 
@@ -377,7 +378,9 @@ def _typed(value: str, default: Any, place: str) -> Any:
         return found
     if isinstance(default, float) and type(found) is int:
         return float(found)
-    if type(found) is not type(default) and not (isinstance(default, (list, tuple)) and isinstance(found, (list, tuple))):
+    if type(found) is not type(default) and not (
+        isinstance(default, (list, tuple)) and isinstance(found, (list, tuple))
+    ):
         raise ConfigurationError(f"{place}: found {value!r}, expected {type(default).__name__} as in {default!r}")
     return found
 
@@ -385,11 +388,10 @@ def _typed(value: str, default: Any, place: str) -> Any:
 def _reach(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> None:
     """Set what a dotted key names; every step must exist, and the last one is refused later if nobody takes it."""
     *steps, last = dotted.split(".")
+    scenario |= {key: {} for key in steps[:1] if key in KEYS and key not in scenario}
     level: Any = scenario
     for depth, step in enumerate(steps):
         step = _ALIASES.get(step, step) if depth == 0 else step
-        if isinstance(level, Mapping) and step not in level and depth == 0 and step in KEYS:
-            level[step] = {}
         if not isinstance(level, Mapping) or step not in level:
             known = level if isinstance(level, Mapping) else ()
             raise ConfigurationError(f"{place}: --set {dotted}: no {step!r} there{nearest(step, known)}")

@@ -121,7 +121,9 @@ class Detections:
     @classmethod
     def empty(cls) -> Detections:
         """No detections."""
-        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), np.zeros((0, 3, 3)))
+        return cls(
+            np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), np.zeros((0, 3, 3))
+        )
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Detections:

@@ -1,8 +1,8 @@
 """An adversary on a wire: takes what a publisher sent, and passes on what it wants its subscribers to believe.
 
-It sits on `detections` (between an agent's sensors and its perception) or on `tracks` (between the agent and the command
-centre); the key-expression map decides. Neither end can tell: keys, headers and the rows that it leaves alone are passed
-on as they came.
+It sits on `detections` (between an agent's sensors and its perception) or on `tracks` (between the agent and the
+command centre); the key-expression map decides. Neither end can tell: keys, headers and the rows that it leaves alone
+are passed on as they came.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.process import main
 from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
 from mast_zenoh.states import Detections, ObjectStates
-
 
 POSES_KEPT = 16  #: frames for which a message may be late on its wire and still be attacked
 
@@ -175,9 +174,7 @@ class Adversary(Node):
         directive = newest[1] if newest else None
         tampering = self.attack.step(received.frame, received.time_ns, objects, pose["position"], directive)
         if len(tampering.report):
-            context.publish(
-                "report", tampering.report.columns(), frame=received.frame, time_ns=received.time_ns
-            )
+            context.publish("report", tampering.report.columns(), frame=received.frame, time_ns=received.time_ns)
         return tampering
 
 

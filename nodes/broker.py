@@ -16,6 +16,9 @@ from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.process import main
 from mast_zenoh.states import ObjectStates, concatenate, propagate
 
+#: In SI units; a track beyond it is of no world, and brought to another time would make the whole batch unsound.
+MOST = 1e8
+
 
 class Broker(Node):
     """latency_s: emit what is at least this much older than now; patience: clocks that a missing message is waited
@@ -27,9 +30,7 @@ class Broker(Node):
     inputs = {"clock": "clock", "tracks": "tracks", "status": "status"}
     outputs = {"collated": "collated"}
 
-    def __init__(
-        self, latency_s: float = 0.0, patience: int = 0, capacity: int = 10, max_age_s: float = 0.25
-    ) -> None:
+    def __init__(self, latency_s: float = 0.0, patience: int = 0, capacity: int = 10, max_age_s: float = 0.25) -> None:
         for name, value, least in (
             ("latency_s", latency_s, 0),
             ("patience", patience, 0),
@@ -48,6 +49,7 @@ class Broker(Node):
         self.last: dict[str, tuple[int, ObjectStates]] = {}
         self.open_frames: dict[int, int] = {}  # frames without a batch yet, and their times
         self.batches = {"complete": 0, "overdue": 0}
+        self.absurd = 0
 
     def joined(self, node: str, role: str, context: Context) -> None:
         """An agent has come up: from now on it is waited for."""
@@ -73,6 +75,11 @@ class Broker(Node):
             return
         body = received.body
         states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
+        columns = [states.position, states.velocity, states.size, states.covariance.reshape(len(states), 81)]
+        real = np.abs(np.concatenate(columns, axis=1)).max(axis=1) <= MOST
+        if not real.all():
+            self.absurd += np.count_nonzero(~real)
+            states = states.select(real)
         self.buffer.push(received.subject, received.time_ns, states)
         self.emit_complete(context)
 
@@ -116,8 +123,9 @@ class Broker(Node):
         )
 
     def finish(self, context: Context) -> dict[str, object]:
-        """How many batches were complete, and what came too late."""
-        return {"collation": {**self.batches, "late": self.buffer.late, "overflowed": self.buffer.dropped}}
+        """How many batches were complete, what came too late, and what was left out."""
+        left_out = {"overflowed": self.buffer.dropped, "absurd": self.absurd}
+        return {"collation": {**self.batches, "late": self.buffer.late, **left_out}}
 
 
 if __name__ == "__main__":

@@ -53,9 +53,7 @@ class Evaluator(Node):
         objects = ObjectStates.of(
             body["position"], id=body["id"], size=body["size"], yaw=body["yaw"], velocity=body["velocity"]
         )
-        self.record.add_truth(
-            received.frame, objects, body["points"], body["agent_position"], body["agent_object"]
-        )
+        self.record.add_truth(received.frame, objects, body["points"], body["agent_position"], body["agent_object"])
 
     def on_tracks(self, received: Received, context: Context) -> None:
         """What an agent's own sensors tell it, as the command centre hears it."""

@@ -26,10 +26,14 @@ class Gather(Generic[Member, Item]):
         self.duplicates = 0
         self._frames: dict[int, dict[Member, Item]] = {}
         self._done_through = -1
+        self._complete: set[int] = set()
 
     def add(self, frame: int, member: Member, item: Item) -> dict[Member, Item] | None:
         """All items of `frame` if this one completes it, else None. Late and second items are left out."""
         if frame <= self._done_through:
+            return None
+        if frame in self._complete:
+            self.duplicates += 1
             return None
         items = self._frames.setdefault(frame, {})
         if member in items:
@@ -37,6 +41,7 @@ class Gather(Generic[Member, Item]):
             return None
         items[member] = item
         if self.expected <= items.keys():
+            self._complete.add(frame)
             return self._frames.pop(frame)
         return None
 
@@ -46,6 +51,7 @@ class Gather(Generic[Member, Item]):
         for frame in sorted(frame for frame in self._frames if frame <= limit):
             yield frame, self._frames.pop(frame)
         self._done_through = max(self._done_through, limit)
+        self._complete = {frame for frame in self._complete if frame > self._done_through}
 
     def flush(self) -> Iterator[tuple[int, dict[Member, Item]]]:
         """Everything that is left, oldest first."""

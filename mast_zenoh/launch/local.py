@@ -62,7 +62,7 @@ def run(
     console = console or Console(quiet=True)
     folder = run_folder.create(out, resolved.name)
     resolved.write(folder)
-    record = {
+    record: dict[str, Any] = {
         "id": f"{resolved.name}-{secrets.token_hex(4)}",
         "name": resolved.name,
         "status": "running",
@@ -98,7 +98,7 @@ def run(
 
 def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], display: Display) -> None:
     """All nodes in this process."""
-    states = {name: "running" for name in resolved.nodes}
+    states = dict.fromkeys(resolved.nodes, "running")
     try:
         process = InProcess(resolved, progress=lambda frame: display.update(frame, states))
         outcomes = process.run()
@@ -209,7 +209,9 @@ class Launch:
             return
         what = f"{child.name} {how_ended(child.exit)} at frame {self.frame}"
         if self.frame < 0:
-            self.problem = StartError(f"{child.name} ended before the first frame: {how_ended(child.exit)}{self._last_words(child)}")
+            self.problem = StartError(
+                f"{child.name} ended before the first frame: {how_ended(child.exit)}{self._last_words(child)}"
+            )
             self._stop(session, "a node did not start")
         elif child.spec.on_exit == "continue":
             self.display.say(f"[yellow]{what}; going on without it")

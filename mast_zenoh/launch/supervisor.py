@@ -17,7 +17,7 @@ from mast_zenoh.scenario import NodeSpec
 MAX_RESTARTS = 5
 
 #: One thread per node: many small arrays gain nothing from more, and the nodes share the machine.
-_ENVIRONMENT = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass
@@ -124,7 +124,10 @@ class Supervisor:
                 "ended": child.ended,
                 "restarts": child.restarts,
                 "log": f"logs/{name}.log",
-                **{key: reports.get(name, {}).get(key) for key in ("last_frame", "cpu_s", "rejected", "foreign", "failures")},
+                **{
+                    key: reports.get(name, {}).get(key)
+                    for key in ("last_frame", "cpu_s", "rejected", "foreign", "failures")
+                },
             }
             for name, child in self.children.items()
         }

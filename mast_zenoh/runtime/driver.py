@@ -76,16 +76,12 @@ class Driver(MeshNode):
                 lambda s: put(("counts", str(s.key_expr).rpartition("/")[2], s.payload.to_bytes())),
             )
         )
-        self._subscribers.append(
-            session.liveliness().declare_subscriber(
-                f"{self._prefix}/alive/*",
-                zenoh.handlers.Callback(
-                    lambda s: put(("alive", str(s.key_expr).rpartition("/")[2], s.kind == zenoh.SampleKind.PUT)),
-                    indirect=False,
-                ),
-                history=True,
-            )
+        presence: Any = zenoh.handlers.Callback(
+            lambda s: put(("alive", str(s.key_expr).rpartition("/")[2], s.kind == zenoh.SampleKind.PUT)),
+            indirect=False,
         )
+        liveliness = session.liveliness()
+        self._subscribers.append(liveliness.declare_subscriber(f"{self._prefix}/alive/*", presence, history=True))
 
     def run_until_stopped(self) -> None:
         """Wait for everybody, play the scene, tell everybody to stop, hand in the results."""
@@ -109,7 +105,9 @@ class Driver(MeshNode):
         deadline = time.monotonic() + self.start_timeout_s
         while missing := self.expected.keys() - self.alive:
             if not self._wait(deadline):
-                return self._or_stopped(f"start: not there after {self.start_timeout_s:.0f} s: {', '.join(sorted(missing))}")
+                return self._or_stopped(
+                    f"start: not there after {self.start_timeout_s:.0f} s: {', '.join(sorted(missing))}"
+                )
         self._begin_epoch()
         return self._await_quiet(everyone=True)
 

@@ -1,7 +1,8 @@
 """Hosts one node as a process on a Zenoh mesh.
 
-A Zenoh thread only puts samples on this process's inbox; the main thread takes them out, lets the host handle them, and sends
-what the node has published. Control traffic lies under mast/{run}/@control/, a verbatim chunk, where no wildcard sees it:
+A Zenoh thread only puts samples on this process's inbox; the main thread takes them out, lets the host handle them,
+and sends what the node has published. Control traffic lies under mast/{run}/@control/, a verbatim chunk, where no
+wildcard sees it:
 
     epoch            driver → all      who takes part from now on; counters start anew
     counts/{node}    node → driver     messages sent and handled by key, whenever the inbox is empty
@@ -27,8 +28,8 @@ from mast_zenoh.node import Node
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.host import Host, Outgoing
 
-#: What a message carries beside its payload: a mark of this testbed's nodes, the epoch, and the step that it was sent in.
-#: An interposer's messages carry the same as the publisher's would, so there is nothing to tell them by.
+#: What a message carries beside its payload: a mark of this testbed's nodes, the epoch, and the step that it was sent
+#: in. An interposer's messages carry the same as the publisher's would, so there is nothing to tell them by.
 ATTACHMENT = struct.Struct("<4sIq")
 MARK = b"MAST"
 
@@ -84,14 +85,13 @@ class MeshNode:
             event = self.inbox.get_nowait()
         except queue.Empty:
             event = self.idle()
-        if event is not None:
-            self.handle(event)
+        self.handle(event)
 
-    def idle(self) -> tuple[Any, ...] | None:
+    def idle(self) -> tuple[Any, ...]:
         """Nothing to do: say so, and wait for the next event.
 
-        While less has come than in the frames before, more is likely to be on its way: linger a little, because a report
-        too many costs the driver more than the wait costs us. It is sent in any case.
+        While less has come than in the frames before, more is likely to be on its way: linger a little, because a
+        report too many costs the driver more than the wait costs us. It is sent in any case.
         """
         if self._in_frame < min(self._in_frames):
             try:
@@ -234,12 +234,8 @@ class MeshNode:
         """Wait until every wire that somebody listens to has its listener, so that no first message is lost."""
         awaited = [self._publishers[leg.key] for _, leg in self.wiring.legs() if self._is_mine(leg)] + [self._counts]
         pending = threading.Semaphore(0)
-        listeners = [
-            publisher.declare_matching_listener(
-                zenoh.handlers.Callback(lambda status: pending.release() if status.matching else None, indirect=False)
-            )
-            for publisher in awaited
-        ]
+        direct: Any = zenoh.handlers.Callback(lambda status: pending.release(), indirect=False)
+        listeners = [publisher.declare_matching_listener(direct) for publisher in awaited]
         deadline = time.monotonic() + _MATCH_TIMEOUT_S
         while missing := [publisher for publisher in awaited if not publisher.matching_status]:
             left = deadline - time.monotonic()
@@ -253,4 +249,3 @@ class MeshNode:
 
     def _is_mine(self, leg: Leg) -> bool:
         return leg.publisher.node == self.name and bool(leg.subscribers)
-

@@ -1,14 +1,15 @@
 """When may the next frame begin? Lock-step by quiescence, as a state machine without I/O.
 
-Every runtime reports how many messages its node has sent and has handled, per key, both at once, whenever its inbox is
-empty. The mesh is quiet when every subscriber of every key has handled all that its publisher has sent. A report is made
-after everything that the counted messages caused has been sent, so reports that balance cannot hide a message under way.
+Every runtime reports how many messages its node has sent and has handled, per key, both at once, whenever its inbox
+is empty. The mesh is quiet when every subscriber of every key has handled all that its publisher has sent. A report
+is made after everything that the counted messages caused has been sent, so reports that balance cannot hide a message
+under way.
 
-Nodes that publish nothing (an evaluator, a recorder) cause nothing: they are not waited for in every frame, only now and
-then, so that they do not fall behind without bound, and at the end.
+Nodes that publish nothing (an evaluator, a recorder) cause nothing: they are not waited for in every frame, only now
+and then, so that they do not fall behind without bound, and at the end.
 
-Counting is by epoch. When a node dies or joins, a new epoch begins: all counters start from zero, and a message counts only
-in the epoch in which it was sent.
+Counting is by epoch. When a node dies or joins, a new epoch begins: all counters start from zero, and a message
+counts only in the epoch in which it was sent.
 """
 
 from __future__ import annotations
@@ -27,9 +28,7 @@ class Pacer:
     def __init__(self, wiring: Wiring) -> None:
         self.epoch = 0
         self.members: dict[str, str] = {}
-        self._flows = [
-            (leg.key, leg.publisher.node, end.node) for _, leg in wiring.legs() for end in leg.subscribers
-        ]
+        self._flows = [(leg.key, leg.publisher.node, end.node) for _, leg in wiring.legs() for end in leg.subscribers]
         self._publishers = {leg.publisher.node for _, leg in wiring.legs()}
         self._reports: dict[str, tuple[Mapping[str, int], Mapping[str, int]]] = {}
 

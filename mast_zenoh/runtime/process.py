@@ -1,7 +1,7 @@
-"""The `main` of every node's file: `python nodes/agent.py --run-folder DIR --name infra_1 --endpoint tcp/127.0.0.1:7447`.
+"""The `main` of every node's file: `python nodes/agent.py --run-folder DIR --run ID --name infra_1 --endpoint TCP`.
 
-The process leaves when it is told to stop, when it gets SIGTERM, and when its standard input closes: the launcher holds the
-other end, so that a launcher that dies, however it dies, takes its nodes with it.
+The process leaves when it is told to stop, when it gets SIGTERM, and when its standard input closes: the launcher
+holds the other end, so that a launcher that dies, however it dies, takes its nodes with it.
 """
 
 from __future__ import annotations
@@ -41,9 +41,7 @@ def main(node: type[Node]) -> None:
     parser.add_argument("--run", required=True, help="id of the run: all keys begin with mast/RUN/")
     parser.add_argument("--stay", action="store_true", help="do not leave when standard input closes")
     arguments = parser.parse_args()
-    logging.basicConfig(
-        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr
-    )
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     try:
         run(node, arguments)
     except MastError as error:
@@ -74,6 +72,7 @@ def run(node: type[Node], arguments: argparse.Namespace) -> None:
         if not wiring.ports(arguments.name).outputs:
             os.nice(YIELD)
         gc.freeze()  # what is there now stays: collections need not look at it again
+        gc.set_threshold(50_000, 20, 20)
         if not arguments.stay:
             threading.Thread(target=_leave_with_launcher, args=(hosted,), daemon=True).start()
         hosted.run_until_stopped()

@@ -46,7 +46,9 @@ def run(
         raise ConfigurationError(f"{path}: --set {next(iter(dotted))}: a study has no dotted settings")
     study = _checked(function(**parameters), path)
     resolved = {
-        label: _resolve(path, label, entry, study.get("seed", 0) if seed is None else seed, frames or study.get("frames"))
+        label: _resolve(
+            path, label, entry, study.get("seed", 0) if seed is None else seed, frames or study.get("frames")
+        )
         for label, entry in study["runs"].items()
     }
     folder = run_folder.create(out, str(study.get("name", path.stem)))

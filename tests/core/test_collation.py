@@ -5,9 +5,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.fusion.collation import CollationBuffer, Gather, LatestBefore
 
-messages = st.lists(
-    st.tuples(st.integers(0, 4), st.sampled_from("abc")), max_size=12, unique=True
-)  # (frame, member)
+messages = st.lists(st.tuples(st.integers(0, 4), st.sampled_from("abc")), max_size=12, unique=True)  # (frame, member)
 
 
 @given(messages, st.randoms(use_true_random=False))

@@ -128,9 +128,7 @@ def test_a_file_may_define_dataclasses_with_postponed_annotations(tmp_path: Path
     assert loading.module(write(tmp_path, "points.py", text)).Point(1.0).x == 1.0
 
 
-def test_a_file_is_run_once_so_that_its_classes_stay_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_run_once_so_that_its_classes_stay_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write(tmp_path, "mine.py", "class Mine:\n    pass\n")
     monkeypatch.chdir(tmp_path)
     assert loading.module(file).Mine is loading.module(Path("mine.py")).Mine

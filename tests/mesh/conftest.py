@@ -119,7 +119,7 @@ def launch(tmp_path: Path) -> Iterator[Callable[..., Launched]]:
 def nothing_is_left_behind(tmp_path: Path) -> Iterator[None]:
     """Fails the test that leaves a process, a thread or a socket file."""
     threads = set(threading.enumerate())
-    sockets = {path for path in Path("/tmp").glob("**/*.sock")}
+    sockets = set(Path("/tmp").glob("**/*.sock"))
     yield
 
     def processes() -> list[psutil.Process]:
@@ -137,4 +137,4 @@ def nothing_is_left_behind(tmp_path: Path) -> Iterator[None]:
         process.kill()
     assert not left, f"processes left behind: {left}"
     assert not (new := set(threading.enumerate()) - threads), f"threads left behind: {new}"
-    assert not (files := {path for path in Path("/tmp").glob("**/*.sock")} - sockets), f"sockets left: {files}"
+    assert not (files := set(Path("/tmp").glob("**/*.sock")) - sockets), f"sockets left: {files}"

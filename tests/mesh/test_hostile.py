@@ -20,7 +20,13 @@ MESSAGES = 100_000
 def garbage(count: int) -> list[bytes]:
     """Bytes that are no messages: random, empty, cut off, oversized maps."""
     rng = random.Random(5)
-    return [b"", b"\xc1", b"\x80", b"\xdf\xff\xff\xff\xff", *(rng.randbytes(rng.randrange(1, 200)) for _ in range(count))]
+    return [
+        b"",
+        b"\xc1",
+        b"\x80",
+        b"\xdf\xff\xff\xff\xff",
+        *(rng.randbytes(rng.randrange(1, 200)) for _ in range(count)),
+    ]
 
 
 def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launch) -> None:

@@ -84,7 +84,6 @@ def test_sensor_data_later_than_the_next_clock_change_nothing_any_more(resolved)
     assert ego.send("detections", detections(*[(5.0, 5.0)] * 3), 4) == []
 
 
-@pytest.mark.xfail(strict=True, reason="Gather takes a second message of a completed frame for a new frame")
 def test_sensor_data_that_come_twice_count_once(resolved) -> None:
     ego = bench(resolved)
     frame_of(ego, 0)

@@ -229,7 +229,27 @@ def test_what_overflows_and_what_comes_late_is_counted(resolved) -> None:
     for frame in range(4):
         broker.clock(frame)
         say(broker, "ego", frame)
-    assert broker.host.finish()["collation"] == {"complete": 0, "overdue": 0, "late": {}, "overflowed": 2}
+    assert broker.host.finish()["collation"] == {"complete": 0, "overdue": 0, "late": {}, "overflowed": 2, "absurd": 0}
+
+
+@pytest.mark.parametrize("column", ["position", "velocity", "size", "covariance", "origin"])
+def test_an_absurd_track_does_not_spoil_the_batch_of_all(resolved, column: str) -> None:
+    broker = bench(resolved, max_age_s=1.0)
+    for frame in range(4):
+        broker.clock(frame)
+        say(broker, "ego", frame)
+        if frame < 2:
+            body = tracks((1.0, 0.0), (2.0, 0.0), (3.0, 0.0))
+            body[column] = body[column].copy()
+            body[column][0] = 9.9e8
+            broker.send("tracks", body, frame, subject="infra_1")
+        say(broker, "infra_2", frame)
+    broker.clock(4)
+    batches = broker.heard(COLLATED)
+    assert [message.header.frame for message in batches] == [0, 1, 2, 3], "each is a sound message"
+    kept = 0 if column == "origin" else 2
+    assert [np.count_nonzero(message.body["agent"] == 1) for message in batches] == [kept] * 4
+    assert broker.host.finish()["collation"]["absurd"] == 2 * (3 - kept)
 
 
 @given(st.data())

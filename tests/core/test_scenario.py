@@ -1,0 +1,517 @@
+"""A scenario is a Python file of plain dicts; what is wrong in it is told before anything starts."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tiny_world import Run, TinyScene, tiny
+
+from mast_zenoh import bundle, loading, scenario, scenes
+from mast_zenoh.attacks import PassThrough
+from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, WiringError
+from mast_zenoh.fusion import CommandCenterPipeline
+from mast_zenoh.keyexpr import Wiring
+from mast_zenoh.scenario import Resolved, build_node, load, resolve
+
+TINY = dict(type="TinyScene", n_infrastructure=2)
+TRACKER = dict(type="KalmanBoxTracker3D")
+AGENT = dict(pipeline=dict(type="AgentPipeline", tracker=TRACKER, mission=dict(type="PictureFirst")))
+
+#: The configuration listing of the paper, as it is there.
+LISTING = """
+commandcenter = dict(type="CommandCenter", pipeline=dict(type="CommandCenterPipeline",
+    clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
+    group_tracking=dict(type="GroupTrackerWrapper", fusion=dict(type="CovarianceIntersectionFusion"),
+        tracker=dict(type="KalmanBoxTracker3D"))))
+"""
+REST = f"""
+def scenario(n=3, rate=1.0, on=True, name="mine", free=None, places=(1.0, 2.0)):
+    return dict(
+        name=name,
+        scene={TINY!r},
+        agents={{"*": {AGENT!r}}},
+        %s=commandcenter,
+        evaluator=dict(scorer=dict(type="Scorer", range_m=50.0 * n)),
+    )
+"""
+
+
+def written(folder: Path, text: str, name: str = "mine.py") -> str:
+    (folder / name).write_text(text)
+    return str(folder / name)
+
+
+def mine(folder: Path, key: str = "command_center") -> str:
+    """A scenario file of a user's own."""
+    return written(folder, LISTING + REST % key)
+
+
+def resolved(name: str, *settings: str, frames: int = 2) -> Resolved:
+    path, content = load(name, settings)
+    return resolve(path, content, frames=frames)
+
+
+# -- settings --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("setting", "expected"),
+    [
+        ("n=5", {"n": 5}),
+        ("rate=2", {"rate": 2.0}),
+        ("rate=0.5", {"rate": 0.5}),
+        ("on=false", {"on": False}),
+        ("on=True", {"on": True}),
+        ("name=3", {"name": "3"}),
+        ("name=a=b", {"name": "a=b"}),
+        ("name=", {"name": ""}),
+        ("free=none", {"free": None}),
+        ("free=7", {"free": 7}),
+        ("free=[1, 2]", {"free": [1, 2]}),
+        ("free=a word", {"free": "a word"}),
+        ("places=[3.0]", {"places": [3.0]}),
+    ],
+)
+def test_a_launch_time_parameter_has_the_type_of_its_default(
+    tmp_path: Path, setting: str, expected: dict[str, Any]
+) -> None:
+    _, function = loading.function("scenarios", mine(tmp_path), "scenario")
+    parameters, dotted = scenario.split_settings([setting], function, "mine.py")
+    assert parameters == expected
+    assert [type(value) for value in parameters.values()] == [type(value) for value in expected.values()]
+    assert dotted == {}
+
+
+@pytest.mark.parametrize(
+    ("setting", "reason"),
+    [
+        ("n=many", "mine.py: --set n: found 'many', expected int as in 3"),
+        ("n=2.5", "found '2.5', expected int"),
+        ("n=True", "found 'True', expected int"),
+        ("rate=fast", "found 'fast', expected float as in 1.0"),
+        ("rate=True", "found 'True', expected float"),
+        ("on=1", "found '1', expected bool"),
+        ("places=3", "found '3', expected tuple"),
+        ("nn=3", "mine.py: --set nn: no such launch-time parameter; did you mean 'n'"),
+        ("nam=x", "did you mean 'name'"),
+        ("n", "--set n: expected KEY=VALUE"),
+        ("", "expected KEY=VALUE"),
+        ("=3", "no such launch-time parameter"),
+    ],
+)
+def test_a_wrong_setting_is_refused_with_the_nearest(tmp_path: Path, setting: str, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        load(mine(tmp_path), [setting])
+
+
+def at(content: Any, path: str) -> Any:
+    for step in path.split("."):
+        content = content[step]
+    return content
+
+
+@pytest.mark.parametrize("spelling", ["commandcenter", "command_center"])
+@pytest.mark.parametrize("key", ["commandcenter", "command_center"])
+def test_a_dotted_key_reaches_into_the_scenario(tmp_path: Path, key: str, spelling: str) -> None:
+    _, content = load(mine(tmp_path, key), [f"{spelling}.pipeline.clustering.assign_radius=3.5", "run.seed=4"])
+    assert at(content, "command_center.pipeline.clustering.assign_radius") == 3.5
+    assert at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D", "the rest stays"
+    assert content["run"] == {"seed": 4}, "a part that the file does not have is begun"
+
+
+def test_what_is_set_for_one_is_not_set_for_another(tmp_path: Path) -> None:
+    """Scenario files may use one dict in many places; our own do."""
+    for _ in range(2):
+        _, content = load("uncoordinated", ["adversaries.adversary_1.attack.start_s=1.0", "agents.*.status_every=3"])
+        starts = [at(content, f"adversaries.adversary_{i}.attack.start_s") for i in (1, 2)]
+        assert starts == [1.0, 4.0]
+    _, content = load("uncoordinated")
+    assert at(content, "adversaries.adversary_1.attack.start_s") == 4.0, "nor for the next time"
+    assert "status_every" not in content["agents"]["*"]
+
+
+@pytest.mark.parametrize(
+    ("setting", "reason"),
+    [
+        ("command_center.pipelin.x=1", "mine.py: --set command_center.pipelin.x: no 'pipelin' there; .*'pipeline'"),
+        ("comand_center.pipeline=1", "no 'comand_center' there; did you mean 'command_center'"),
+        ("name.x=1", "name is 'mine', not a dict"),
+        ("name.x.y=1", "no 'x' there"),
+        ("agents.ego.pipeline.frame=body", r"no 'ego' there; known: \*"),
+    ],
+)
+def test_a_dotted_key_that_leads_nowhere_names_the_nearest(tmp_path: Path, setting: str, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        load(mine(tmp_path), [setting])
+
+
+@pytest.mark.parametrize(
+    ("setting", "reason"),
+    [
+        (
+            "command_center.pipeline.clustering.asign_radius=3.0",
+            r"mine.py: command_center\.pipeline\.clustering\.asign_radius: .* did you mean 'assign_radius'",
+        ),
+        ("run.sed=3", "mine.py: run.sed: unknown key; did you mean 'seed'"),
+        ("scene.n_infra=3", r"mine.py: scene\.n_infra: .*did you mean 'n_infrastructure'"),
+        ("keyexpr.rewrite=[]", "mine.py: keyexpr.rewrite: unknown; did you mean 'rewrites'"),
+        ("evaluator.scorer.range_m=far", r"mine.py: evaluator\.scorer\.range_m: found 'far', expected a number"),
+        ("broker.latency=1.0", r"mine.py: broker\.latency: .*did you mean 'latency_s'"),
+    ],
+)
+def test_a_last_step_that_nobody_takes_is_refused_with_its_path(tmp_path: Path, setting: str, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        resolved(mine(tmp_path), setting)
+
+
+# -- files -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("key", ["commandcenter", "command_center"])
+def test_the_papers_configuration_listing_builds_as_it_is(tmp_path: Path, key: str) -> None:
+    found = resolved(mine(tmp_path, key))
+    assert found.nodes["command_center"].type == "CommandCenter"
+    assert isinstance(build_node(found.nodes["command_center"], "command_center").pipeline, CommandCenterPipeline)
+    assert len(Run(found).messages["cc/picture"]) == 2
+
+
+def test_both_spellings_at_once_are_refused(tmp_path: Path) -> None:
+    text = LISTING + "def scenario():\n    return dict(commandcenter=commandcenter, command_center=commandcenter)\n"
+    with pytest.raises(ConfigurationError, match=r"mine\.py: commandcenter and command_center are the same"):
+        load(written(tmp_path, text))
+
+
+@pytest.mark.parametrize("name", sorted(Path(name).stem for name in bundle.names("scenarios")))
+def test_our_scenarios_resolve(name: str) -> None:
+    path, content = load(name, ["n_infrastructure=2"])
+    found = resolve(path, content, frames=1)
+    roles = [spec.role for spec in found.nodes.values()]
+    assert roles[0] == "simulator"
+    assert roles.count("agent") == 3
+    for role in ("broker", "command_center", "evaluator"):
+        assert roles.count(role) == 1
+    assert found.nodes.keys() == {name for wire in found.wiring["wires"] for name in touched(wire)}, "none left out"
+
+
+def touched(wire: dict[str, Any]) -> set[str]:
+    return {wire["publisher"], *wire["subscribers"], *wire["interposers"]}
+
+
+@pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
+def test_the_number_of_adversaries_is_a_launch_time_parameter(name: str) -> None:
+    for n in (0, 1, 3):
+        found = tiny(name, f"n_adversaries={n}", infrastructure=3, frames=1)
+        assert [spec.config["agent"] for spec in found.nodes.values() if spec.role == "adversary"] == [
+            f"infra_{i + 1}" for i in range(n)
+        ]
+
+
+def test_more_adversaries_than_agents_are_refused() -> None:
+    reason = r"uncoordinated\.py: adversaries\.adversary_3\.agent: no agent 'infra_3' in this scene; .*'infra_[12]'"
+    with pytest.raises(ConfigurationError, match=reason):
+        tiny("uncoordinated", "n_adversaries=3", infrastructure=2)
+
+
+def test_a_node_file_beside_the_scenario_wins_over_ours(tmp_path: Path) -> None:
+    ours = (bundle.ROOT / "nodes" / "broker.py").read_text()
+    (tmp_path / "broker.py").write_text(
+        ours.replace("class Broker(Node):", "class MyBroker(Node):").replace("main(Broker)", "main(MyBroker)")
+    )
+    found = resolved(mine(tmp_path))
+    assert found.nodes["broker"].type == "MyBroker"
+    assert found.nodes["broker"].file == str(tmp_path / "broker.py")
+    assert found.nodes["command_center"].file == str(bundle.ROOT / "nodes" / "command_center.py")
+
+
+OWN_ALGORITHMS = """
+from mast_zenoh.attacks import Attack, Tampering
+from mast_zenoh.scenes import Scene
+from mast_zenoh.tracking import KalmanBoxTracker3D
+from tiny_world import TinyScene
+
+class Shy(Attack):
+    def __init__(self, *, shyness: float = 1.0) -> None:
+        self.shyness = shyness
+
+    def step(self, frame, time_ns, objects, agent_position, directive=None):
+        return Tampering.nothing(len(objects))
+
+class MyTracker(KalmanBoxTracker3D):
+    def __init__(self, *, twice: bool = False) -> None:
+        super().__init__()
+        self.twice = twice
+"""
+
+
+def test_a_users_own_algorithms_can_be_named_by_their_type(tmp_path: Path) -> None:
+    text = (
+        OWN_ALGORITHMS
+        + LISTING.replace('type="KalmanBoxTracker3D"', 'type="MyTracker", twice=True')
+        + (
+            "def scenario():\n"
+            f"    return dict(scene={TINY!r}, agents={{'*': {AGENT!r}}}, commandcenter=commandcenter,\n"
+            "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['uncoordinated.toml']),\n"
+            "        adversaries=dict(eve=dict(agent='infra_1', attack=dict(type='Shy', shyness=2))))\n"
+        )
+    )
+    found = resolved(written(tmp_path, text))
+    assert build_node(found.nodes["eve"], "eve").attack.shyness == 2.0
+    assert found.modules == (str(tmp_path / "mine.py"),), "for the processes of the nodes, which do not read scenarios"
+    assert tiny().modules == ()
+    run = Run(found)
+    assert not run.failures
+    assert type(run.nodes["command_center"].pipeline._group_tracking._tracker).__name__ == "MyTracker"
+
+
+def test_a_users_own_algorithm_may_stand_in_the_file_of_a_users_own_node(tmp_path: Path) -> None:
+    ours = (bundle.ROOT / "nodes" / "adversary.py").read_text()
+    own = OWN_ALGORITHMS.split("class MyTracker")[0]
+    head, main = ours.split('if __name__ == "__main__"')
+    (tmp_path / "shy_adversary.py").write_text(
+        head + own.replace("from __future__", "#") + "\n\nif __name__ == '__main__'" + main
+    )
+    text = LISTING + (
+        "def scenario():\n"
+        f"    return dict(scene={TINY!r}, agents={{'*': {AGENT!r}}}, commandcenter=commandcenter,\n"
+        "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['uncoordinated.toml']),\n"
+        "        adversaries=dict(eve=dict(file='shy_adversary.py', type='Adversary', agent='infra_1',\n"
+        "            attack=dict(type='Shy'))))\n"
+    )
+    found = resolved(written(tmp_path, text))
+    assert not Run(found).failures
+    assert type(build_node(found.nodes["eve"], "eve").attack).__name__ == "Shy"
+
+
+# -- what is wrong is refused ----------------------------------------------------------------------------------------
+
+
+def changed(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
+    _, content = load("uncoordinated", ["n_adversaries=1"])
+    content["scene"] = dict(TINY)
+    change(content)
+    return content
+
+
+WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+    "a key": (lambda s: s.update(agent={}), "agent: unknown key; did you mean 'agents'"),
+    "a key that is no string": (lambda s: s.update({3: {}}), "3: unknown key"),
+    "no dict": (lambda s: s.update(broker="fast"), "broker: found 'fast', expected a dict"),
+    "no list": (lambda s: s.update(agents=[1]), r"agents: found \[1\], expected a dict"),
+    "a scene": (lambda s: s.update(scene="intersecton"), r"scene 'intersecton': unknown name .*'intersection'"),
+    "a scene that is a number": (lambda s: s.update(scene=3), "scene: found 3, expected a short name or a dict"),
+    "a scene's type": (lambda s: s.update(scene=dict(type="TinyScen")), r"scene\.type: .*did you mean 'TinyScene'"),
+    "a scene's type that is a list": (lambda s: s.update(scene=dict(type=[1])), r"scene\.type: no Scene named \[1\]"),
+    "a scene's parameter": (
+        lambda s: s.update(scene=dict(type="Intersection", n_infrastructure=99)),
+        "scene: Intersection: n_infrastructure is 99, expected 0 to 16",
+    ),
+    "an agent for whom nothing is said": (lambda s: s.update(agents={"infra_*": AGENT}), "agents: no entry for 'ego'"),
+    "an agent's configuration": (lambda s: s.update(agents={"*": 3}), "agents: ego: found 3, expected a dict"),
+    "a parameter of a node": (lambda s: s["broker"].update(patiens=1), "broker.patiens: .*did you mean 'patience'"),
+    "a parameter that is missing": (
+        lambda s: s.update(command_center={}),
+        "command_center: CommandCenter needs pipeline",
+    ),
+    "a value": (lambda s: s["broker"].update(patience=-1), "broker: Broker: patience: found -1, expected 0 or more"),
+    "an algorithm": (
+        lambda s: s["command_center"]["pipeline"]["clustering"].update(type="SampledAssigmentClusterer"),
+        r"command_center\.pipeline\.clustering\.type: .*did you mean 'SampledAssignmentClusterer'",
+    ),
+    "a parameter's name": (
+        lambda s: s["command_center"]["pipeline"]["clustering"].update({7: 1}),
+        r"command_center\.pipeline\.clustering\.7: SampledAssignmentClusterer has no such parameter",
+    ),
+    "an adversary's agent": (
+        lambda s: s["adversaries"]["adversary_1"].update(agent="infra_9"),
+        r"adversaries\.adversary_1\.agent: no agent 'infra_9' in this scene; did you mean 'infra_[12]'",
+    ),
+    "an adversary without an agent": (
+        lambda s: s["adversaries"]["adversary_1"].pop("agent"),
+        r"adversaries\.adversary_1\.agent: no agent 'None'",
+    ),
+    "an adversary that is no dict": (
+        lambda s: s["adversaries"].update(eve="PassThrough"),
+        r"adversaries\.eve: found 'PassThrough', expected a dict",
+    ),
+    "an adversary's name": (
+        lambda s: s["adversaries"].update({1: dict(agent="ego")}),
+        "adversaries: found the name 1, expected a string",
+    ),
+    "an adversary called like an agent": (
+        lambda s: s["adversaries"].update(ego=dict(agent="ego", attack=dict(type="PassThrough"))),
+        "ego: there is a node of this name already",
+    ),
+    "an adversary called like the evaluator": (
+        lambda s: s["adversaries"].update(evaluator=dict(agent="ego", attack=dict(type="PassThrough"))),
+        "evaluator: there is a node of this name already",
+    ),
+    "a node called like another": (
+        lambda s: s.update(nodes=dict(broker=dict(role="broker"))),
+        "broker: there is a node of this name already",
+    ),
+    "a node that is no dict": (lambda s: s.update(nodes=dict(tap=3)), "nodes.tap: found 3, expected a dict"),
+    "a run's key": (lambda s: s["run"].update(speed=2), "run.speed: unknown key"),
+    "a mode": (lambda s: s["run"].update(mode="lock-step"), "run.mode: found 'lock-step'; did you mean 'lockstep'"),
+    "a seed": (lambda s: s["run"].update(seed=-1), "run.seed: found -1, expected a whole number from 0"),
+    "a seed that is no number": (lambda s: s["run"].update(seed="x"), "run.seed: found 'x'"),
+    "a number of frames": (lambda s: s["run"].update(frames=0), "run.frames: found 0, expected a whole number from 1"),
+    "a rate": (lambda s: s["run"].update(rate=0), "run.rate: found 0, expected a number above 0"),
+    "what its end means": (lambda s: s["broker"].update(on_exit="go on"), r"broker\.on_exit: found 'go on'"),
+}
+WRONG_NODES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+    "a file": (
+        lambda s: s["broker"].update(file="brokr.py"),
+        r"broker: no node file 'brokr\.py'; did you mean 'broker\.py'",
+    ),
+    "a role": (
+        lambda s: s["broker"].update(file="agent.py"),
+        "broker: Agent in .* has the role 'agent', expected 'broker'",
+    ),
+    "a type": (lambda s: s["broker"].update(type="Broke"), "defines no node 'Broke'; did you mean 'Broker'"),
+    "a type that is a number": (lambda s: s["broker"].update(type=3), "type is 3, expected the name of a node"),
+    "a role that is nobody's": (lambda s: s.update(nodes=dict(x=dict(role="spy"))), r"x: no node file 'spy\.py'"),
+    "no role": (lambda s: s.update(nodes=dict(x=dict())), "x: no node file"),
+}
+WRONG_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+    "a map": (
+        lambda s: s["keyexpr"].update(map="testbd.toml"),
+        r"testbd\.toml: no such .*did you mean 'testbed\.toml'",
+    ),
+    "a rewrite": (
+        lambda s: s["keyexpr"].update(rewrites=["coordinatd.toml"]),
+        r"did you mean '(un)?coordinated\.toml'",
+    ),
+    "a rewrite in the scenario": (
+        lambda s: s["keyexpr"].update(rewrites=[{"inserts": []}]),
+        r"keyexpr\.rewrites\[0\]: unknown key 'inserts'; did you mean 'insert'",
+    ),
+}
+
+
+def refused(change: Callable[[dict[str, Any]], Any]) -> MastError:
+    with pytest.raises(MastError) as caught:
+        resolve(bundle.ROOT / "scenarios" / "uncoordinated.py", changed(change))
+    return caught.value
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_is_wrong_in_a_scenario_is_told_with_its_place(what: str) -> None:
+    change, reason = WRONG[what]
+    error = refused(change)
+    assert type(error) is ConfigurationError
+    assert error.exit_code == 10
+    with pytest.raises(ConfigurationError, match=rf"uncoordinated\.py: {reason}"):
+        raise error
+
+
+@pytest.mark.parametrize("what", WRONG_NODES)
+def test_what_is_wrong_with_a_node_is_told_with_its_place(what: str) -> None:
+    change, reason = WRONG_NODES[what]
+    error = refused(change)
+    assert error.exit_code == 12
+    with pytest.raises(NodeFileError, match=reason):
+        raise error
+
+
+@pytest.mark.parametrize("what", WRONG_WIRING)
+def test_what_is_wrong_with_the_wiring_is_told_with_its_place(what: str) -> None:
+    change, reason = WRONG_WIRING[what]
+    error = refused(change)
+    assert error.exit_code == 11
+    with pytest.raises(WiringError, match=reason):
+        raise error
+
+
+def test_rewrites_are_a_list() -> None:
+    error = refused(lambda s: s["keyexpr"].update(rewrites="coordinated.toml"))
+    assert "keyexpr.rewrites: found 'coordinated.toml', expected a list" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("def scenario():\n    return 3\n", r"mine\.py: scenario\(\.\.\.\) returned int, expected a dict"),
+        ("def scenario(n):\n    return {}\n", r"mine\.py: scenario\(\.\.\.\): TypeError: .*'n'"),
+        ("def scenario():\n    return {}['x']\n", r"mine\.py: scenario\(\.\.\.\): KeyError: 'x'"),
+        (
+            "import mast_zenoh.scenario as s\ndef scenario():\n    return dict(scene=s.choose_scene('av3:x'))\n",
+            r"mine\.py: scene 'av3:x': unknown name 'av3'",
+        ),
+    ],
+)
+def test_a_scenario_function_that_fails_is_told_with_its_file(tmp_path: Path, text: str, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        load(written(tmp_path, text))
+
+
+def test_what_is_given_at_launch_wins_over_the_file() -> None:
+    path, content = load("baseline", ["run.seed=3", "run.mode=realtime"])
+    content["scene"] = TINY
+    assert (resolve(path, content, frames=2).seed, resolve(path, content, frames=2, seed=5).seed) == (3, 5)
+    found = resolve(path, content, frames=2, mode="lockstep", rate=2)
+    assert (found.mode, found.rate, found.frames) == ("lockstep", 2.0, 2)
+    with pytest.raises(ConfigurationError, match=r"run\.spede: unknown key"):
+        resolve(path, content, frames=2, spede=1)
+
+
+def test_a_short_name_of_a_scene_takes_only_the_options_that_its_type_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = dict(scene_index=1, n_infrastructure=3, n_mobile=2)
+    assert scenario.choose_scene("intersection", **known) == dict(type="Intersection", **known)
+    assert scenario.choose_scene("intersection:2", **known)["scene_index"] == 2, "the name says it"
+    assert scenario.choose_scene(dict(type="TinyScene"), **known) == dict(type="TinyScene", n_infrastructure=3)
+
+
+def test_an_agents_own_name_wins_over_a_pattern() -> None:
+    def choose(content: dict[str, Any]) -> None:
+        content["agents"] = {
+            name: AGENT | {"status_every": n} for name, n in (("*", 1), ("infra_*", 2), ("infra_2", 3))
+        }
+
+    found = tiny(edit=choose)
+    assert [found.nodes[name].config["status_every"] for name in ("ego", "infra_1", "infra_2")] == [1, 2, 3]
+
+
+def test_an_agent_is_told_by_the_scene_what_it_is() -> None:
+    found = tiny()
+    ego, pole = (build_node(found.nodes[name], name) for name in ("ego", "infra_1"))
+    assert (ego.mobile, pole.mobile) == (True, False)
+    assert (ego.lidar.azimuth_min_deg, pole.lidar.azimuth_min_deg) == (-180.0, -45.0)
+
+
+# -- there and back --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["baseline", "uncoordinated", "coordinated", "passthrough"])
+def test_the_resolved_scenario_written_and_read_plays_the_same_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = tiny(name, *(() if name in ("baseline", "passthrough") else ("n_adversaries=1", "attack_start_s=0.2")))
+    found.write(tmp_path)
+    monkeypatch.chdir(tmp_path)  # as a node's process does: the scene lies there
+    back = Resolved.read(tmp_path)
+    assert json.loads(json.dumps(back.to_json())) == json.loads(json.dumps(found.to_json()))
+    assert Wiring.from_json(back.wiring) == Wiring.from_json(found.wiring)
+    first, second = Run(found), Run(back)
+    assert first.messages == second.messages
+    assert first.packed == second.packed
+
+
+def test_the_scene_is_prepared_once_and_the_recording_goes_with_the_run(tmp_path: Path) -> None:
+    found = tiny(frames=3)
+    found.write(tmp_path)
+    recording = scenes.Recording.load(tmp_path / scenario.RECORDING)
+    np.testing.assert_array_equal(recording.detections.position, TinyScene().record(0, 3).detections.position)
+    assert found.to_json()["nodes"]["simulator"]["config"]["recording"] == scenario.RECORDING
+
+
+def test_every_node_is_built_anew_each_time() -> None:
+    found = tiny("passthrough")
+    first, second = (build_node(found.nodes["adversary_0"], "adversary_0") for _ in range(2))
+    assert first is not second
+    assert isinstance(first.attack, PassThrough)
+    assert first.attack is not second.attack
+    pipelines = [build_node(found.nodes[name], name).pipeline for name in ("infra_1", "infra_2")]
+    assert pipelines[0].tracker is not pipelines[1].tracker, "agents of one configuration share nothing"
