@@ -1,0 +1,49 @@
+"""An installed wheel, outside the checkout, does what the checkout does."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.mesh
+
+
+def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path / "dist"), str(ROOT)],
+        check=True,
+        capture_output=True,
+    )
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    site, work = tmp_path / "site", tmp_path / "work"
+    work.mkdir()
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+        tops = {name.split("/")[0] for name in archive.namelist()}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"mast_zenoh"}, "nothing generically named"
+
+    def mast(*words: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", "from mast_zenoh.cli import main; main()", *words],
+            cwd=work,
+            env=os.environ | {"PYTHONPATH": str(site)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    mast("run", "coordinated", "--frames", "20", "--out", "run")
+    scenario = (work / "run" / "scenario.json").read_text()
+    assert str(site) in scenario, "the nodes are those of the wheel"
+    assert str(ROOT) not in scenario
+    assert (work / "run" / "report.html").is_file()
+    assert "[adversary_1]" in mast("wiring", "uncoordinated")
+    assert "report:" in mast("study", "case_study", "--frames", "10", "--runtime", "inproc", "--out", "study")
