@@ -59,7 +59,8 @@ class Display:
         if self._live:
             self._bar.update(self._task, completed=frame, rate=rate)
             table = Table.grid(padding=(0, 2))
-            for row in _rows([f"[{_COLOUR.get(state, 'red')}]●[/] {name} [dim]{state}" for name, state in states.items()], 4):
+            cells = [f"[{_COLOUR.get(state, 'red')}]●[/] {name} [dim]{state}" for name, state in states.items()]
+            for row in _rows(cells, 4):
                 table.add_row(*row)
             grid = Table.grid()
             grid.add_row(self._bar)

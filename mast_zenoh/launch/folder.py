@@ -23,11 +23,9 @@ def create(out: Path | None, name: str) -> Path:
 
     Raises RunFolderError when it holds something already, or cannot be made.
     """
-    if out is None:
-        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
-        base = Path("runs") / f"{name}-{stamp}"
-        out = next(p for p in (base, *(base.with_name(f"{base.name}-{i}") for i in range(2, 10_000))) if not p.exists())
     try:
+        if out is None:
+            out = _unused(Path("runs") / f"{name}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}")
         out.mkdir(parents=True, exist_ok=True)
         occupied = any(out.iterdir())
     except OSError as error:
@@ -37,6 +35,17 @@ def create(out: Path | None, name: str) -> Path:
     for part in ("logs", "figures"):
         (out / part).mkdir()
     return out.resolve()
+
+
+def _unused(path: Path) -> Path:
+    """A folder of this name, or of this name and a number, that was not there before; two runs never get the same."""
+    for candidate in (path, *(path.with_name(f"{path.name}-{i}") for i in range(2, 1000))):
+        try:
+            candidate.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return candidate
+    raise FileExistsError(f"{path}-2 to {path}-999 are all there")
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -99,11 +99,14 @@ def run(
 def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], display: Display) -> None:
     """All nodes in this process."""
     states = dict.fromkeys(resolved.nodes, "running")
-    try:
-        process = InProcess(resolved, progress=lambda frame: display.update(frame, states))
+    with stop_signals() as received:
+
+        def progress(frame: int) -> bool:
+            display.update(frame, states)
+            return not received
+
+        process = InProcess(resolved, progress=progress)
         outcomes = process.run()
-    except KeyboardInterrupt:
-        raise Interrupted("stopped by Ctrl-C") from None
     timing = outcomes.pop("")
     record["timings"] |= _rates(timing["frames"], timing["wall_s"])
     for name, host in process.hosts.items():
@@ -119,6 +122,24 @@ def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], displa
             "failures": dict(host.failures),
         }
     run_folder.write_results(folder, outcomes, None)
+    if received:
+        raise Interrupted("stopped by Ctrl-C or SIGTERM")
+
+
+@contextmanager
+def stop_signals() -> Iterator[list[int]]:
+    """The SIGINT and SIGTERM that come while it lasts, instead of what they would do."""
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda n, _: received.append(n)) for number in numbers}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @dataclass
@@ -135,7 +156,7 @@ class Launch:
     frame: int = -1
     problem: RunError | None = None
     stopping_since: float | None = None
-    signals: int = 0
+    signals: list[int] = field(default_factory=list)
     _handed_in: queue.SimpleQueue[tuple[str, bytes]] = field(default_factory=queue.SimpleQueue)
 
     def run(self) -> None:
@@ -144,7 +165,7 @@ class Launch:
         supervisor = Supervisor(self.folder, self.record["id"], endpoint)
         self.record["endpoint"] = endpoint
         begun = time.monotonic()
-        with session, self._signals_counted():
+        with session, stop_signals() as self.signals:
             declared = self._declare(session)
             try:
                 for name, spec in self.resolved.nodes.items():
@@ -188,8 +209,8 @@ class Launch:
             self._take_results()
             for child in supervisor.newly_ended():
                 self._ended(child, supervisor, session)
-            if self.signals > interrupted:
-                interrupted = self.signals
+            if len(self.signals) > interrupted:
+                interrupted = len(self.signals)
                 self.problem = Interrupted("stopped by Ctrl-C or SIGTERM")
                 self._stop(session, "interrupted")
                 if interrupted > 1:
@@ -282,23 +303,6 @@ class Launch:
         if not latency:
             return {"p50": None, "p95": None, "p99": None}
         return {f"p{p}": round(float(np.percentile(latency, p)), 3) for p in (50, 95, 99)}
-
-    @contextmanager
-    def _signals_counted(self) -> Iterator[None]:
-        """SIGINT and SIGTERM ask the run to stop; a second one insists."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-
-        def count(*_: object) -> None:
-            self.signals += 1
-
-        before = {number: signal.signal(number, count) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 def _rates(frames: int, wall_s: float) -> dict[str, Any]:

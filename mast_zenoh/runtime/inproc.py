@@ -27,6 +27,7 @@ class InProcess:
              their order for each subscriber, as on the mesh); None: first in, first out
     encode:  pass bytes between the nodes as a mesh does, instead of the messages themselves
     tap:     called with every message sent, tap legs included
+    progress: called with the number of frames played; the run ends early when it returns False
     """
 
     def __init__(
@@ -36,7 +37,7 @@ class InProcess:
         shuffle: int | None = None,
         encode: bool = False,
         tap: Callable[[Outgoing], None] | None = None,
-        progress: Callable[[int], None] | None = None,
+        progress: Callable[[int], bool | None] | None = None,
     ) -> None:
         wiring = Wiring.from_json(resolved.wiring)
         self._roles = {name: spec.role for name, spec in resolved.nodes.items()}
@@ -66,8 +67,8 @@ class InProcess:
         while source.node.advance(source):
             self._drain()
             frames += 1
-            if self._progress:
-                self._progress(frames)
+            if self._progress and self._progress(frames) is False:
+                break
         self._drain()
         elapsed = time.perf_counter() - begun
         results = {name: host.finish() for name, host in self.hosts.items()}

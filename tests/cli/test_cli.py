@@ -133,3 +133,21 @@ def test_an_error_in_the_users_file_names_its_line(mast, tmp_path: Path) -> None
     code, _, err = mast("run", "broken.py")
     assert code == 10
     assert "broken.py:2: ZeroDivisionError" in err.replace("\n", "")
+
+
+def test_ctrl_c_in_one_process_keeps_what_there_is(mast, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import os
+    import signal
+
+    from mast_zenoh.launch.display import Display
+
+    def update(self: Display, frame: int, states: object) -> None:
+        if frame == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(Display, "update", update)
+    code, _, err = mast("run", "baseline", "--frames", "9", "--runtime", "inproc", "--no-report", "--out", "cut")
+    assert code == 130
+    assert "stopped by Ctrl-C" in err
+    assert json.loads((tmp_path / "cut" / "run.json").read_text())["status"] == "interrupted"
+    assert json.loads((tmp_path / "cut" / "metrics.json").read_text())["frames"] == 3
