@@ -17,6 +17,7 @@ lint: .venv/ready
 
 bench: .venv/ready
 	$(BIN)/python benchmarks/lockstep.py
+	$(BIN)/python benchmarks/inproc.py
 
 docs: .venv/ready
 	$(BIN)/python -m mast_zenoh.documentation docs

@@ -1,11 +1,15 @@
 """Lock-step frames/s of the testbed beside those of bare messages over the same graph and payload sizes, in one run.
 
-The bare loop has the same processes, router, keys and payload sizes, and does nothing else: an agent publishes when
-its pose and detections are there, the broker when all tracks are there, the centre when the batch is there, and the
-simulator begins the next frame when it hears the picture. What the testbed adds to that is the price of what it
-computes and of its lock-step.
+The bare loops have the same processes, router, keys and payload sizes, and do nothing else: an agent publishes when its
+pose and detections are there, the broker when all tracks are there, the centre when the batch is there. They differ in
+when the simulator begins the next frame:
 
-    python benchmarks/lockstep.py [--frames 600] [--repeats 3]
+    bare, lock-step     when every process has said that it has got all of this frame (one empty message each)
+    bare, no barrier    when it hears the picture, whoever else is still busy: the floor of the transport
+
+What the testbed adds is the price of what it computes. It runs without a recorder here.
+
+    python benchmarks/lockstep.py [--frames 150] [--repeats 3]
 """
 
 from __future__ import annotations
@@ -30,12 +34,8 @@ from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.session import open_client, open_router
 
 #: What a node of a role waits for before it publishes, in the bare loop.
-TRIGGERS = {
-    "agent": ("pose", "detections"),
-    "broker": ("tracks",),
-    "command_center": ("collated",),
-    "simulator": ("picture",),
-}
+TRIGGERS = {"agent": ("pose", "detections"), "broker": ("tracks",), "command_center": ("collated",)}
+PICTURE = "cc/picture"
 PREFIX = "bare/"
 
 
@@ -46,7 +46,7 @@ def payload_sizes(resolved: scenario.Resolved) -> dict[str, int]:
     return {key: round(statistics.mean(found)) for key, found in sizes.items()}
 
 
-def testbed(resolved: scenario.Resolved, frames: int) -> float:
+def testbed(resolved: scenario.Resolved) -> float:
     """Frames/s of the testbed on its mesh."""
     with tempfile.TemporaryDirectory() as out:
         ended = local.run(resolved, Path(out) / "run")
@@ -55,18 +55,17 @@ def testbed(resolved: scenario.Resolved, frames: int) -> float:
         return float(ended.record["timings"]["frames_per_second"])
 
 
-def bare(resolved: scenario.Resolved, sizes: dict[str, int], frames: int) -> float:
+def bare(resolved: scenario.Resolved, sizes: dict[str, int], frames: int, *, barrier: bool) -> float:
     """Frames/s of bare messages over the same graph."""
     router, endpoint = open_router()
     with router, tempfile.TemporaryDirectory() as folder:
         plan = Path(folder) / "plan.json"
         roles = {name: spec.role for name, spec in resolved.nodes.items()}
-        plan.write_text(json.dumps({"wiring": resolved.wiring, "roles": roles, "sizes": sizes, "frames": frames}))
+        told = {"wiring": resolved.wiring, "roles": roles, "sizes": sizes, "frames": frames, "barrier": barrier}
+        plan.write_text(json.dumps(told))
+        command = [sys.executable, __file__, "--node"]
         processes = {
-            name: subprocess.Popen(
-                [sys.executable, __file__, "--node", name, str(plan), endpoint], stdout=subprocess.PIPE
-            )
-            for name in roles
+            name: subprocess.Popen([*command, name, str(plan), endpoint], stdout=subprocess.PIPE) for name in roles
         }
         try:
             answer, _ = processes["simulator"].communicate(timeout=300)
@@ -81,76 +80,94 @@ def bare(resolved: scenario.Resolved, sizes: dict[str, int], frames: int) -> flo
                     process.wait()
 
 
-def bare_node(name: str, plan_file: str, endpoint: str) -> None:
+class BareNode:
     """One process of the bare loop."""
-    plan = json.loads(Path(plan_file).read_text())
-    wiring, role = Wiring.from_json(plan["wiring"]), plan["roles"][name]
-    inbox: queue.SimpleQueue[str] = queue.SimpleQueue()
-    with open_client(endpoint) as session:
 
-        def listen(key: str) -> None:
-            handler = zenoh.handlers.Callback(
-                lambda sample: inbox.put(key) if sample.payload.to_bytes() is not None else 0, indirect=False
-            )
-            subscribers.append(session.declare_subscriber(PREFIX + key, handler))
-
-        subscribers: list = []
-        ports = wiring.ports(name)
-        hears = dict.fromkeys(ports.inputs) | ({"cc/picture": None} if role == "simulator" else {})
-        triggers = {key for key, found in ports.inputs.items() if found.message in TRIGGERS.get(role, ())}
-        triggers |= {"cc/picture"} if role == "simulator" else set()
-        if role == "agent":
-            triggers -= {key for key in triggers if "picture" in key}
-        for key in (*hears, "@stop"):
-            listen(key)
-        publishers = [
-            (
-                session.declare_publisher(PREFIX + key, congestion_control=zenoh.CongestionControl.BLOCK, express=True),
-                b"x" * plan["sizes"][key],
-            )
-            for key in ports.outputs.values()
-            if key in plan["sizes"] and not key.endswith("status")
-        ]
-        for publisher, _ in publishers:
+    def __init__(self, name: str, plan: dict, session: zenoh.Session) -> None:
+        self.session = session
+        self.inbox: queue.SimpleQueue[str] = queue.SimpleQueue()
+        ports = Wiring.from_json(plan["wiring"]).ports(name)
+        role, others = plan["roles"][name], sorted(plan["roles"].keys() - {name})
+        hears = {key: found.message for key, found in ports.inputs.items() if found.message != "status"}
+        if role == "simulator":
+            acknowledged = [f"@ack/{other}" for other in others]
+            self.triggers = set(acknowledged if plan["barrier"] else [PICTURE])
+            hears = dict.fromkeys(self.triggers, "")
+        else:
+            self.triggers = {key for key, message in hears.items() if message in TRIGGERS.get(role, ())}
+        self.expected = set(hears)
+        sends = [key for key in ports.outputs.values() if not key.endswith("/status")]
+        self.acknowledges = plan["barrier"] and role != "simulator"
+        self.subscribers = [self._listen(key) for key in (*hears, "@stop")]
+        self.publishers = [(self._publisher(key), b"x" * plan["sizes"][key]) for key in sends]
+        self.ack = self._publisher(f"@ack/{name}")
+        for publisher, _ in self.publishers:
             while not publisher.matching_status:
                 time.sleep(0.001)
-        alive = session.liveliness().declare_token(f"{PREFIX}@alive/{name}")
-        missing = set(triggers)
 
-        def publish() -> None:
-            for publisher, payload in publishers:
-                publisher.put(payload)
+    def _listen(self, key: str) -> zenoh.Subscriber:
+        def take(sample: zenoh.Sample) -> None:
+            sample.payload.to_bytes()
+            self.inbox.put(key)
 
-        def turn() -> bool:
-            """Handle one message; False when told to stop."""
-            key = inbox.get()
+        return self.session.declare_subscriber(PREFIX + key, zenoh.handlers.Callback(take, indirect=False))
+
+    def _publisher(self, key: str) -> zenoh.Publisher:
+        block = zenoh.CongestionControl.BLOCK
+        return self.session.declare_publisher(PREFIX + key, congestion_control=block, express=True)
+
+    def publish(self) -> None:
+        """One message on every key."""
+        for publisher, payload in self.publishers:
+            publisher.put(payload)
+
+    def follow(self) -> None:
+        """Publish whenever everything that triggers it is there, until told to stop."""
+        missing, expected = set(self.triggers), set(self.expected)
+        while (key := self.inbox.get()) != "@stop":
             missing.discard(key)
-            return key != "@stop"
+            expected.discard(key)
+            if self.triggers and not missing:
+                missing |= self.triggers
+                self.publish()
+            if not expected:
+                expected |= self.expected
+                if self.acknowledges:
+                    self.ack.put(b"")
 
-        if role != "simulator":
-            while turn():
-                if triggers and not missing:
-                    missing |= triggers
-                    publish()
-        else:
-            while len({str(r.ok.key_expr) for r in session.liveliness().get(f"{PREFIX}@alive/*")}) < len(plan["roles"]):
+    def drive(self, frames: int) -> float:
+        """Frames/s of so many frames."""
+        begun = time.perf_counter()
+        for _ in range(frames):
+            missing = set(self.triggers)
+            self.publish()
+            while missing:
+                missing.discard(self.inbox.get())
+        return frames / (time.perf_counter() - begun)
+
+
+def bare_node(name: str, plan_file: str, endpoint: str) -> None:
+    """The main of one process of the bare loop."""
+    plan = json.loads(Path(plan_file).read_text())
+    with open_client(endpoint) as session:
+        node = BareNode(name, plan, session)
+        liveliness = session.liveliness()
+        alive = liveliness.declare_token(f"{PREFIX}@alive/{name}")
+        if plan["roles"][name] == "simulator":
+            while len({str(r.ok.key_expr) for r in liveliness.get(f"{PREFIX}@alive/*")}) < len(plan["roles"]):
                 time.sleep(0.01)
-            begun = time.perf_counter()
-            for _ in range(plan["frames"]):
-                publish()
-                while missing:
-                    turn()
-                missing |= triggers
-            print(plan["frames"] / (time.perf_counter() - begun), flush=True)
+            print(node.drive(plan["frames"]), flush=True)
+        else:
+            node.follow()
         alive.undeclare()
 
 
 def main() -> None:
-    """Measure both, alternating, and print them side by side."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Measure all, alternating, and print them side by side."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=150)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--node", nargs=3, metavar=("NAME", "PLAN", "ENDPOINT"), help=argparse.SUPPRESS)
+    parser.add_argument("--node", nargs=3, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.node:
         bare_node(*arguments.node)
@@ -158,19 +175,20 @@ def main() -> None:
     path, loaded = scenario.load("baseline")
     resolved = scenario.resolve(path, loaded, frames=arguments.frames)
     sizes = payload_sizes(resolved)
-    rates: dict[str, list[float]] = {"bare messages": [], "testbed": []}
+    rates: dict[str, list[float]] = defaultdict(list)
     for _ in range(arguments.repeats):
-        rates["bare messages"].append(bare(resolved, sizes, 3 * arguments.frames))
-        rates["testbed"].append(testbed(resolved, arguments.frames))
+        rates["bare, no barrier"].append(bare(resolved, sizes, 3 * arguments.frames, barrier=False))
+        rates["bare, lock-step"].append(bare(resolved, sizes, 3 * arguments.frames, barrier=True))
+        rates["testbed"].append(testbed(resolved))
     agents = sum(spec.role == "agent" for spec in resolved.nodes.values())
     print(f"lock-step on the mesh: {resolved.name}, {len(resolved.nodes)} processes, {agents} agents")
     print(f"payload bytes: {', '.join(f'{key} {size}' for key, size in sizes.items() if 'infra' not in key)}")
-    print(f"{'':16}{'frames/s (median)':>20}{'ms/frame':>12}   runs")
+    print(f"{'':18}{'frames/s (median)':>18}{'ms/frame':>10}{'testbed/this':>14}   runs")
     median = {name: statistics.median(found) for name, found in rates.items()}
     for name, found in rates.items():
         runs = ", ".join(f"{rate:.0f}" for rate in found)
-        print(f"{name:16}{median[name]:20.0f}{1000 / median[name]:12.2f}   {runs}")
-    print(f"ratio testbed / bare: {median['testbed'] / median['bare messages']:.2f}")
+        ratio = median["testbed"] / median[name]
+        print(f"{name:18}{median[name]:18.0f}{1000 / median[name]:10.2f}{ratio:14.2f}   {runs}")
 
 
 if __name__ == "__main__":

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
 
 from mast_zenoh import keyexpr, scenario
 from mast_zenoh.errors import Interrupted, MastError
+
+if TYPE_CHECKING:
+    from mast_zenoh.study.definition import Study
 
 app = typer.Typer(
     help="mast-zenoh: attack, break and defend collaborative sensor fusion on a Zenoh mesh.",
@@ -45,12 +48,13 @@ def run(
     out: Out = None,
     endpoint: Annotated[str | None, typer.Option(help="Of a Zenoh router that runs already, tcp/HOST:PORT.")] = None,
     report: Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")] = True,
+    record: Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")] = True,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh.launch import local
 
     path, loaded = scenario.load(scenario_file, settings or ())
-    resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate)
+    resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
     if runtime == "inproc" and resolved.mode == "realtime":
         raise typer.BadParameter(
             "real time needs the mesh: one process has no network to be late on", param_hint="--mode"
@@ -74,15 +78,52 @@ def run(
 def study(
     study_file: Annotated[str, typer.Argument(help="A study file, or the name of one of ours: case_study, …")],
     settings: Settings = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="Seeds for each configuration and scene.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Trials at a time; all cores if dask is installed.")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, tcp://HOST:8786.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what is done in --out.")] = False,
     frames: Frames = None,
     seed: Seed = None,
     runtime: Annotated[Literal["mesh", "inproc"] | None, typer.Option(help="Overrides the study's own.")] = None,
     out: Out = None,
 ) -> None:
-    """Run the scenarios of a study one after the other, and compare them."""
+    """Run the scenarios of a study and compare them: once each with reports, or many trials with intervals."""
+    from mast_zenoh.study import definition
+
+    loaded = definition.load(study_file, settings or ())
+    count = trials or loaded.trials
+    if count is None and not (jobs or cluster or resume):
+        _compare(loaded, out, frames=frames, seed=seed, runtime=runtime)
+        return
+    from mast_zenoh.report import study_table
+    from mast_zenoh.study import execution
+    from mast_zenoh.study import trials as many
+
+    ended = many.run(
+        loaded,
+        out,
+        count=count or 1,
+        jobs=jobs or execution.default_jobs(),
+        cluster=cluster,
+        resume=resume,
+        seed=seed,
+        frames=frames,
+        runtime=runtime,
+        console=_out,
+    )
+    _out.print(study_table.as_rich(ended.rows, loaded.baseline))
+    for path in ended.files:
+        _out.print(str(path), markup=False, highlight=False)
+    ended.raise_failures()
+
+
+def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
+    """Every configuration once, side by side."""
     from mast_zenoh.study import comparison
 
-    ended = comparison.run(study_file, settings or (), out, frames=frames, seed=seed, runtime=runtime, console=_out)
+    ended = comparison.run(loaded, out, console=_out, **options)
     from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
 
     terminal.show(_out, ended.folders)
@@ -97,12 +138,33 @@ def wiring(
 ) -> None:
     """Who talks to whom on which key, rewrites shown."""
     path, loaded = scenario.load(scenario_file, settings or ())
-    resolved = scenario.resolve(path, loaded)
+    resolved = scenario.resolve(path, loaded, record=True)
     found = keyexpr.Wiring.from_json(resolved.wiring)
     if format == "json":
         sys.stdout.write(json.dumps(found.to_json(), indent=2) + "\n")
     else:
         sys.stdout.write((keyexpr.to_text if format == "text" else keyexpr.to_mermaid)(found) + "\n")
+
+
+@app.command()
+def diff(
+    run_a: Annotated[Path, typer.Argument(metavar="A", help="The folder of a run, or a recording.")],
+    run_b: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    ignore: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to leave out: 'attack/*'.")] = None,
+    taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
+) -> None:
+    """Compare the messages of two runs: exit 0 when equal, 1 when they differ, 2 when they cannot be compared."""
+    from mast_zenoh.messagelog.difference import compare
+    from mast_zenoh.messagelog.explain import explain
+
+    try:
+        found = compare(run_a, run_b, ignore=ignore or (), taps=taps)
+    except MastError as error:
+        _err.print(f"cannot compare: {error}", markup=False, highlight=False)
+        raise typer.Exit(2) from None
+    for line in explain(found):
+        _out.print(line, markup=False, highlight=False)
+    raise typer.Exit(0 if found.first is None else 1)
 
 
 @app.command()

@@ -34,8 +34,24 @@ _DTYPE_NAME = {name: dtype.str for name, dtype in _WIRE_DTYPE.items()} | {"str":
 _INDEX_LIMITS = {"class_id": len(CLASSES), "action": 3}
 _HEADER_LIMIT = 1 << 62
 _MAX_SQUARES = MAX_MAGNITUDE**2
-_WHOLE = {int}
 assert sys.byteorder == "little", "columns are sent as they lie in memory"
+
+
+#: A column, its dtype, its shape as a tuple and as a list, and its bytes.
+_Planned = tuple[Column, "np.dtype[Any] | None", tuple[int, ...], list[int], int]
+_MAX_PLANS = 1024
+
+
+def _index_limit(column: Column) -> int:
+    """What an index in this column must be below."""
+    return _INDEX_LIMITS.get(column.name.removeprefix("add_").removeprefix("remove_").removeprefix("move_"), 256)
+
+
+def _limit(column: Column) -> float:
+    """What the values of a column are held to besides being finite: 0 for nothing."""
+    if column.dtype == "uint8":
+        return _index_limit(column)
+    return LEAST_QUATERNION**2 if column.dtype == "float64" and column.name.endswith("rotation") else 0.0
 
 
 class _Layout:
@@ -50,8 +66,12 @@ class _Layout:
                 if isinstance(size, str):
                     self._letters.setdefault(size, (column.name, axis))
         self.sources = tuple(self._letters.values())
+        self._schema = schema
         self._templates = [column.shape for column in schema.columns]
         self._known: dict[tuple[int, ...], list[tuple[int, ...]]] = {}
+        self._plans: dict[tuple[int, ...], list[_Planned]] = {}
+        #: column, dtype, and its limit: the least square of a quaternion, or what an index must be below
+        self._checks = [(column.name, column.dtype, _limit(column)) for column in schema.columns]
 
     def shapes(self, sizes: tuple[int, ...]) -> list[tuple[int, ...]]:
         """The shape of every column; `sizes` are those of `sources`, in their order. ValueError if one is no size."""
@@ -61,13 +81,76 @@ class _Layout:
                 raise ValueError
             of = self.named(sizes)
             found = [tuple(of[s] if isinstance(s, str) else s for s in shape) for shape in self._templates]
-            if len(self._known) < 1024:
+            if len(self._known) < _MAX_PLANS:
                 self._known[sizes] = found
         return found
 
     def named(self, sizes: tuple[int, ...]) -> dict[str, int]:
         """The sizes by letter."""
         return dict(zip(self._letters, sizes, strict=True))
+
+    def quick(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """The columns of a packed body with nothing odd about it; None where there is, whatever it may be."""
+        columns: dict[str, NDArray[Any]] = {}
+        floats: list[bytes] = []
+        try:
+            for column, dtype, shape, dims, n_bytes in self._plan(
+                tuple([body[n][1][axis] for n, axis in self.sources])
+            ):
+                found_dtype, found_dims, data = body[column.name]
+                if dtype is None:
+                    columns[column.name] = _array(self._schema.name, column, body[column.name], {})
+                    continue
+                if found_dtype != dtype.str or found_dims != dims or type(data) is not bytes or len(data) != n_bytes:
+                    return None
+                for size in found_dims:
+                    if type(size) is not int:  # 3.0 and True are equal to whole numbers
+                        return None
+                columns[column.name] = array = np.ndarray(shape, dtype, data)
+                if column.dtype == "float64":
+                    floats.append(data)
+                    if column.name.endswith("rotation") and np.vdot(array, array) < LEAST_QUATERNION**2:
+                        return None
+                elif column.dtype == "uint8" and data and max(data) >= _index_limit(column):
+                    return None
+        except (KeyError, IndexError, TypeError, ValueError, MessageError):
+            return None
+        # All numbers at once. Less than this in all is less than what a column may have by itself.
+        every = np.frombuffer(b"".join(floats))
+        return columns if np.vdot(every, every) <= _MAX_SQUARES else None
+
+    def sound(self, body: Body) -> bool:
+        """Whether there is nothing odd about the values of a body that `conform` made; what it is, others find out."""
+        squares, n_bytes = 0.0, 0
+        for name, kind, limit in self._checks:
+            array = body[name]
+            n_bytes += array.nbytes
+            if kind == "float64":
+                own = np.vdot(array, array)
+                squares += own
+                if limit and own < limit:
+                    return False
+            elif kind == "uint8":
+                if array.size and max(array.tobytes()) >= limit:
+                    return False
+            elif kind == "str":
+                for item in array:
+                    if not isinstance(item, str) or len(item) > MAX_TEXT:
+                        return False
+        # Less than this in all is less than what a column may have by itself.
+        return n_bytes <= MAX_BYTES and bool(squares <= _MAX_SQUARES)
+
+    def _plan(self, sizes: tuple[int, ...]) -> list[_Planned]:
+        """For every column what a body of these sizes must hold."""
+        plan = self._plans.get(sizes)
+        if plan is None:
+            plan = [
+                (column, dtype, shape, list(shape), prod(shape) * (dtype.itemsize if dtype else 0))
+                for column, dtype, shape in zip(self._schema.columns, self.dtypes, self.shapes(sizes), strict=True)
+            ]
+            if len(self._plans) < _MAX_PLANS:
+                self._plans[sizes] = plan
+        return plan
 
 
 _LAYOUTS = {name: _Layout(schema) for name, schema in SCHEMAS.items()}
@@ -91,18 +174,19 @@ def conform(header: Header, body: Body) -> Message:
         pass  # what is odd is told below
     columns: dict[str, NDArray[Any]] = {}
     for index, column in enumerate(schema.columns):
-        if column.name not in body:
+        name, wire = column.name, layout.dtypes[index]
+        if name not in body:
             raise MessageError(_names_differ(schema.name, body, schema.columns))
-        array = body[column.name]
-        wire = layout.dtypes[index]
+        array = body[name]
         if wire is not None:
-            array = np.ascontiguousarray(array, dtype=wire)
+            if type(array) is not np.ndarray or array.dtype != wire or not (array.ndim and array.flags.c_contiguous):
+                array = np.ascontiguousarray(array, dtype=wire)
             if array.flags.writeable:
                 array = array.view()
-                array.flags.writeable = False
+                array.setflags(write=False)
         if shapes is None or array.shape != shapes[index]:
             _check_shape(schema.name, column, array.shape, sizes)
-        columns[column.name] = array
+        columns[name] = array
     return Message(header, columns)
 
 
@@ -110,6 +194,9 @@ def check_values(message: Message) -> None:
     """Raises MessageError where `decode` would, had the message that `conform` made been sent as bytes."""
     header = message.header
     _check_header(header)
+    if _LAYOUTS[header.schema].sound(message.body):
+        _check_references(message)
+        return
     if sum(column.nbytes for column in message.body.values()) > MAX_BYTES:
         raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
     for column in SCHEMAS[header.schema].columns:
@@ -139,6 +226,25 @@ def decode(payload: bytes, expected: str) -> Message:
     Raises MessageError for anything else: truncated, oversized, of another version, with a missing or
     further column, a forged shape, a value that is not finite.
     """
+    header, body = _opened(payload, expected)
+    schema = SCHEMAS[expected]
+    if not isinstance(body, dict) or len(body) != len(schema.columns):
+        raise MessageError(_names_differ(expected, body, schema.columns))
+    message = Message(header, _columns(schema, body))
+    _check_references(message)
+    return message
+
+
+def decode_header(payload: bytes, expected: str) -> Header:
+    """The header of the message in `payload`; its body may be anything.
+
+    Raises MessageError where `decode` would for all but the body.
+    """
+    return _opened(payload, expected)[0]
+
+
+def _opened(payload: bytes, expected: str) -> tuple[Header, Any]:
+    """The header, checked, and the body as it is packed."""
     if len(payload) > MAX_BYTES:
         raise MessageError(f"{expected}: {len(payload)} bytes, at most {MAX_BYTES} allowed")
     try:
@@ -154,49 +260,21 @@ def decode(payload: bytes, expected: str) -> Message:
         raise MessageError(f"{expected}: found {found}, expected {schema.name} version {schema.version}")
     header = Header(*(fields[name] for name in ("schema", "source", "frame", "time_ns", "seq")))
     _check_header(header)
-    body = fields["body"]
-    if not isinstance(body, dict) or len(body) != len(schema.columns):
-        raise MessageError(_names_differ(expected, body, schema.columns))
-    message = Message(header, _columns(schema, body))
-    _check_references(message)
-    return message
+    return header, fields["body"]
 
 
 def _columns(schema: Schema, body: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """The columns of a body, checked. The way of a sound message is short; what is odd in any way goes through
-    `_array`, which takes its time and says what is wrong.
-    """
-    layout = _LAYOUTS[schema.name]
-    shapes: list[tuple[int, ...]] | None = None
+    """The columns of a body, checked."""
+    columns = _LAYOUTS[schema.name].quick(body)
+    if columns is not None:
+        return columns
+    # Something is odd: the slow way finds out what, and says it.
+    columns = {}
     sizes: dict[str, int] = {}
-    try:
-        found = tuple([body[name][1][axis] for name, axis in layout.sources])
-        shapes, sizes = layout.shapes(found), layout.named(found)
-    except (KeyError, IndexError, TypeError, ValueError):
-        pass  # what is odd is told below
-    columns: dict[str, NDArray[Any]] = {}
-    for index, column in enumerate(schema.columns):
-        packed = body.get(column.name)
-        if packed is None:
+    for column in schema.columns:
+        if column.name not in body:
             raise MessageError(_names_differ(schema.name, body, schema.columns))
-        wire = layout.dtypes[index]
-        if (
-            shapes is not None
-            and wire is not None
-            and type(packed) is list
-            and len(packed) == 3
-            and packed[0] == wire.str
-            and type(packed[1]) is list
-            and tuple(packed[1]) == shapes[index]
-            and set(map(type, packed[1])) == _WHOLE  # 3.0 and True are equal to whole numbers
-            and type(packed[2]) is bytes
-            and len(packed[2]) == prod(shapes[index]) * wire.itemsize
-        ):
-            array = np.frombuffer(packed[2], wire)
-            if len(shapes[index]) > 1:
-                array = array.reshape(shapes[index])
-        else:
-            array = _array(schema.name, column, packed, sizes)
+        array = _array(schema.name, column, body[column.name], sizes)
         _check_values(schema.name, column, array)
         columns[column.name] = array
     return columns
@@ -262,7 +340,7 @@ def _check_values(schema: str, column: Column, array: NDArray[Any]) -> None:
         if column.name.endswith("rotation") and squares < LEAST_QUATERNION**2:
             raise MessageError(f"{schema}.{column.name}: a quaternion of no length, which is no rotation")
     elif column.dtype == "uint8" and array.size:
-        limit = _INDEX_LIMITS.get(column.name.removeprefix("add_").removeprefix("remove_").removeprefix("move_"), 256)
+        limit = _index_limit(column)
         if int(array.max()) >= limit:
             raise MessageError(f"{schema}.{column.name}: index {int(array.max())}, expected below {limit}")
 

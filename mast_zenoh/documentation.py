@@ -61,7 +61,8 @@ def exit_codes_page() -> str:
     ]
     rows = [(error.exit_code, f"`{error.__name__}`", _first_line(error)) for error in error_types()]
     rows += [(0, "", "It went well"), (2, "", "A wrong word on the command line")]
-    return "\n".join([*lines, *(f"| {code} | {name} | {meaning} |" for code, name, meaning in sorted(rows)), ""])
+    lines += [f"| {code} | {name} | {meaning} |" for code, name, meaning in sorted(rows)]
+    return "\n".join([*lines, "", "`mast diff`: 0 two runs are equal, 1 they differ, 2 they cannot be compared.", ""])
 
 
 def error_types(base: type[errors.MastError] = errors.MastError) -> list[type[errors.MastError]]:

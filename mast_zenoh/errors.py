@@ -11,6 +11,7 @@
         ├── StartError           21   the nodes did not all come up in time
         ├── NodeDied             22   a node whose policy is `fail` ended
         ├── StallError           23   lock-step made no progress in time
+        ├── TrialsFailed         24   some trials of a study failed; the others are kept
         └── Interrupted         130   Ctrl-C or SIGTERM
 
 A wrong word on the command line exits with 2, as everywhere.
@@ -86,6 +87,12 @@ class StallError(RunError):
     """Lock-step made no progress in time: names what each node still owes."""
 
     exit_code = 23
+
+
+class TrialsFailed(RunError):
+    """Some trials of a study failed: names each with the command that runs it alone; the others are kept."""
+
+    exit_code = 24
 
 
 class Interrupted(RunError):

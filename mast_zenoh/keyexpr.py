@@ -35,6 +35,9 @@ from typing import Any
 from mast_zenoh.errors import WiringError, nearest
 from mast_zenoh.messages import SCHEMAS
 
+#: The message type of an input port that hears every key: a node that has one publishes nothing.
+ANY = "*"
+
 _CHUNK = re.compile(r"[A-Za-z0-9_.\-]+")
 _PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
 _ENDPOINT = re.compile(r"([a-z_]+)\.([a-z_]+)")
@@ -109,15 +112,25 @@ class Ports:
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """The key of every port of every node."""
+    """The key of every port of every node.
+
+    overhearers: ports that hear every key, tap legs included, beside the subscribers of each
+    """
 
     wires: tuple[Wire, ...]
+    overhearers: tuple[Endpoint, ...] = ()
 
     def legs(self) -> Iterator[tuple[Wire, Leg]]:
         """Every leg with its wire."""
         for wire in self.wires:
             for leg in wire.legs:
                 yield wire, leg
+
+    def flows(self) -> Iterator[tuple[str, str, str]]:
+        """(key, publisher, subscriber) of whoever hears whom, overhearers included."""
+        for _, leg in self.legs():
+            for end in (*leg.subscribers, *self.overhearers):
+                yield leg.key, leg.publisher.node, end.node
 
     def keys(self) -> tuple[str, ...]:
         """Every key, tap legs included, in one fixed order."""
@@ -130,7 +143,7 @@ class Wiring:
         for wire, leg in self.legs():
             if leg.publisher.node == node:
                 outputs[leg.publisher.port, wire.subject] = leg.key
-            for subscriber in leg.subscribers:
+            for subscriber in (*leg.subscribers, *self.overhearers):
                 if subscriber.node == node:
                     inputs[leg.key] = Input(subscriber.port, wire.subject, wire.message, wire.legs[0].publisher.node)
         return Ports(inputs, outputs)
@@ -159,7 +172,8 @@ class Wiring:
                     "legs": [leg_json(leg) for leg in wire.legs],
                 }
                 for wire in self.wires
-            ]
+            ],
+            "overhearers": [{"node": end.node, "port": end.port} for end in self.overhearers],
         }
 
     @classmethod
@@ -181,7 +195,8 @@ class Wiring:
                     ),
                 )
                 for wire in data["wires"]
-            )
+            ),
+            tuple(Endpoint(end["node"], end["port"]) for end in data.get("overhearers", ())),
         )
 
 
@@ -205,6 +220,8 @@ def resolve(
 
     optional: by role, ports that a node of that role may do without: wires pass it by. (A user's adversary need not
     take the pose that ours takes.)
+
+    A node with an input port of the type `ANY` hears every key without being named in a map.
 
     Raises WiringError, naming the file and the entry, for unknown keys, roles, ports or messages, invalid key
     expressions, a wire with more than one publisher, a node twice in one chain, and a rewrite of no wire.
@@ -235,7 +252,13 @@ def resolve(
                 raise WiringError(f"{place}: no wire {entry['wire']!r}{nearest(entry['wire'], templates)}")
             for key in templates[entry["wire"]]:
                 wires[key] = _insert(wires[key], entry, nodes, place)
-    return Wiring(tuple(wires.values()))
+    overhearers = [
+        Endpoint(name, port) for name, node in nodes.items() for port, message in node.inputs.items() if message == ANY
+    ]
+    for end in overhearers:
+        if len(nodes[end.node].inputs) > 1 or nodes[end.node].outputs:
+            raise WiringError(f"node {end.node!r}: who hears every key on one port ({end.port!r}) has no other port")
+    return Wiring(tuple(wires.values()), tuple(overhearers))
 
 
 def _instances(
@@ -353,7 +376,8 @@ def to_text(wiring: Wiring) -> str:
                 f"      {leg.publisher.node} ── {leg.key} ──▶ {', '.join(e.node for e in leg.subscribers)}"
                 for leg in wire.legs
             ]
-    return "\n".join([*lines, "", f"{len(wiring.wires)} wires; * rewritten, [node] inserted"])
+    lines += ["", f"{len(wiring.wires)} wires; * rewritten, [node] inserted"]
+    return "\n".join([*lines, *(f"{end.node} hears every key" for end in wiring.overhearers)])
 
 
 def to_mermaid(wiring: Wiring) -> str:

@@ -18,11 +18,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from mast_zenoh.messages import Body, Message
+from mast_zenoh.keyexpr import Input
+from mast_zenoh.messages import Body, Header, Message
 
 
 class Received(NamedTuple):
@@ -55,14 +57,34 @@ class Received(NamedTuple):
         return self.message.body
 
 
+@dataclass(frozen=True, slots=True)
+class Overheard:
+    """A message as a node gets it that hears every key (an input port of the type `keyexpr.ANY`).
+
+    key:     on which it came, tap legs included
+    payload: the bytes as they were sent
+    header:  decoded and checked; None where that was impossible
+    flaw:    what is wrong with the header; "" if nothing is. Nobody has looked at the body.
+    """
+
+    key: str
+    payload: bytes
+    header: Header | None
+    flaw: str = ""
+
+
 class Context(Protocol):
-    """What a node may do. `frame` and `time_ns` are those of the newest clock it has got; -1 and 0 before the first."""
+    """What a node may do. `frame` and `time_ns` are those of the newest clock it has got; -1 and 0 before the first.
+
+    hears: what it hears, by key
+    """
 
     name: str
     seed: int
     frame: int
     time_ns: int
     log: logging.Logger
+    hears: Mapping[str, Input]
 
     def publish(
         self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None

@@ -13,12 +13,13 @@ import ast
 import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from mast_zenoh import bundle, keyexpr, loading, registry, scenes
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
+from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.node import Node
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 
@@ -37,9 +38,9 @@ KEYS = {
     "coordinator": "",
     "nodes": "further nodes, name to configuration with `role` and `file`",
     "keyexpr": "map and rewrites",
-    "run": "mode, rate, frames, seed",
+    "run": "mode, rate, frames, seed, record",
 }
-RUN_DEFAULTS: dict[str, Any] = {"mode": "lockstep", "rate": 1.0, "frames": None, "seed": 0}
+RUN_DEFAULTS: dict[str, Any] = {"mode": "lockstep", "rate": 1.0, "frames": None, "seed": 0, "record": True}
 _SINGLE = ("broker", "command_center", "evaluator", "coordinator")
 _ALIASES = {"commandcenter": "command_center"}  # as spelt in the paper's configuration listing
 _DEFAULT_ON_EXIT = {"agent": "continue", "adversary": "continue", "coordinator": "continue", "link": "continue"}
@@ -96,6 +97,20 @@ class Resolved:
         """The resolved scenario in a run folder."""
         scenario = json.loads((run_folder / "scenario.json").read_text(encoding="utf-8"))
         return cls.from_json(scenario, json.loads((run_folder / "wiring.json").read_text(encoding="utf-8")))
+
+    def in_folder(self, run_folder: Path) -> Resolved:
+        """The same, with what its nodes write placed in a run folder: for those that are built in another directory."""
+
+        def placed(value: Any) -> Any:
+            return MessageLog(run_folder / value.path) if isinstance(value, MessageLog) else value
+
+        return replace(
+            self,
+            nodes={
+                name: replace(spec, config={key: placed(value) for key, value in spec.config.items()})
+                for name, spec in self.nodes.items()
+            },
+        )
 
     def write(self, run_folder: Path) -> None:
         """scenario.json, wiring.json and scene.npz: all that the nodes of the run need."""
@@ -163,9 +178,17 @@ def split_settings(
 
 
 def resolve(
-    path: Path, scenario: Mapping[str, Any], *, seed: int | None = None, frames: int | None = None, **run: Any
+    path: Path,
+    scenario: Mapping[str, Any],
+    *,
+    seed: int | None = None,
+    frames: int | None = None,
+    record: bool = False,
+    **run: Any,
 ) -> Resolved:
     """The scenario of a file with nothing left to decide; arguments that are not None win over its `run` part.
+
+    record: add a recorder, unless the scenario's `run.record` is False
 
     Raises ConfigurationError (of a scenario), WiringError (of a map), SceneError (of the scene's data).
     """
@@ -181,7 +204,7 @@ def resolve(
     cache_key = json.dumps(scene_spec, sort_keys=True)
     recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key)
     played = len(recording) if options["frames"] is None else min(options["frames"], len(recording))
-    nodes = _nodes(path, scenario, recording, played)
+    nodes = _nodes(path, scenario, recording, played, record and options["record"])
     for name, spec in nodes.items():
         build_node(spec, name, str(path))
     wiring = _wiring(path, scenario, nodes)
@@ -208,7 +231,9 @@ def build_node(spec: NodeSpec, name: str, place: str = "scenario.json") -> Node:
     return node
 
 
-def _nodes(path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int) -> dict[str, NodeSpec]:
+def _nodes(
+    path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int, record: bool
+) -> dict[str, NodeSpec]:
     """All nodes, the simulator first."""
     specs: dict[str, NodeSpec] = {}
 
@@ -238,6 +263,8 @@ def _nodes(path: Path, scenario: Mapping[str, Any], recording: Recording, frames
     add("evaluator", "evaluator", {"agents": agents, **scenario.get("evaluator", {})})
     for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
+    if record:
+        add("recorder", "recorder", {"log": MessageLog()})
     return specs
 
 
@@ -345,6 +372,8 @@ def _check_run(options: Mapping[str, Any], place: str) -> None:
         raise ConfigurationError(f"{place}: run.seed: found {options['seed']!r}, expected a whole number from 0")
     if options["frames"] is not None and (type(options["frames"]) is not int or options["frames"] < 1):
         raise ConfigurationError(f"{place}: run.frames: found {options['frames']!r}, expected a whole number from 1")
+    if type(options["record"]) is not bool:
+        raise ConfigurationError(f"{place}: run.record: found {options['record']!r}, expected True or False")
     if not isinstance(options["rate"], (int, float)) or not 0 < options["rate"] < float("inf"):
         raise ConfigurationError(f"{place}: run.rate: found {options['rate']!r}, expected a number above 0")
 
@@ -402,9 +431,11 @@ def _reach(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> Non
 
 
 def _plain(value: Any) -> Any:
-    """A configuration as JSON: the recording is named by its file."""
+    """A configuration as JSON: the recorded scene and the log are named by their files."""
     if isinstance(value, Recording):
         return RECORDING
+    if isinstance(value, MessageLog):
+        return str(value.path)
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -89,7 +89,7 @@ class ObjectStates:
 
     def select(self, index: NDArray[Any] | slice) -> ObjectStates:
         """The rows that a mask, an index array or a slice picks."""
-        return ObjectStates(*(getattr(self, name)[index] for name in STATE_COLUMNS))
+        return ObjectStates(*_rows([getattr(self, name) for name in STATE_COLUMNS], index))
 
     def with_(self, **columns: NDArray[Any]) -> ObjectStates:
         """A copy with some columns replaced."""
@@ -136,7 +136,16 @@ class Detections:
 
     def select(self, index: NDArray[Any] | slice) -> Detections:
         """The rows that a mask, an index array or a slice picks."""
-        return Detections(*(getattr(self, name)[index] for name in DETECTION_COLUMNS))
+        return Detections(*_rows([getattr(self, name) for name in DETECTION_COLUMNS], index))
+
+
+def _rows(columns: list[NDArray[Any]], index: NDArray[Any] | slice) -> list[NDArray[Any]]:
+    """The rows of each column that a mask, an index array or a slice picks."""
+    if isinstance(index, slice):
+        return [column[index] for column in columns]
+    if index.dtype == bool:
+        index = index.nonzero()[0]
+    return [column.take(index, 0) for column in columns]
 
 
 STATE_COLUMNS = tuple(field.name for field in fields(ObjectStates))

@@ -11,7 +11,8 @@ import numpy as np
 
 from mast_zenoh.attacks import ACTIONS
 from mast_zenoh.geometry import states_to_world
-from mast_zenoh.metrics import Record, Scorer
+from mast_zenoh.metrics import Attribution, Record, Scorer, cause_counts, time_to_first_false
+from mast_zenoh.metrics.record import PICTURE
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.process import main
 from mast_zenoh.states import ObjectStates
@@ -81,16 +82,27 @@ class Evaluator(Node):
         first, last = self.skip if sum(self.skip) <= frames // 2 else (0, 0)
         scored = slice(first, frames - last)
         times = self.times_ns
+        attacks = self.attacks()
+        period_s = (times[1] - times[0]) * 1e-9 if {0, 1} <= times.keys() else 0.1
+        truth = self.record.truth(scores.frames).boxes
+        truth = truth.in_group(scores.frames[truth.group])
+        objects = dict(scores.objects)
+        objects["cause"], objects["by"] = Attribution().label(objects, attacks, truth, period_s)
+        summary = scores.summary(scored)
+        for agent, causes in cause_counts(objects, list(summary), scores.frames[scored]).items():
+            if PICTURE in summary[agent]:
+                summary[agent][PICTURE]["causes"] = causes
         latency = [times[step] - times[f] for f, step in sorted(self.pictured.items()) if {f, step} <= times.keys()]
         return {
             "metrics": {
                 "frames": frames,
                 "scored_frames": [int(frame) for frame in scores.frames[scored][[0, -1]]] if frames else [],
-                "agents": scores.summary(scored),
+                "agents": summary,
+                "time_to_first_false_s": time_to_first_false(objects, attacks, period_s),
                 "latency_ms": {"sim_to_picture": percentiles(np.array(latency) * 1e-6)},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
             },
-            "tables": {"metrics": scores.per_frame(), "objects": scores.objects, "attacks": self.attacks()},
+            "tables": {"metrics": scores.per_frame(), "objects": objects, "attacks": attacks},
         }
 
     def attacks(self) -> dict[str, np.ndarray]:

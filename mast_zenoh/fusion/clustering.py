@@ -11,6 +11,7 @@ import numpy as np
 
 from mast_zenoh.fusion.base import Clusterer
 from mast_zenoh.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.tracking.neighbours import TABLE, neighbours
 
 
 class SampledAssignmentClusterer(Clusterer):
@@ -29,8 +30,8 @@ class SampledAssignmentClusterer(Clusterer):
         self._radius = assign_radius
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
-        order = np.lexsort((*states.position.T, states.id, agent))
-        position, agent = states.position[order, :2], agent[order]
+        order = _canonical_order(states, agent)
+        position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
         i, j, distance = _near(position, self._radius)
         labels = np.empty(len(order), np.int64)
         labels[order] = _merge(position, agent, i, j, distance, self._radius)
@@ -55,8 +56,8 @@ class DBSCANClusterer(Clusterer):
         self._min_samples = min_samples
 
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
-        order = np.lexsort((*states.position.T, states.id, agent))
-        position, agent = states.position[order, :2], agent[order]
+        order = _canonical_order(states, agent)
+        position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
         i, j, distance = _near(position, self._eps)
         core = 1 + np.bincount(i, minlength=len(order)) + np.bincount(j, minlength=len(order)) >= self._min_samples
         linked = core[i] & core[j]
@@ -75,24 +76,58 @@ def _to_nearest_core(i: Ints, j: Ints, distance: Floats, core: Bools) -> Ints:
     return np.asarray(pair[by_distance][first])
 
 
+def _canonical_order(states: ObjectStates, agent: Ints) -> Ints:
+    """(n,) rows by (agent, id); by place where a faulty source uses an id twice."""
+    order = np.lexsort((states.id, agent))
+    a, b = agent.take(order), states.id.take(order)
+    if ((b[1:] == b[:-1]) & (a[1:] == a[:-1])).any():
+        order = np.lexsort((*states.position.T, states.id, agent))
+    return order
+
+
 def _near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
-    """Pairs i < j of (n, 2) positions within `radius`, and their distances."""
-    x, y = position[:, 0], position[:, 1]
-    dx, dy = x[:, None] - x[None, :], y[:, None] - y[None, :]
+    """Pairs i < j of (n, 2) positions within `radius`, and their squared distances."""
+    n = len(position)
+    i, j, dx, dy = neighbours(position, position, np.full(n, radius))
     squared = dx * dx + dy * dy
-    i, j = np.nonzero(squared <= radius * radius)
-    upper = i < j
-    i, j = i[upper], j[upper]
-    return i, j, np.sqrt(squared[i, j])
+    upper = (i < j).nonzero()[0]
+    if n * n > TABLE:
+        # Of very many places only the nearest are looked at, and one may be among the other's but not the reverse.
+        i, j = np.minimum(i, j), np.maximum(i, j)
+        upper = np.unique(i * n + j, return_index=True)[1]
+        upper = upper[i[upper] < j[upper]]
+    return i[upper], j[upper], squared[upper]
 
 
-def _merge(position: Floats, agent: Ints, i: Ints, j: Ints, distance: Floats, radius: float) -> Ints:
+def _merge(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, radius: float) -> Ints:
     """(n,) labels, in the order of first rows, after joining the pairs by distance, then i, then j."""
-    label = list(range(len(position)))
-    members = [[row] for row in label]
-    agents = [{one} for one in agent.tolist()]
-    centre = position.tolist()
-    by_distance = np.lexsort((j, i, distance))
+    n = len(position)
+    root = np.arange(n)
+    np.minimum.at(root, j, i)
+    # Most clusters are plain: tracks of different agents, all within the radius of each other and of nothing else.
+    # Those come out as one in whatever order their pairs are taken.
+    size = np.bincount(root, minlength=n)
+    own = root[i]
+    plain = np.bincount(own, minlength=n) == size * (size - 1) // 2
+    odd = (own != root[j]) | (agent[i] == agent[j])
+    plain[own[odd]] = plain[root[j[odd]]] = False
+    rest = (~plain[own]).nonzero()[0]
+    if len(rest):
+        _merge_nearest_first(root, position, agent, i[rest], j[rest], squared[rest], radius)
+    label = (root == np.arange(n)).cumsum() - 1
+    return np.asarray(label[root])
+
+
+def _merge_nearest_first(
+    root: Ints, position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, radius: float
+) -> None:
+    """Set `root` (n,) of all rows among the pairs to the first row of the cluster that each ends up in."""
+    rows = np.unique(np.concatenate([i, j])).tolist()
+    members = {row: [row] for row in rows}
+    label = {row: row for row in rows}
+    agents = {row: {int(agent[row])} for row in rows}
+    centre = {row: tuple(position[row].tolist()) for row in rows}
+    by_distance = np.lexsort((j, i, squared))
     for p, q in zip(i[by_distance].tolist(), j[by_distance].tolist(), strict=True):
         a, b = label[p], label[q]
         if a == b or not agents[a].isdisjoint(agents[b]):
@@ -108,4 +143,4 @@ def _merge(position: Floats, agent: Ints, i: Ints, j: Ints, distance: Floats, ra
         centre[a] = ((m * ax + n * bx) / (m + n), (m * ay + n * by) / (m + n))
         members[a] += members[b]
         agents[a] |= agents[b]
-    return np.unique(np.array(label, np.int64), return_inverse=True)[1].astype(np.int64)
+    root[rows] = [label[row] for row in rows]

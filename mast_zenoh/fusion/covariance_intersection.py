@@ -9,6 +9,7 @@ import numpy as np
 from mast_zenoh.fusion.base import Fusion
 from mast_zenoh.fusion.members import Members, state_vectors
 from mast_zenoh.states import Floats, Ints, ObjectStates
+from mast_zenoh.tracking.inversion import inverse
 
 #: Steps of the search for weights: the trace is then within 1 % of the least one.
 _STEPS = 12
@@ -35,11 +36,16 @@ class CovarianceIntersectionFusion(Fusion):
             return ObjectStates.empty()
         if self._optimised:
             members = members.weighted(members.weight * least_trace_weights(members))
-        information = np.linalg.inv(members.states.covariance) * members.weight[:, None, None]
-        vector = (information @ state_vectors(members.states)[:, :, None])[:, :, 0]
-        fused = np.linalg.inv(members.sum(information))
-        covariance: Floats = 0.5 * (fused + fused.transpose(0, 2, 1)).astype(np.float64)
-        mean: Floats = (covariance @ members.sum(vector)[:, :, None])[:, :, 0]
+        n = len(members.weight)
+        terms = np.empty((n, 90))
+        information = inverse(members.states.covariance)
+        information *= members.weight[:, None, None]
+        terms[:, :81] = information.reshape(n, 81)
+        terms[:, 81:] = (information @ state_vectors(members.states)[:, :, None])[:, :, 0]
+        sums = members.sum(terms)
+        fused = inverse(sums[:, :81].reshape(-1, 9, 9))
+        covariance: Floats = 0.5 * (fused + fused.transpose(0, 2, 1))
+        mean: Floats = (covariance @ sums[:, 81:, None])[:, :, 0]
         return members.fused(mean, covariance)
 
 

@@ -8,6 +8,7 @@ from mast_zenoh.fusion.base import Fusion, GroupTracker
 from mast_zenoh.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
+from mast_zenoh.tracking.neighbours import neighbours
 
 _BIPARTITE = BipartiteAssignment()
 
@@ -67,10 +68,8 @@ class UnfilteredGroupTracker(GroupTracker):
         fresh = time_ns - self._seen_ns <= self._memory_ns
         known, seen_ns = self._known.select(fresh), self._seen_ns[fresh]
         there = known.position[:, :2] + known.velocity[:, :2] * ((time_ns - seen_ns) * 1e-9)[:, None]
-        offset = there[:, None, :] - fused.position[None, :, :2]
-        distance = np.hypot(offset[:, :, 0], offset[:, :, 1])
-        i, j = np.nonzero(distance < self._gate_m)
-        chosen = self._assignment.match(i, j, distance[i, j] - self._gate_m)
+        i, j, dx, dy = neighbours(there, fused.position, np.full(len(there), self._gate_m))
+        chosen = self._assignment.match(i, j, np.hypot(dx, dy) - self._gate_m)
         ids = np.full(len(fused), -1)
         ids[j[chosen]] = known.id[i[chosen]]
         new = np.flatnonzero(ids < 0)

@@ -32,17 +32,24 @@ class Members:
     @classmethod
     def of(cls, states: ObjectStates, labels: Ints, weights: Floats | None) -> Members:
         """The members of positive weight of the clusters `labels` (n,); without weights all members alike."""
-        order = np.lexsort((states.id, *states.velocity.T, *states.position.T, labels))
-        if weights is not None:
+        x = states.position[:, 0]
+        order = np.lexsort((x, labels))
+        label = labels.take(order)
+        within = label[1:] == label[:-1]
+        x = x.take(order)
+        if (within & (x[1:] == x[:-1])).any():
+            order = np.lexsort((states.id, *states.velocity.T, *states.position.T, labels))
+        if weights is None:
+            weight = np.ones(len(order))
+        else:
             order = order[weights[order] > 0.0]
-        states, labels = states.select(order), labels[order]
-        first = np.ones(len(labels), bool)
-        first[1:] = labels[1:] != labels[:-1]
-        start = np.flatnonzero(first)
-        cluster = np.cumsum(first) - 1
-        weight = np.ones(len(labels)) if weights is None else weights[order]
-        members = cls(states.with_(covariance=sound(states.covariance)), weight, start, cluster, labels[start])
-        return members.weighted(weight)
+            weight, label = weights[order], labels[order]
+            within = label[1:] == label[:-1]
+        first = np.ones(len(label), bool)
+        first[1:] = ~within
+        states = states.select(order)
+        states = states.with_(covariance=sound(states.covariance))
+        return cls(states, weight, first.nonzero()[0], first.cumsum() - 1, label[first]).weighted(weight)
 
     def weighted(self, weight: Floats) -> Members:
         """The same with other weights (n,), brought to a sum of 1 in each cluster."""
@@ -59,20 +66,25 @@ class Members:
         Existence: that of the surest member, as members may share the evidence.
         """
         s = self.states
-        # Angles doubled, opposite headings fall together.
-        axis = 0.5 * np.arctan2(self.sum(self.weight * np.sin(2 * s.yaw)), self.sum(self.weight * np.cos(2 * s.yaw)))
-        sense = self.sum(self.weight * np.sign(np.cos(s.yaw - axis[self.cluster])))
-        votes = np.zeros((len(self.start), len(CLASSES)))
-        np.add.at(votes, (self.cluster, known_class(s.class_id)), self.weight)
+        n = len(s)
+        # Angles doubled, opposite headings fall together; beside them, the votes.
+        terms = np.zeros((n, 2 + len(CLASSES)))
+        double = 2.0 * s.yaw
+        terms[:, 0], terms[:, 1] = np.cos(double), np.sin(double)
+        terms[np.arange(n), 2 + known_class(s.class_id)] = 1.0
+        terms *= self.weight[:, None]
+        sums = self.sum(terms)
+        axis = 0.5 * np.arctan2(sums[:, 1], sums[:, 0])
+        sense = self.sum(self.weight * np.copysign(1.0, np.cos(s.yaw - axis.take(self.cluster))))
         return ObjectStates(
             id=self.label,
             position=mean[:, 0:3],
             velocity=mean[:, 6:9],
             size=mean[:, 3:6],
-            yaw=wrap_angle(np.where(sense < 0.0, axis + np.pi, axis)),
+            yaw=wrap_angle(axis + np.pi * (sense < 0.0)),
             covariance=covariance,
             score=np.maximum.reduceat(s.score, self.start),
-            class_id=votes.argmax(axis=1).astype(np.uint8),
+            class_id=sums[:, 2:].argmax(axis=1).astype(np.uint8),
         )
 
 

@@ -22,11 +22,8 @@ class CommandCenterPipeline(Pipeline):
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
         # By name, not by row: agents are listed as their messages come in.
-        rank = np.argsort(np.argsort(np.array(agents, dtype=str))) if agents else np.zeros(0, np.int64)
-        agent = rank[agent]
-        order = np.lexsort((*states.position.T, states.id, agent))
-        states, agent = states.select(order), agent[order]
-        weights = None if weights is None else weights[order]
+        rank = {name: row for row, name in enumerate(sorted(agents))}
+        agent = np.array([rank[name] for name in agents], np.int64)[agent]
         labels = self._clustering.cluster(states, agent)
         return self._group_tracking.step(time_ns, states, agent, labels, weights)
 

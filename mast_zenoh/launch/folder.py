@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mast_zenoh.errors import RunFolderError
 
@@ -70,7 +71,7 @@ def read_json(path: Path) -> Any:
 
 def versions() -> dict[str, str]:
     """What the run ran on."""
-    packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy")
+    packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
     return {"python": platform.python_version(), "platform": platform.platform()} | {p: version(p) for p in packages}
 
 
@@ -91,8 +92,25 @@ def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], latenc
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
     """A table as Parquet; a NaN is a missing value."""
-    import pyarrow  # only the launcher writes tables; nodes must not pay for the import
+    from pyarrow import parquet  # only the launcher writes tables; nodes must not pay for the import
+
+    parquet.write_table(arrow_table(columns), path)
+
+
+def read_table(path: Path) -> dict[str, NDArray[Any]]:
+    """The columns of a table that `write_table` wrote; raises RunFolderError when it is missing or broken."""
+    import pyarrow
     from pyarrow import parquet
+
+    try:
+        return columns_of(parquet.read_table(path))
+    except (OSError, pyarrow.ArrowException) as error:
+        raise RunFolderError(f"{path}: {error}") from None
+
+
+def arrow_table(columns: Mapping[str, Any]) -> Any:
+    """Columns as an Arrow table: text as a dictionary, a NaN as a missing value."""
+    import pyarrow
 
     def column(values: Any) -> Any:
         array = np.asarray(values)
@@ -100,7 +118,21 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
             return pyarrow.array([str(value) for value in array], pyarrow.string()).dictionary_encode()
         return pyarrow.array(array, from_pandas=True)
 
-    parquet.write_table(pyarrow.table({name: column(values) for name, values in columns.items()}), path)
+    return pyarrow.table({name: column(values) for name, values in columns.items()})
+
+
+def columns_of(table: Any) -> dict[str, NDArray[Any]]:
+    """The columns that `arrow_table` made a table of: text as arrays of str, a missing number as NaN."""
+    import pyarrow
+
+    found: dict[str, NDArray[Any]] = {}
+    for name in table.column_names:
+        column = table.column(name)
+        if pyarrow.types.is_dictionary(column.type):
+            found[name] = np.array(column.to_pylist(), str)
+        else:
+            found[name] = column.to_numpy()
+    return found
 
 
 def finite(value: Any) -> Any:

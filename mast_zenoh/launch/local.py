@@ -105,7 +105,7 @@ def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], displa
             display.update(frame, states)
             return not received
 
-        process = InProcess(resolved, progress=progress)
+        process = InProcess(resolved.in_folder(folder), progress=progress)
         outcomes = process.run()
     timing = outcomes.pop("")
     record["timings"] |= _rates(timing["frames"], timing["wall_s"])
@@ -121,6 +121,7 @@ def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], displa
             "foreign": 0,
             "failures": dict(host.failures),
         }
+    _note_recording(record, outcomes)
     run_folder.write_results(folder, outcomes, None)
     if received:
         raise Interrupted("stopped by Ctrl-C or SIGTERM")
@@ -289,7 +290,9 @@ class Launch:
                 "latency_ms": {"sim_to_picture": self._measured_latency(driver)},
                 "frames_per_second": self.record["timings"].get("frames_per_second"),
             }
-        run_folder.write_results(self.folder, {name: o["results"] for name, o in self.outcomes.items()}, wall)
+        handed_in = {name: outcome["results"] for name, outcome in self.outcomes.items()}
+        _note_recording(self.record, handed_in)
+        run_folder.write_results(self.folder, handed_in, wall)
         if self.problem is None and "evaluator" not in self.outcomes and "evaluator" in supervisor.children:
             self.problem = RunError("the evaluator handed in no results")
         if self.problem is not None:
@@ -303,6 +306,16 @@ class Launch:
         if not latency:
             return {"p50": None, "p95": None, "p99": None}
         return {f"p{p}": round(float(np.percentile(latency, p)), 3) for p in (50, 95, 99)}
+
+
+def _note_recording(record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]]) -> None:
+    """How many messages were recorded goes to run.json, and a note if some could not be."""
+    for outcome in handed_in.values():
+        if "recorded" in outcome:
+            record["recorded"] = outcome["recorded"]
+            if lost := outcome["recorded"]["lost"]:
+                said = [record["message"]] if record["message"] else []
+                record["message"] = "; ".join([*said, f"{lost} messages could not be recorded"])
 
 
 def _rates(frames: int, wall_s: float) -> dict[str, Any]:

@@ -72,10 +72,10 @@ class IoU3DGreedyAssigner(Assigner):
         iou = iou_3d(truth.select(i), tracks.select(j))
         good = iou >= self.threshold
         i, j, iou = i[good], j[good], iou[good]
-        alone = _alone(i, j)
+        single = alone(i, j)
         free_truth, free_track = np.ones(len(truth), bool), np.ones(len(tracks), bool)
-        chosen = alone.copy()
-        contested = np.flatnonzero(~alone)
+        chosen = single.copy()
+        contested = np.flatnonzero(~single)
         for pair in contested[np.lexsort((j[contested], i[contested], -iou[contested]))]:
             if free_truth[i[pair]] and free_track[j[pair]]:
                 free_truth[i[pair]] = free_track[j[pair]] = False
@@ -83,17 +83,17 @@ class IoU3DGreedyAssigner(Assigner):
         return i[chosen], j[chosen]
 
 
-def _alone(i: Ints, j: Ints) -> Bools:
+def alone(i: Ints, j: Ints) -> Bools:
     """(p,) pairs both of whose ends are in no other pair."""
     if len(i) == 0:
         return np.zeros(0, bool)
-    alone: Bools = (np.bincount(i)[i] == 1) & (np.bincount(j)[j] == 1)
-    return alone
+    single: Bools = (np.bincount(i)[i] == 1) & (np.bincount(j)[j] == 1)
+    return single
 
 
 def _cheapest(i: Ints, j: Ints, cost: Floats, limit: float) -> Bools:
     """(p,) the pairs of a matching with the most pairs and, of these, the least total cost; costs are 0 to `limit`."""
-    chosen = _alone(i, j)
+    chosen = alone(i, j)
     contested = np.flatnonzero(~chosen)
     if len(contested) == 0:
         return chosen

@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from mast_zenoh.states import Floats, Ints
 
@@ -48,7 +47,27 @@ class Boxes:
 
     def order(self) -> Ints:
         """(n,) rows by group, id and position: how ties are broken, whatever the order of the rows."""
-        return np.lexsort((*self.position.T[::-1], self.id, self.group)).astype(np.int64)
+        return order_by(self.id, self.group, ties=tuple(self.position.T[::-1]))
+
+
+def order_by(*keys: Ints, ties: tuple[Floats, ...] = ()) -> Ints:
+    """(n,) rows sorted by integer keys, the last one first, then by `ties`, the last one first.
+
+    The same as `np.lexsort((*ties, *keys))`, and quick where the rows are in order already or no two keys are equal.
+    """
+    n = len(keys[0])
+    later, equal = np.zeros(max(n - 1, 0), bool), np.ones(max(n - 1, 0), bool)
+    for key in keys[::-1]:
+        step = np.diff(key)
+        later |= equal & (step > 0)
+        equal &= step == 0
+    if later.all():
+        return np.arange(n, dtype=np.int64)
+    order = np.lexsort(keys)
+    equal[:] = True
+    for key in keys:
+        equal &= np.diff(key[order]) == 0
+    return (np.lexsort((*ties, *keys)) if ties and equal.any() else order).astype(np.int64)
 
 
 def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
@@ -58,12 +77,24 @@ def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
     """
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    # Groups are laid out along a third axis, farther apart than the radius: one search serves all frames.
-    reach = radius * (1.0 + 1e-9) + 1e-9
-    trees = [cKDTree(np.column_stack([x.position[:, :2], x.group * (2.0 * reach + 1.0)])) for x in (a, b)]
-    found = trees[0].sparse_distance_matrix(trees[1], reach, output_type="ndarray")
-    i, j = found["i"].astype(np.int64), found["j"].astype(np.int64)
-    order = np.lexsort((j, i))
+    # Groups are laid out one after the other along x, farther apart than the radius: for each box of `a` the
+    # candidates are one stretch of the boxes of `b`, sorted by x.
+    x = [boxes.position[:, 0] for boxes in (a, b)]
+    least = min(x[0].min(), x[1].min())
+    span = max(x[0].max(), x[1].max()) - least + 2.0 * radius + 1.0
+    key = [(boxes.group * span) + (at - least) for boxes, at in zip((a, b), x, strict=True)]
+    reach = radius * (1.0 + 1e-9) + 1e-9 + 1e-15 * span * float(max(a.group.max(), b.group.max()) + 1)
+    by_x = np.argsort(key[1], kind="stable")
+    there = key[1][by_x]
+    first = np.searchsorted(there, key[0] - reach, side="left")
+    count = np.searchsorted(there, key[0] + reach, side="right") - first
+    i = np.repeat(np.arange(len(a)), count)
+    j = by_x[np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)]
+    near = np.abs(a.position[i, 1] - b.position[j, 1]) <= reach
+    i, j = i[near], j[near]
+    near = (a.group[i] == b.group[j]) & (centre_distance(a.position[i], b.position[j]) <= reach)
+    i, j = i[near], j[near]
+    order = order_by(j, i)
     return i[order], j[order]
 
 

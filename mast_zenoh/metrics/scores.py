@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.states import Floats, Ints
+from mast_zenoh.states import Bools, Floats, Ints
 
 #: A table: one array per column, all of one length.
 Table = dict[str, NDArray[Any]]
@@ -16,6 +16,34 @@ Table = dict[str, NDArray[Any]]
 #: What became of a box, by the code used in `scoring`.
 OUTCOMES = ("matched", "missed", "false", "unevaluated")
 MATCHED, MISSED, FALSE, UNEVALUATED = range(len(OUTCOMES))
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """n evaluated truth objects, each in one series and frame.
+
+    series, frame: (n,) rows of `Scores.series` and `Scores.frames`; id: (n,) of the object; matched: (n,) bool
+    """
+
+    series: Ints
+    frame: Ints
+    id: Ints
+    matched: Bools
+
+    def completeness(self, n_series: int, frames: Ints) -> list[float | None]:
+        """Of each series the mean over its objects of the part of their frames in which they are matched, 0 to 1.
+
+        frames: rows of `Scores.frames` that count; None: a series without objects
+        """
+        rows = np.isin(self.frame, frames)
+        ids, code = np.unique(self.id[rows], return_inverse=True)
+        cell, shape = self.series[rows] * len(ids) + code, (n_series, len(ids))
+        total = np.bincount(cell, minlength=n_series * len(ids)).reshape(shape)
+        matched = np.bincount(cell, self.matched[rows], minlength=n_series * len(ids)).reshape(shape)
+        return [
+            float(np.mean(mine[there > 0] / there[there > 0])) if there.any() else None
+            for mine, there in zip(matched, total, strict=True)
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +55,8 @@ class Scores:
     fn, fp, tp:    (s, f) int64
     squared_error: (s, f) m^2, summed over the pairs of the frame
     id_switches:   (s, f) int64
+    ospa_m, gospa_m: (s, f) m, distances between the sets of truth objects and tracks
+    seen:          a row per series, frame and truth object evaluated in it
     objects:       a row per box and series, columns frame, agent, estimator, kind ("truth" | "track"), outcome
                    ("matched" | "missed" | "false" | "unevaluated"), id, match_id (-1: none), x, y, z, l, w, h, yaw
                    and score (NaN for truth): what the figures show, objects in range that are not evaluated included
@@ -39,10 +69,16 @@ class Scores:
     tp: Ints
     squared_error: Floats
     id_switches: Ints
+    ospa_m: Floats
+    gospa_m: Floats
+    seen: Seen
     objects: Table
 
     def per_frame(self) -> Table:
-        """A row per series and frame: frame, agent, estimator, fn, fp, tp, rmse_m (NaN without a pair), id_switches."""
+        """A row per series and frame: frame, agent, estimator, fn, fp, tp, rmse_m (NaN without a pair), id_switches,
+
+        ospa_m, gospa_m.
+        """
         s, f = len(self.series), len(self.frames)
         error = np.divide(self.squared_error, self.tp, out=np.full((s, f), np.nan), where=self.tp > 0)
         return {
@@ -54,22 +90,32 @@ class Scores:
             "tp": self.tp.ravel(),
             "rmse_m": np.sqrt(error).ravel(),
             "id_switches": self.id_switches.ravel(),
+            "ospa_m": self.ospa_m.ravel(),
+            "gospa_m": self.gospa_m.ravel(),
         }
 
     def summary(self, scored: slice = slice(None)) -> dict[str, dict[str, dict[str, Any]]]:
-        """By agent and estimator: fn, fp, tp as {"mean", "std"} over frames, rmse_m over all pairs, id_switches in all.
+        """By agent and estimator: fn, fp, tp, ospa_m, gospa_m as {"mean", "std"} over frames; over the run rmse_m, of
+
+        all pairs, id_switches, in all, and completeness, the part of a truth object's evaluated frames in which it is
+        matched, mean over the objects.
 
         scored: which of `self.frames` count, such as all but those in which tracks have only begun. The standard
         deviation is that of the frames themselves (divided by their number). What is not defined, without frames or
         without pairs, is None, so that JSON holds null.
         """
         result: dict[str, dict[str, dict[str, Any]]] = {}
+        complete = self.seen.completeness(len(self.series), np.arange(len(self.frames))[scored])
         for k, (agent, estimator) in enumerate(self.series):
             pairs = int(self.tp[k, scored].sum())
             result.setdefault(agent, {})[estimator] = {
-                **{name: mean_and_std(getattr(self, name)[k, scored]) for name in ("fn", "fp", "tp")},
+                **{
+                    name: mean_and_std(getattr(self, name)[k, scored])
+                    for name in ("fn", "fp", "tp", "ospa_m", "gospa_m")
+                },
                 "rmse_m": float(np.sqrt(self.squared_error[k, scored].sum() / pairs)) if pairs else None,
                 "id_switches": int(self.id_switches[k, scored].sum()),
+                "completeness": complete[k],
             }
         return result
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner
-from mast_zenoh.metrics.boxes import Boxes, centre_distance
+from mast_zenoh.metrics.boxes import Boxes, centre_distance, order_by
+from mast_zenoh.metrics.ospa import SetDistance
 from mast_zenoh.metrics.record import Record, TruthTable
-from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUATED, Scores, Table
+from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUATED, Scores, Seen, Table
 from mast_zenoh.states import Bools, Floats, Ints
 
 
@@ -24,6 +25,7 @@ class Scorer:
     counted when the track that matches an object has another id than the one that matched it last.
 
     assigner:      who belongs to whom; None: CenterDistanceAssigner()
+    distance:      parameters of OSPA and GOSPA; None: SetDistance()
     include_self:  whether the object that the agent is counts as truth for it. If not, a track of it is not false
                    either: it goes unevaluated
     ignore_unseen: whether tracks of objects that are not evaluated (nobody sees them, or they are out of range) go
@@ -37,6 +39,7 @@ class Scorer:
         self,
         *,
         assigner: Assigner | None = None,
+        distance: SetDistance | None = None,
         range_m: float = 100.0,
         min_points: int = 5,
         include_self: bool = True,
@@ -49,6 +52,7 @@ class Scorer:
         if skip_first < 0 or skip_last < 0:
             raise ValueError(f"skip_first, skip_last: found {skip_first}, {skip_last}, expected 0 or more")
         self.assigner = assigner or CenterDistanceAssigner()
+        self.distance = distance or SetDistance()
         self.range_m = range_m
         self.min_points = min_points
         self.include_self = include_self
@@ -92,7 +96,7 @@ class Scorer:
             tracks=_join(tracks, f),
             score=np.concatenate([np.zeros(0), *score]),
         )
-        return _compare(self.assigner, layout)
+        return _compare(self.assigner, self.distance, layout)
 
     def _split(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
         """Of the truth's rows: those near an agent, those it is measured by, those whose tracks are excused."""
@@ -133,7 +137,7 @@ def _join(parts: Iterable[Boxes], n_frames: int) -> Boxes:
     return Boxes.join([part.in_group(k * n_frames + part.group) for k, part in enumerate(parts)])
 
 
-def _compare(assigner: Assigner, layout: _Layout) -> Scores:
+def _compare(assigner: Assigner, distance: SetDistance, layout: _Layout) -> Scores:
     truth, tracks, excused = layout.truth, layout.tracks, layout.excused
     pairs = assigner.assign(truth, tracks)
     of_truth, of_track = np.full(len(truth), -1, np.int64), np.full(len(tracks), -1, np.int64)
@@ -155,8 +159,9 @@ def _compare(assigner: Assigner, layout: _Layout) -> Scores:
         return np.bincount(group, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
 
     group = truth.group[pairs[:, 0]]
-    distance = centre_distance(truth.position[pairs[:, 0]], tracks.position[pairs[:, 1]])
-    squared_error: Floats = np.bincount(group, distance**2, minlength=shape[0] * shape[1]).astype(np.float64)
+    apart = centre_distance(truth.position[pairs[:, 0]], tracks.position[pairs[:, 1]])
+    squared_error: Floats = np.bincount(group, apart**2, minlength=shape[0] * shape[1]).astype(np.float64)
+    ospa, gospa = distance.of(truth, tracks.select(track_outcome != UNEVALUATED), shape[0] * shape[1])
     switched = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])
     return Scores(
         series=layout.series,
@@ -166,6 +171,9 @@ def _compare(assigner: Assigner, layout: _Layout) -> Scores:
         tp=count(group),
         squared_error=squared_error.reshape(shape),
         id_switches=count(group[switched]),
+        ospa_m=ospa.reshape(shape),
+        gospa_m=gospa.reshape(shape),
+        seen=Seen(*np.divmod(truth.group, max(shape[1], 1)), truth.id, truth_outcome == MATCHED),
         objects=_object_table(layout, (truth_outcome, of_truth), (track_outcome, of_track)),
     )
 
@@ -190,7 +198,8 @@ def _object_table(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, 
     match = np.concatenate([truth[1], np.full(count[1], -1), track[1]])
     score = np.concatenate([np.full(count[0] + count[1], np.nan), layout.score])
 
-    order = np.lexsort((*boxes.position.T[::-1], boxes.id, outcome, is_track, boxes.group))
+    place = (boxes.group * 2 + is_track) * len(OUTCOMES) + outcome
+    order = order_by(boxes.id, place, ties=tuple(boxes.position.T[::-1]))
     boxes = boxes.select(order)
     series, frame = np.divmod(boxes.group, max(len(layout.frames), 1))
     names = np.array(layout.series, str).reshape(-1, 2)

@@ -16,9 +16,9 @@ import numpy as np
 
 from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
-from mast_zenoh.keyexpr import Input, Ports
+from mast_zenoh.keyexpr import ANY, Input, Ports
 from mast_zenoh.messages import Body, Header, Message
-from mast_zenoh.node import Node, Received, handler_names
+from mast_zenoh.node import Node, Overheard, Received, handler_names
 from mast_zenoh.streams import stream
 
 MAX_HELD = 10_000  #: messages held back for a clock that has not come; more are dropped and counted
@@ -66,6 +66,7 @@ class Host:
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.failures: Counter[str] = Counter()
         self.observe: Callable[[str, Header], None] | None = None
+        self.hears = ports.inputs
         self._ports = ports
         self.seed = seed
         self._encode = encode
@@ -75,6 +76,7 @@ class Host:
         self._keys_of_port: dict[str, list[str]] = {}
         for (port, _), key in ports.outputs.items():
             self._keys_of_port.setdefault(port, []).append(key)
+        self._overhears = ANY in node.inputs.values()
         self._clocked = any(hears.message == "clock" for hears in ports.inputs.values())
         self._step = -1  # that what is sent now is sent in
         self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
@@ -107,6 +109,9 @@ class Host:
         """
         hears = self._ports.inputs.get(key)
         if hears is None:
+            return
+        if self._overhears:
+            self._overhear(key, hears, payload, counted)
             return
         try:
             if flaw:
@@ -214,6 +219,23 @@ class Host:
             for held_key, held_hears, held, held_counted in self._held.pop(step):
                 self._n_held -= 1
                 self._handle(held_key, held_hears, held, held_counted)
+
+    def _overhear(self, key: str, hears: Input, payload: bytes | Message, counted: bool) -> None:
+        """Hand on the bytes at once, sound or not: who publishes nothing cannot act too early."""
+        if isinstance(payload, Message):
+            payload = codec.encode(payload)
+        header, flaw = None, ""
+        try:
+            header = codec.decode_header(payload, hears.message)
+            if header.source != hears.source:
+                flaw = f"{hears.message}: source {header.source[:40]!r}, expected {hears.source!r}"
+            elif hears.message == "clock" and header.frame > self.frame:
+                self.frame, self.time_ns = header.frame, header.time_ns
+        except MessageError as error:
+            flaw = str(error)
+        self._guard(hears.port, self._handlers[hears.port], Overheard(key, payload, header, flaw), self)
+        if counted:
+            self.handled[key] += 1
 
     def _hold(self, step: int, key: str, hears: Input, received: Received, counted: bool) -> None:
         if self._n_held >= MAX_HELD:

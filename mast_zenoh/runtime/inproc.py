@@ -50,8 +50,8 @@ class InProcess:
             raise RunError(f"{len(sources)} nodes drive the scene, expected one simulator")
         self._source = sources[0]
         self._hears: dict[str, list[Host]] = defaultdict(list)
-        for _, leg in wiring.legs():
-            self._hears[leg.key] += [self.hosts[end.node] for end in leg.subscribers]
+        for key, _, subscriber in wiring.flows():
+            self._hears[key].append(self.hosts[subscriber])
         self._tap = tap
         self._progress = progress
         self._pending: _Fifo | _Shuffled = _Fifo() if shuffle is None else _Shuffled(shuffle)

@@ -248,4 +248,4 @@ class MeshNode:
             listener.undeclare()
 
     def _is_mine(self, leg: Leg) -> bool:
-        return leg.publisher.node == self.name and bool(leg.subscribers)
+        return leg.publisher.node == self.name and bool(leg.subscribers or self.wiring.overhearers)

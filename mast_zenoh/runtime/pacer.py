@@ -28,8 +28,9 @@ class Pacer:
     def __init__(self, wiring: Wiring) -> None:
         self.epoch = 0
         self.members: dict[str, str] = {}
-        self._flows = [(leg.key, leg.publisher.node, end.node) for _, leg in wiring.legs() for end in leg.subscribers]
+        self._flows = list(wiring.flows())
         self._publishers = {leg.publisher.node for _, leg in wiring.legs()}
+        self._causes = [flow for flow in self._flows if flow[2] in self._publishers]
         self._reports: dict[str, tuple[Mapping[str, int], Mapping[str, int]]] = {}
 
     def begin_epoch(self, members: Mapping[str, str]) -> int:
@@ -61,7 +62,7 @@ class Pacer:
         awaited = self.members.keys() if everyone else self.members.keys() & self._publishers
         if not awaited <= reports.keys():
             return False
-        for key, publisher, subscriber in self._flows:
+        for key, publisher, subscriber in self._flows if everyone else self._causes:
             both = publisher in awaited and subscriber in awaited
             if both and reports[publisher][0].get(key, 0) != reports[subscriber][1].get(key, 0):
                 return False

@@ -9,6 +9,9 @@ from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh.states import Bools, Floats, Ints
 
+#: Rows times columns up to which the best choice is looked for: it takes their power of 3/2 in time.
+LARGEST = 1_000_000
+
 
 class Assignment(ABC):
     """Chooses pairs such that every row and every column is used at most once."""
@@ -37,7 +40,10 @@ class Assignment(ABC):
 
 
 class BipartiteAssignment(Assignment):
-    """The choice of least total cost (Jonker and Volgenant's algorithm, SciPy's `linear_sum_assignment`)."""
+    """The choice of least total cost (Jonker and Volgenant's algorithm, SciPy's `linear_sum_assignment`).
+
+    Where more than LARGEST pairs are possible, the greedy choice: only a hostile source brings so many.
+    """
 
     def __init__(self) -> None:
         pass
@@ -45,6 +51,8 @@ class BipartiteAssignment(Assignment):
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
         r, rows = _ranks(row)
         c, columns = _ranks(column)
+        if rows * columns > LARGEST:
+            return GreedyAssignment()._choose(row, column, cost)
         # Zero stands for "both left alone", so that the complete matching of least cost contains the best partial one.
         table = np.zeros((rows, columns))
         table[r, c] = cost

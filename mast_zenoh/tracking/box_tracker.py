@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.states import Detections, Floats, Ints, ObjectStates
+from mast_zenoh.states import CLASSES, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.tracking import classes, existence, kalman, tracks
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
@@ -15,8 +14,10 @@ from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import duplicates, overlap
 from mast_zenoh.tracking.gating import Pairs, near_pairs
 from mast_zenoh.tracking.heading import correct_heading, settle_sense
-from mast_zenoh.tracking.soundness import sound
-from mast_zenoh.tracking.view import SensorView, unblocked
+from mast_zenoh.tracking.measured import Measured
+from mast_zenoh.tracking.rolling import roll
+from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
+from mast_zenoh.tracking.view import SensorView
 
 #: m^2/s^3, spectral density of vertical acceleration: roads are nearly flat.
 VERTICAL_ACCELERATION = 0.2
@@ -24,28 +25,24 @@ VERTICAL_ACCELERATION = 0.2
 SIZE_DRIFT = 4e-4
 #: rad/sqrt(s), what a heading may drift.
 YAW_DRIFT = 0.3
-#: m/s, slip of a rolling object across its heading, as in a tight turn, where the box's centre is not the turning one.
-SLIP = 0.5
-#: Share that a new surprise has in its running mean: of about the last five.
-ASIDE_SHARE = 0.2
-#: s: a mean surprise of 15 cm to one side stands for a sideways speed of 1 m/s that the filter does not believe in.
-ASIDE_S = 0.15
-#: m/s along its axis above which an object is taken to move forward.
-FORWARD = 2.0
 #: m/s above which nothing on a road goes.
 MAX_SPEED = 60.0
-#: Log-odds that a track may lose from its birth until it is given up, if never confirmed: one miss in full view.
-DOUBT = 3.0
+#: Share of its first odds below which a track that was never confirmed is given up: one miss in full view is not.
+DOUBT = 0.05
 #: m, standard deviation of the horizontal position beyond which a track is lost.
 LOST_M = 3.0
 #: Frames' worth of belief in the prior detection probability.
 PRIOR_FRAMES = 2.0
 #: How far a first report of a state is believed, against a source's transient errors.
 FIRST_REPORT = 0.9
-#: m/s from which a sudden displacement has its full size.
-LANE_CHANGE_SPEED = 5.0
-#: (m/s)^2, variance of a measured speed that says nothing.
-NO_MEASUREMENT = 1e9
+#: Parameters that are probabilities, and others that must be positive.
+_PROBABILITIES = (
+    "detection_probability", "report_probability", "confirm_probability", "min_probability", "jump_probability",
+)  # fmt: skip
+_POSITIVE = (
+    "position_std_m", "vertical_std_m", "size_std_m", "yaw_std_rad", "clutter_per_m2", "birth_odds", "lifetime_s",
+    "memory_s", "max_std_m", "jump_std_m", "acceleration_scale",
+)  # fmt: skip
 
 _BIPARTITE = BipartiteAssignment()
 
@@ -97,47 +94,29 @@ class KalmanBoxTracker3D(Tracker):
         acceleration_scale: float = 1.0,
         assignment: Assignment = _BIPARTITE,
     ) -> None:
-        for name, value in (
-            ("detection_probability", detection_probability),
-            ("report_probability", report_probability),
-            ("confirm_probability", confirm_probability),
-            ("min_probability", min_probability),
-            ("jump_probability", jump_probability),
-        ):
-            if not 0.0 < value < 1.0:
-                raise ValueError(f"{name}: found {value}, expected more than 0 and less than 1")
-        for name, value in (
-            ("position_std_m", position_std_m),
-            ("vertical_std_m", vertical_std_m),
-            ("size_std_m", size_std_m),
-            ("yaw_std_rad", yaw_std_rad),
-            ("clutter_per_m2", clutter_per_m2),
-            ("birth_odds", birth_odds),
-            ("lifetime_s", lifetime_s),
-            ("memory_s", memory_s),
-            ("max_std_m", max_std_m),
-            ("jump_std_m", jump_std_m),
-            ("acceleration_scale", acceleration_scale),
-        ):
-            if not value > 0.0:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
-        std = [position_std_m, position_std_m, vertical_std_m, size_std_m, size_std_m, size_std_m]
-        self._noise = np.diag(np.square(std))
+        given = locals()
+        for name in _PROBABILITIES:
+            if not 0.0 < given[name] < 1.0:
+                raise ValueError(f"{name}: found {given[name]}, expected more than 0 and less than 1")
+        for name in _POSITIVE:
+            if not given[name] > 0.0:
+                raise ValueError(f"{name}: found {given[name]}, expected more than 0")
+        self._variance = np.square([position_std_m] * 2 + [vertical_std_m] + [size_std_m] * 3)
         self._yaw_noise = yaw_std_rad**2
         self._detection_probability = detection_probability
         self._report_probability = report_probability
         self._log_clutter = float(np.log(clutter_per_m2))
-        self._birth = float(np.log(birth_odds))
-        self._doubtful = self._birth - DOUBT
+        self._birth = birth_odds
+        self._doubtful = birth_odds * DOUBT
         self._lifetime_s = lifetime_s
         self._memory_s = memory_s
-        self._confirm = tracks.log_odds(confirm_probability)
-        self._report = tracks.log_odds(min_probability)
-        self._max_coast_ns = round(max_coast_s * 1e9)
+        self._confirm = confirm_probability / (1.0 - confirm_probability)
+        self._report = min_probability / (1.0 - min_probability)
+        self._max_coast_s = max_coast_s
         self._max_variance = max_std_m**2
         self._jump_probability = jump_probability
-        self._jump_std_m = jump_std_m
-        self._acceleration_scale = acceleration_scale
+        self._jump = np.square(jump_std_m * classes.JUMP)
+        self._acceleration = acceleration_scale * classes.ACCELERATION
         self._assignment = assignment
         self.reset()
 
@@ -146,227 +125,175 @@ class KalmanBoxTracker3D(Tracker):
         self._next_id = 0
         self._time_ns: int | None = None
         self._matched = np.zeros(0, np.int64)
+        self._process_noise = (0.0, np.zeros((len(CLASSES), 9, 9)))
 
     @property
     def matched(self) -> Ints:
         return self._matched
 
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
-        d = detections
-        order = _canonical_order(d)
-        seen = _Measured(order, d.position[order], d.size[order], d.yaw[order], tracks.known_class(d.class_id[order]))
-        box = np.concatenate([seen.position, seen.size], axis=1)
-        noise = self._detection_noise(d.covariance[order])
+        seen = Measured.detections(detections, self._variance)
         self._advance(time_ns)
-        detected = existence.detection_probability(self._tracks, self._detection_probability, PRIOR_FRAMES)
-        match = self._associate(seen, noise, detected)
+        t = self._tracks
+        detected = existence.detection_probability(t, self._detection_probability, PRIOR_FRAMES)
+        match = self._associate(seen, detected)
         if len(match.track):
             hit = self._hit(match, seen, detected)
-            used = match.measurement
-            surprise = box[used, :2] - hit["mean"][:, :2]
-            mean, P = self.filter.correct(hit["mean"], hit["covariance"], kalman.BOX, box[used], noise[used])
-            hit["mean"], hit["covariance"] = self._roll(mean, P, hit, surprise)
-            self._store(match.track, hit)
-        missed = (self._tracks["row"] < 0).nonzero()[0]
-        if len(missed):
-            existence.miss(self._tracks, missed, detected[missed], self._expected(missed, view), self._birth)
+            measured, R = seen.state.take(match.measurement, 0), seen.noise.take(match.measurement, 0)
+            surprise = measured[:, :2] - hit[:, :2]
+            mean, P = self.filter.correct(hit[:, MEAN], tracks.covariances(hit), kalman.BOX, measured, R)
+            mean, P = roll(self.filter, hit, mean, P, surprise)
+            hit[:, MEAN], hit[:, COVARIANCE] = mean, P.reshape(len(hit), 81)
+            t[match.track] = hit
+        existence.miss(t, detected, self._missed(view), self._birth)
         new = self._unexplained(match, seen)
         born = self._born(new, seen)
         if len(new):
-            born["mean"][:, kalman.BOX] = box[new]
-            born["covariance"] = first_covariance(noise[new], seen.yaw[new], seen.class_id[new])
-            born["odds"] = self._birth
-        return self._finish(born)
+            born[:, kalman.BOX] = seen.state[new]
+            P = first_covariance(seen.noise[new], seen.yaw[new], seen.class_id[new])
+            born[:, COVARIANCE] = P.reshape(len(new), 81)
+            born[:, ODDS] = self._birth
+        return self._finish(match, born)
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
-        order = np.lexsort((measured.id, *measured.position.T))
-        s = measured.select(order)
-        seen = _Measured(order, s.position, s.size, s.yaw, tracks.known_class(s.class_id))
-        state = np.concatenate([s.position, s.size, s.velocity], axis=1)
-        noise = sound(s.covariance)
+        seen = Measured.states(measured)
         self._advance(time_ns)
-        detected = np.full(len(self._tracks), self._report_probability)
-        match = self._associate(seen, noise, detected)
+        t = self._tracks
+        detected = np.full(len(t), self._report_probability)
+        match = self._associate(seen, detected)
         if len(match.track):
             hit = self._hit(match, seen, detected)
-            P, R = hit["covariance"], noise[match.measurement]
+            P, R = tracks.covariances(hit), seen.noise.take(match.measurement, 0)
             # States that come out of filters repeat what they said before. Covariance intersection of track and
             # measurement counts nothing twice; weights by the trace of the position (Niehsen, FUSION 2002).
-            own, theirs = P[:, 0, 0] + P[:, 1, 1], R[:, 0, 0] + R[:, 1, 1]
+            own, theirs = hit[:, XX] + hit[:, YY], R[:, 0, 0] + R[:, 1, 1]
             weight = (theirs / (own + theirs))[:, None, None]
-            hit["mean"], hit["covariance"] = self.filter.correct(
-                hit["mean"], P / weight, kalman.WHOLE, state[match.measurement], R / (1.0 - weight)
+            mean, P = self.filter.correct(
+                hit[:, MEAN], P / weight, kalman.WHOLE, seen.state.take(match.measurement, 0), R / (1.0 - weight)
             )
-            self._store(match.track, hit)
-        missed = (self._tracks["row"] < 0).nonzero()[0]
-        if len(missed):
-            existence.miss(self._tracks, missed, detected[missed], np.ones(len(missed)), self._birth)
+            settle_sense(hit, (tracks.planar(mean[:, 6:8]) * np.exp(-1j * hit[:, YAW])).real)
+            hit[:, MEAN], hit[:, COVARIANCE] = mean, P.reshape(len(P), 81)
+            t[match.track] = hit
+        existence.miss(t, detected, self._missed(None), self._birth)
         new = self._unexplained(match, seen)
         born = self._born(new, seen)
         if len(new):
-            born["mean"], born["covariance"] = state[new], noise[new]
-            score = np.clip(FIRST_REPORT * s.score[new], 0.01, 0.99)
-            born["odds"] = np.log(score / (1.0 - score))
-        return self._finish(born)
+            born[:, MEAN], born[:, COVARIANCE] = seen.state[new], seen.noise[new].reshape(len(new), 81)
+            score = np.clip(FIRST_REPORT * measured.score[seen.row[new]], 0.01, 0.99)
+            born[:, ODDS] = score / (1.0 - score)
+        return self._finish(match, born)
 
     def _advance(self, time_ns: int) -> None:
         """Predict the tracks to `time_ns`."""
         before = time_ns if self._time_ns is None else self._time_ns
         if time_ns < before:
-            raise ValueError(
-                f"time_ns of a step: found {time_ns}, expected at least {before}, the time of the step before"
-            )
+            raise ValueError(f"time_ns of a step: found {time_ns}, expected at least {before}, that of the one before")
         self._time_ns = time_ns
         t, dt = self._tracks, (time_ns - before) * 1e-9
-        t["row"] = -1
+        t[:, ROW] = -1.0
         if len(t) and dt > 0.0:
-            acceleration = self._acceleration_scale * classes.ACCELERATION[t["class_id"]]
-            noise = kalman.process_noise(dt, acceleration, VERTICAL_ACCELERATION, SIZE_DRIFT)
-            t["mean"], t["covariance"] = self.filter.predict(t["mean"], t["covariance"], dt, noise)
-            t["yaw_variance"] += YAW_DRIFT**2 * dt
+            if dt != self._process_noise[0]:
+                noise = kalman.process_noise(dt, self._acceleration, VERTICAL_ACCELERATION, SIZE_DRIFT)
+                self._process_noise = (dt, noise)
+            noise = self._process_noise[1].take(tracks.classes_of(t), 0)
+            mean, P = self.filter.predict(t[:, MEAN], tracks.covariances(t), dt, noise)
+            t[:, MEAN], t[:, COVARIANCE] = mean, P.reshape(len(t), 81)
+            t[:, YAW_VARIANCE] += YAW_DRIFT**2 * dt
+            t[:, tracks.AGE] += dt
             existence.survive(t, dt, self._lifetime_s, self._memory_s)
 
-    def _detection_noise(self, covariance: Floats) -> Floats:
-        """(m, 6, 6) of detected boxes: of the position what the detector says (m, 3, 3), where it says something."""
-        noise = np.empty((len(covariance), 6, 6))
-        noise[:] = self._noise
-        given = covariance.any(axis=(1, 2))
-        if given.any():
-            noise[given, :3, :3] = sound(covariance[given])
-        return noise
-
-    def _associate(self, seen: _Measured, noise: Floats, detected: Floats) -> _Match:
-        """Which of m measurements is of which of n tracks; noise: (m, k, k), x and y first; detected: (n,)."""
+    def _associate(self, seen: Measured, detected: Floats) -> _Match:
+        """Which of m measurements is of which of n tracks; detected: (n,)."""
         t = self._tracks
-        vx, vy = t["mean"][:, 6], t["mean"][:, 7]
-        # What stands does not change lanes.
-        moves = np.minimum(np.sqrt(vx * vx + vy * vy) * (1.0 / LANE_CHANGE_SPEED), 1.0)
-        jump = self._jump_std_m * classes.JUMP[t["class_id"]] * (0.3 + 0.7 * moves)
-        pairs = near_pairs(t, seen.position, noise, jump, self._jump_probability)
+        class_id = tracks.classes_of(t)
+        pairs = near_pairs(t, seen.state, seen.noise, self._jump.take(class_id), self._jump_probability)
         i, j = pairs.track, pairs.measurement
-        ratio = pairs.log_density - self._log_clutter + classes.CONFUSION[t["class_id"][i], seen.class_id[j]]
+        ratio = pairs.log_density - self._log_clutter + classes.CONFUSION[class_id[i], seen.class_id[j]]
         # Against leaving both alone: the object was missed, or is not there, and the measurement is clutter.
-        gain = ratio + (np.log(detected / (1.0 - detected)) - np.log1p(np.exp(-t["odds"])))[i]
+        odds = t[:, ODDS]
+        gain = ratio + np.log(detected * odds / ((1.0 - detected) * (1.0 + odds)))[i]
         chosen = self._assignment.match(i, j, -gain)
-        return _Match(i[chosen], j[chosen], ratio[chosen], pairs.jump[chosen], pairs)
+        return _Match(i[chosen], j[chosen], ratio[chosen], pairs.jump[chosen], pairs, len(chosen) < len(i))
 
-    def _hit(self, match: _Match, seen: _Measured, detected: Floats) -> tracks.Tracks:
+    def _hit(self, match: _Match, seen: Measured, detected: Floats) -> Floats:
         """A copy of the matched tracks, brought up to date but for mean and covariance."""
         used = match.measurement
-        hit = self._tracks[match.track]
-        hit["covariance"][:, (0, 1), (0, 1)] += match.jump[:, None]
-        correct_heading(hit, seen.yaw[used], self._yaw_noise)
-        tracks.vote(hit, seen.class_id[used])
-        existence.hit(hit, detected[match.track], match.log_ratio)
-        hit["seen"], hit["row"] = self._time_ns, seen.row[used]
+        hit = self._tracks.take(match.track, 0)
+        if match.jump.any():
+            hit[:, XX] += match.jump
+            hit[:, YY] += match.jump
+        correct_heading(hit, seen.yaw.take(used), self._yaw_noise)
+        tracks.vote(hit, seen.class_id.take(used))
+        existence.hit(hit, detected.take(match.track), match.log_ratio)
+        hit[:, tracks.AGE], hit[:, ROW] = 0.0, seen.row.take(used)
         return hit
 
-    def _roll(self, mean: Floats, covariance: Floats, hit: tracks.Tracks, surprise: Floats) -> tuple[Floats, Floats]:
-        """What rolls moves along its heading: its speed across is a slip, plus what the heading is off.
-
-        surprise: (n, 2) m, measured less predicted position. If it keeps pointing to one side, the heading is wrong.
-        """
-        yaw = hit["yaw"]
-        across = np.empty((len(yaw), 2))
-        across[:, 0], across[:, 1] = -np.sin(yaw), np.cos(yaw)
-        aside = surprise[:, 0] * across[:, 0] + surprise[:, 1] * across[:, 1]
-        hit["aside"] += ASIDE_SHARE * (aside - hit["aside"])
-        slip = SLIP**2 + (hit["aside"] * (1.0 / ASIDE_S)) ** 2
-        slip += (mean[:, 6] ** 2 + mean[:, 7] ** 2) * hit["yaw_variance"]
-        return self.filter.correct_speed(
-            mean, covariance, across, np.where(classes.ROLLS[hit["class_id"]], slip, NO_MEASUREMENT)
-        )
-
-    def _store(self, rows: Ints, hit: tracks.Tracks) -> None:
-        settle_sense(hit, FORWARD)
-        self._tracks[rows] = hit
-
-    def _expected(self, rows: Ints, view: SensorView | None) -> Floats:
-        """(k,) how much of each track at `rows` was to be seen: in the field of view, and not behind another track."""
-        if view is None:
-            return np.ones(len(rows))
+    def _missed(self, view: SensorView | None) -> Floats:
+        """(n,) how much of each track was not measured though it was to be seen: in view, and not behind another."""
         t = self._tracks
-        missed, screens = t["mean"][rows], t["mean"][(t["confirmed"] > 0) & (t["odds"] > self._report)]
-        clear = unblocked(view.position, missed[:, :3], missed[:, 3:6], screens[:, :3], screens[:, 3:6])
-        return view.expects(missed[:, :3]) * clear
+        coasts = t[:, ROW] < 0.0
+        missed = coasts.astype(np.float64)
+        rows = coasts.nonzero()[0]
+        if view is not None and len(rows):
+            screens = t[(t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report), kalman.BOX]
+            missed[rows] = view.expects(t[rows, kalman.BOX], screens)
+        return missed
 
-    def _unexplained(self, match: _Match, seen: _Measured) -> Ints:
+    def _unexplained(self, match: _Match, seen: Measured) -> Ints:
         """Rows of the measurements that may be new objects: not matched, and not of one that was matched to another."""
         new = np.ones(len(seen.row), bool)
         new[match.measurement] = False
-        t, i, j = self._tracks, match.near.track, match.near.measurement
-        rest = (new[j] & (t["row"][i] >= 0)).nonzero()[0]
-        if len(rest):
-            i, j = i[rest], j[rest]
-            mean = t["mean"][i]
-            offset = seen.position[j, :2] - mean[:, :2]
-            same = overlap(offset, mean[:, 3:6], t["yaw"][i], seen.size[j], seen.yaw[j])
-            new[j[same]] = False
+        if match.contested:
+            t, i, j = self._tracks, match.near.track, match.near.measurement
+            rest = (new[j] & (t[i, ROW] >= 0.0)).nonzero()[0]
+            if len(rest):
+                mean, j = t[i[rest]], j[rest]
+                state = seen.state[j]
+                offset = state[:, :2] - mean[:, :2]
+                same = overlap(offset, mean[:, 3:6], mean[:, YAW], state[:, 3:6], seen.yaw[j])
+                new[j[same]] = False
         return new.nonzero()[0]
 
-    def _born(self, new: Ints, seen: _Measured) -> tracks.Tracks:
+    def _born(self, new: Ints, seen: Measured) -> Floats:
         """Tracks for the measurements at `new`, but for mean, covariance and odds."""
         born = tracks.empty(len(new))
-        born["id"] = np.arange(self._next_id, self._next_id + len(new))
-        self._next_id += len(new)
-        born["yaw"], born["yaw_variance"], born["turn"] = seen.yaw[new], self._yaw_noise, 1.0
-        born["record"][:, tracks.HITS], born["seen"], born["row"] = 1.0, self._time_ns, seen.row[new]
-        tracks.vote(born, seen.class_id[new])
+        if len(new):
+            born[:, tracks.ID] = np.arange(self._next_id, self._next_id + len(new))
+            self._next_id += len(new)
+            born[:, YAW], born[:, YAW_VARIANCE], born[:, tracks.TURN] = seen.yaw[new], self._yaw_noise, 1.0
+            born[:, tracks.HITS], born[:, ROW] = 1.0, seen.row[new]
+            tracks.vote(born, seen.class_id[new])
         return born
 
-    def _finish(self, born: tracks.Tracks) -> ObjectStates:
+    def _finish(self, match: _Match, born: Floats) -> ObjectStates:
         """Give up tracks, take in the `born` ones, report."""
-        t, time_ns = self._tracks, self._time_ns
-        assert time_ns is not None
-        mean, P = t["mean"], t["covariance"]
-        vx, vy = mean[:, 6], mean[:, 7]
-        lost = (t["odds"] < self._doubtful) & (t["confirmed"] == 0)
-        lost |= t["seen"] < time_ns - self._max_coast_ns
-        lost |= (vx * vx + vy * vy > MAX_SPEED**2) | (P[:, 0, 0] + P[:, 1, 1] > LOST_M**2)
-        if lost.any():
-            t = t[~lost]
-        if len(born):
-            known = len(t)
-            t, before = tracks.empty(known + len(born)), t
-            t[:known], t[known:] = before, born
-        t["confirmed"] |= t["odds"] > self._confirm
-        bad = duplicates(t)
-        if bad.any():
-            t = t[~bad]
-        self._tracks = t
-        reported = (t["confirmed"] > 0) & (t["odds"] > self._report)
-        reported &= t["covariance"][:, 0, 0] + t["covariance"][:, 1, 1] <= self._max_variance
-        t = t[reported]
-        self._matched = t["row"].copy()
-        return tracks.to_states(t)
+        t = self._tracks
+        odds, confirmed = t[:, ODDS], t[:, CONFIRMED]
+        np.maximum(confirmed, odds > self._confirm, out=confirmed)
+        variance = t[:, XX] + t[:, YY]
+        keep = odds >= self._doubtful * (1.0 - confirmed)
+        keep &= t[:, tracks.AGE] <= self._max_coast_s
+        keep &= variance <= LOST_M**2
+        keep &= np.abs(tracks.planar(t[:, 6:8])) <= MAX_SPEED
+        if match.contested:
+            # Two tracks of one object are near the same measurements.
+            keep &= ~duplicates(t)
+        reported = t[keep & (confirmed > 0.0) & (odds > self._report) & (variance <= self._max_variance)]
+        t = t if keep.all() else t[keep]
+        self._tracks = np.concatenate([t, born]) if len(born) else t
+        self._matched = reported[:, ROW].astype(np.int64)
+        return tracks.to_states(reported)
 
 
-@dataclass(frozen=True, slots=True)
-class _Measured:
-    """m measurements in an order that does not depend on that of the input; `row`: where each was in it."""
+class _Match(NamedTuple):
+    """k tracks, their measurements, ln of density over clutter, variance of a jump; and all pairs that were near.
 
-    row: Ints
-    position: Floats
-    size: Floats
-    yaw: Floats
-    class_id: Ints
-
-
-@dataclass(frozen=True, slots=True)
-class _Match:
-    """k tracks, their measurements, ln of density over clutter, variance of a jump; and all pairs that were near."""
+    contested: whether there are other pairs than the chosen ones
+    """
 
     track: Ints
     measurement: Ints
     log_ratio: Floats
     jump: Floats
     near: Pairs
-
-
-def _canonical_order(d: Detections) -> Ints:
-    """(m,) rows in an order that does not depend on that of the input."""
-    x = d.position[:, 0]
-    order = x.argsort(kind="stable")
-    if (x[order[1:]] == x[order[:-1]]).any():
-        order = np.lexsort((d.score, d.class_id, *d.size.T, d.yaw, *d.position.T))
-    return order
+    contested: bool

@@ -23,7 +23,10 @@ _TABLE = {
 }
 _COLUMNS = np.array([_TABLE[name] for name in CLASSES]).T
 
-SPEED_ALONG, SPEED_ACROSS, ACCELERATION, JUMP, _FAMILY = _COLUMNS
+_ALONG, _ACROSS, ACCELERATION, JUMP, _FAMILY = _COLUMNS
+
+#: (m/s)^2: of the variances of the speed along and across the heading, mean and half the difference.
+_SPEED_MEAN, _SPEED_HALF = 0.5 * (_ALONG**2 + _ACROSS**2), 0.5 * (_ALONG**2 - _ACROSS**2)
 
 #: (7,) bool: moves along its length axis, but for a slip.
 ROLLS = np.array([name not in ("unknown", "pedestrian") for name in CLASSES])
@@ -45,10 +48,10 @@ def first_covariance(box: Floats, yaw: Floats, class_id: Ints) -> Floats:
     """
     covariance = np.zeros((len(yaw), 9, 9))
     covariance[:, :6, :6] = box
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    along, across = SPEED_ALONG[class_id] ** 2, SPEED_ACROSS[class_id] ** 2
-    covariance[:, 6, 6] = along * cosine**2 + across * sine**2
-    covariance[:, 7, 7] = along * sine**2 + across * cosine**2
-    covariance[:, 6, 7] = covariance[:, 7, 6] = (along - across) * cosine * sine
+    mean, half = _SPEED_MEAN.take(class_id), _SPEED_HALF.take(class_id)
+    double = 2.0 * yaw
+    swing = half * np.cos(double)
+    covariance[:, 6, 6], covariance[:, 7, 7] = mean + swing, mean - swing
+    covariance[:, 6, 7] = covariance[:, 7, 6] = half * np.sin(double)
     covariance[:, 8, 8] = SPEED_VERTICAL**2
     return covariance

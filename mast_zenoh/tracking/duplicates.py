@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.states import Bools, Floats
-from mast_zenoh.tracking.tracks import Tracks
+from mast_zenoh.tracking.neighbours import neighbours
+from mast_zenoh.tracking.tracks import CONFIRMED, ROW, YAW
 
 #: Share of the distance at which two boxes touch, below which they are one object: boxes are only so exact.
 ONE_OBJECT = 0.6
@@ -26,27 +27,25 @@ def overlap(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other
     return np.asarray((along < 0.5 * ONE_OBJECT * length) & (across < 0.5 * ONE_OBJECT * width))
 
 
-def duplicates(t: Tracks) -> Bools:
+def duplicates(t: Floats) -> Bools:
     """(n,) which confirmed tracks are where a better one is: one measured now before one that coasts, then the older.
 
     The footprints of road users do not overlap; where those of two tracks do, both follow one object.
     """
     bad = np.zeros(len(t), bool)
-    rows = t["confirmed"].nonzero()[0]
+    rows = t[:, CONFIRMED].nonzero()[0]
     if len(rows) < 2:
         return bad
-    mean, yaw = t["mean"][rows], t["yaw"][rows]
-    x, y = mean[:, 0], mean[:, 1]
-    reach = ONE_OBJECT * mean[:, 3]
-    dx, dy = x[:, None] - x, y[:, None] - y
-    i, j = (dx * dx + dy * dy < (reach * reach)[:, None]).nonzero()
+    mean = t.take(rows, 0)
+    yaw = mean[:, YAW]
+    i, j, _, _ = neighbours(mean, mean, ONE_OBJECT * mean[:, 3])
     others = i != j
     if not others.any():
         return bad
     i, j = i[others], j[others]
     same = overlap(mean[j, :2] - mean[i, :2], mean[i, 3:6], yaw[i], mean[j, 3:6], yaw[j])
     i, j = i[same], j[same]
-    coasts = (t["row"][rows] < 0).astype(np.int64)
+    coasts = mean[:, ROW] < 0.0
     worse = np.where((coasts[i] > coasts[j]) | ((coasts[i] == coasts[j]) & (i > j)), i, j)
     bad[rows[worse]] = True
     return bad

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
 from mast_zenoh.states import Floats
 from mast_zenoh.tracking import kalman
 from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
+
+if TYPE_CHECKING:
+    from filterpy.kalman import KalmanFilter
 
 
 class FilterpyFilter(kalman.BoxFilter):
@@ -50,6 +52,9 @@ class FilterpyBoxTracker3D(KalmanBoxTracker3D):
 
 
 def _filter(mean: Floats, covariance: Floats, measured: int) -> KalmanFilter:
+    # Here, not above: filterpy pulls in matplotlib, which takes half a second that only this tracker need pay.
+    from filterpy.kalman import KalmanFilter
+
     one = KalmanFilter(dim_x=9, dim_z=measured)
     one.x, one.P = mean.copy(), covariance.copy()
     return one

@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from mast_zenoh.states import Floats, Ints
-from mast_zenoh.tracking.tracks import Tracks
+from mast_zenoh.tracking.neighbours import neighbours
+from mast_zenoh.tracking.tracks import XX, XY, YY, planar
 
-#: Squared Mahalanobis distances in the plane beyond which nothing is considered: probability 3e-4 of a true pair.
-GATE = 16.0
+#: Squared Mahalanobis distance in the plane beyond which steady motion does not explain a pair: probability 3e-4 of a
+#: true one; and what a sudden displacement may explain.
+GATE, SUDDEN_GATE = 16.0, 8.0
 
 LOG_2_PI = math.log(2.0 * math.pi)
 
 #: m, difference in height beyond which two things are on different levels of a road.
 LEVEL_M = 3.0
 
+#: Share of a sudden displacement's variance that what stands has, and what each (m/s)^2 adds: all of it from 5 m/s on.
+STANDING, MOVING = 0.1, 0.9 / 5.0**2
 
-@dataclass(frozen=True, slots=True)
-class Pairs:
+_HORIZONTAL = np.array([XX, XY, YY])
+_NONE = np.zeros(0, np.int64)
+
+
+class Pairs(NamedTuple):
     """p pairs of a track and a measurement that lie near each other.
 
     track, measurement: (p,) rows
     log_density: (p,) ln of the density, per m^2, of the measurement's horizontal position if it is of the track
-    jump: (p,) m^2, variance that a sudden displacement adds per axis, 0 where steady motion explains the pair better
+    jump: (p,) m^2, variance that a sudden displacement adds per axis, 0 where steady motion explains the pair
     """
 
     track: Ints
@@ -34,42 +41,51 @@ class Pairs:
     jump: Floats
 
 
-def near_pairs(tracks: Tracks, position: Floats, covariance: Floats, jump: Floats, jump_probability: float) -> Pairs:
+def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Floats, jump_probability: float) -> Pairs:
     """The pairs of n tracks and m measurements within the gate, in the order of tracks, then measurements.
 
-    position: (m, 3) m; covariance: (m, k, k), the first two rows and columns are x and y, m^2
-    jump: (n,) m, standard deviation per axis of a sudden displacement, which has `jump_probability` in a frame
+    position: (m, >= 3) m; covariance: (m, k, k), the first two rows and columns are x and y, m^2
+    jump: (n,) m^2, variance per axis of a sudden displacement of a moving object, which has `jump_probability` in a
+        frame
 
-    The density is a mixture: motion as predicted, or a sudden displacement on top. Boxes do jump: their centre shifts
-    as more of an object comes into view, and simulated traffic changes lanes within a step.
+    Boxes do jump: their centre shifts as more of an object comes into view, and simulated traffic changes lanes within
+    a step. That is considered for tracks and measurements that steady motion leaves alone. What stands does not change
+    lanes.
     """
-    mean, P = tracks["mean"], tracks["covariance"]
-    if len(tracks) == 0 or len(position) == 0:
-        none = np.zeros(0, np.int64)
-        return Pairs(none, none, np.zeros(0), np.zeros(0))
-    x, y = mean[:, 0], mean[:, 1]
-    xx, xy, yy = P[:, 0, 0], P[:, 0, 1], P[:, 1, 1]
-    measured_xx, measured_xy, measured_yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    # The trace bounds the largest eigenvalue: a cheap circle round the ellipse, for all pairs.
-    displaced = jump * jump
-    steady_reach = GATE * (xx + yy + (measured_xx + measured_yy).max())
-    reach = np.maximum(steady_reach, 0.5 * steady_reach + GATE * displaced)
-    dx = position[:, 0] - x[:, None]
-    dy = position[:, 1] - y[:, None]
-    i, j = (dx * dx + dy * dy <= reach[:, None]).nonzero()
-    dx, dy = dx[i, j], dy[i, j]
-    # Two rows: steady motion, and a sudden displacement on top.
-    added = np.zeros((2, len(i)))
-    added[1] = displaced[i]
-    a = xx[i] + measured_xx[j] + added
-    b = xy[i] + measured_xy[j]
-    c = yy[i] + measured_yy[j] + added
-    determinant = a * c - b * b
-    distance = (c * dx * dx - 2.0 * b * dx * dy + a * dy * dy) / determinant
-    steady, sudden = -0.5 * (distance + np.log(determinant)) - LOG_2_PI
-    steady += math.log1p(-jump_probability)
-    sudden += math.log(jump_probability)
-    near = (distance[0] <= GATE) | (distance[1] <= 0.5 * GATE)
-    near &= np.abs(position[:, 2][j] - mean[:, 2][i]) <= LEVEL_M
-    variance = np.where(sudden > steady, added[1], 0.0)
-    return Pairs(i[near], j[near], np.logaddexp(steady, sudden)[near], variance[near])
+    n, m = len(tracks), len(position)
+    if n == 0 or m == 0:
+        return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
+    own = tracks.take(_HORIZONTAL, 1)
+    k = covariance.shape[1]
+    measured = covariance.reshape(m, k * k).take((0, 1, k + 1), 1)
+    # The trace bounds the largest eigenvalue: a cheap circle round both ellipses, for all pairs.
+    reach = own[:, 0] + own[:, 2] + 0.5 * jump + (measured[:, 0] + measured[:, 2]).max()
+    i, j, dx, dy = neighbours(tracks, position, np.sqrt(GATE * reach))
+    level = np.abs(position[:, 2].take(j) - tracks[:, 2].take(i)) <= LEVEL_M
+    total = own.take(i, 0) + measured.take(j, 0)
+    a, b, c = total[:, 0], total[:, 1], total[:, 2]
+    log_density, distance = _gaussian(dx, dy, a, b, c)
+    near = (distance <= GATE) & level
+    added = np.zeros(len(i))
+    alone, unexplained = np.ones(n, bool), np.ones(m, bool)
+    alone[i[near]] = unexplained[j[near]] = False
+    far = (level & alone[i] & unexplained[j]).nonzero()[0]
+    if len(far):
+        speed = np.abs(planar(tracks[i[far], 6:8]))
+        more = jump[i[far]] * np.minimum(STANDING + MOVING * speed * speed, 1.0)
+        density, distance = _gaussian(dx[far], dy[far], a[far] + more, b[far], c[far] + more)
+        log_density[far] = density + math.log(jump_probability)
+        added[far] = more
+        near[far] = distance <= SUDDEN_GATE
+    if not near.all():
+        i, j, log_density, added = i[near], j[near], log_density[near], added[near]
+    return Pairs(i, j, log_density, added)
+
+
+def _gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
+    """ln of the densities at (dx, dy) of normal distributions of covariance [[a, b], [b, c]]; squared distances."""
+    slope = b / a
+    rest = c - b * slope
+    dy = dy - slope * dx
+    distance = dx * dx / a + dy * dy / rest
+    return -0.5 * (distance + np.log(a * rest)) - LOG_2_PI, distance

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from mast_zenoh.states import Floats
+from mast_zenoh.tracking.inversion import inverse
 
 POSITION = slice(0, 3)
 BOX = slice(0, 6)
@@ -44,6 +45,15 @@ def _unit_noise(dt: float, vertical: float, size_drift: float) -> tuple[Floats, 
     return horizontal, rest
 
 
+@lru_cache(maxsize=8)
+def _transition(dt: float) -> Floats:
+    """(9, 9) F of motion at constant velocity."""
+    matrix = np.eye(9)
+    matrix[POSITION, VELOCITY] = dt * np.eye(3)
+    matrix.setflags(write=False)
+    return matrix
+
+
 class BoxFilter(ABC):
     """Predicts and corrects the means (n, 9) and covariances (n, 9, 9) of n tracks."""
 
@@ -71,20 +81,17 @@ class BatchedFilter(BoxFilter):
     """All tracks at once."""
 
     def predict(self, mean: Floats, covariance: Floats, dt: float, noise: Floats) -> tuple[Floats, Floats]:
-        mean = mean.copy()
-        mean[:, POSITION] += dt * mean[:, VELOCITY]
-        # F P F^T, by the only block of F that is off the diagonal.
-        covariance = covariance.copy()
-        covariance[:, POSITION, :] += dt * covariance[:, VELOCITY, :]
-        covariance[:, :, POSITION] += dt * covariance[:, :, VELOCITY]
+        F = _transition(dt)
+        covariance = F @ covariance @ F.T
         covariance += noise
-        return mean, covariance
+        return mean @ F.T, covariance
 
     def correct(
         self, mean: Floats, covariance: Floats, part: slice, measured: Floats, noise: Floats
     ) -> tuple[Floats, Floats]:
         cross = covariance[:, :, part]
-        gain = cross @ np.linalg.inv(cross[:, part] + noise)
+        total = cross[:, part] + noise
+        gain = cross @ (inverse(total) if part == WHOLE else np.linalg.inv(total))
         mean = mean + (gain @ (measured - mean[:, part])[:, :, None])[:, :, 0]
         covariance = covariance - gain @ cross.transpose(0, 2, 1)
         # Nothing in this form damps an asymmetry of rounding: it would double every few frames.
@@ -93,10 +100,9 @@ class BatchedFilter(BoxFilter):
     def correct_speed(
         self, mean: Floats, covariance: Floats, direction: Floats, noise: Floats
     ) -> tuple[Floats, Floats]:
-        x, y = direction[:, 0, None], direction[:, 1, None]
-        cross = covariance[:, :, 6] * x + covariance[:, :, 7] * y
-        variance = cross[:, 6] * x[:, 0] + cross[:, 7] * y[:, 0] + noise
-        speed = mean[:, 6] * x[:, 0] + mean[:, 7] * y[:, 0]
+        cross = (covariance[:, :, 6:8] @ direction[:, :, None])[:, :, 0]
+        variance = np.vecdot(cross[:, 6:8], direction) + noise
+        speed = np.vecdot(mean[:, 6:8], direction)
         mean = mean - cross * (speed / variance)[:, None]
         scaled = cross / np.sqrt(variance)[:, None]
         return mean, covariance - scaled[:, :, None] * scaled[:, None, :]

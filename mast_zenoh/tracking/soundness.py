@@ -17,9 +17,11 @@ def sound(covariance: Floats) -> Floats:
     What is so comes back as it was; of the rest the symmetric part, eigenvalues brought to within LEAST and MOST.
     """
     symmetric = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-    k = covariance.shape[1]
-    diagonal = np.einsum("nii->ni", symmetric)
-    if len(symmetric) == 0 or (diagonal.max() <= MOST and _definite(symmetric - 0.5 * LEAST * np.eye(k))):
+    n, k = covariance.shape[:2]
+    shifted = symmetric.reshape(n, k * k).copy()
+    diagonal = shifted[:, :: k + 1]
+    diagonal -= 0.5 * LEAST
+    if n == 0 or (diagonal.max() <= MOST and _definite(shifted.reshape(n, k, k))):
         return symmetric
     values, vectors = np.linalg.eigh(np.clip(symmetric, -MOST, MOST))
     repaired = (vectors * np.clip(values, LEAST, MOST)[:, None, :]) @ vectors.transpose(0, 2, 1)

@@ -1,85 +1,86 @@
-"""The table of a tracker's tracks: one row per track, so that choosing, appending and copying are single operations."""
+"""The table of a tracker's tracks: one row of numbers per track, so that choosing, appending and copying are single
+operations on one array. Whole numbers (ids, classes, rows) are exact in it.
+"""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.states import CLASSES, Ints, ObjectStates
+from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.states import CLASSES, Floats, Ints, ObjectStates
 
-#: id
-#: mean, covariance  (9,), (9, 9) of the state
-#: yaw, yaw_variance rad, rad^2
-#: turn              evidence, >= 0, for this heading against the opposite one
-#: aside             m, running mean of how far measured positions are to the left of predicted ones
-#: odds              log-odds of existence
-#: record            (9,) fading counts of hits, of misses, and of the classes seen
-#: seen              ns, time of the last measurement
-#: row               of the last input, -1 where the track coasts
-TRACK = np.dtype(
-    [
-        ("id", "i8"),
-        ("mean", "f8", (9,)),
-        ("covariance", "f8", (9, 9)),
-        ("yaw", "f8"),
-        ("yaw_variance", "f8"),
-        ("turn", "f8"),
-        ("aside", "f8"),
-        ("odds", "f8"),
-        ("record", "f8", (2 + len(CLASSES),)),
-        ("class_id", "i8"),
-        ("confirmed", "i8"),
-        ("seen", "i8"),
-        ("row", "i8"),
-    ]
-)
+#: Columns: the state (9) and its covariance (81, by rows).
+MEAN = slice(0, 9)
+COVARIANCE = slice(9, 90)
+#: Of the horizontal position: variances and covariance.
+XX, XY, YY = 9, 10, 19
+#: rad, rad^2; and the evidence, >= 0, for this heading against the opposite one.
+YAW, YAW_VARIANCE, TURN = 90, 91, 92
+#: m, running mean of how far measured positions are to the left of predicted ones.
+ASIDE = 93
+#: Odds of existence, p / (1 - p).
+ODDS = 94
+#: Fading counts of hits, of misses, and of the classes seen.
+HITS, MISSES, VOTES = 95, 96, slice(97, 97 + len(CLASSES))
+RECORD = slice(HITS, VOTES.stop)
+CLASS = VOTES.stop
+#: 1 once it has been confirmed, else 0.
+CONFIRMED = CLASS + 1
+#: s since the last measurement.
+AGE = CLASS + 2
+ID = CLASS + 3
+#: Of the last input, -1 where the track coasts.
+ROW = CLASS + 4
+WIDTH = CLASS + 5
 
-#: Columns of the record.
-HITS, MISSES, VOTES = 0, 1, 2
-
-#: A table of tracks: (n,) of dtype TRACK.
-Tracks = NDArray[np.void]
+_ONE_VOTE = np.eye(len(CLASSES))
+_KNOWN = np.zeros(256, np.int64)
+_KNOWN[: len(CLASSES)] = np.arange(len(CLASSES))
 
 
-def empty(n: int) -> Tracks:
+def empty(n: int) -> Floats:
     """n rows of zeros."""
-    return np.zeros(n, TRACK)
+    return np.zeros((n, WIDTH))
 
 
-def log_odds(probability: float) -> float:
-    """ln(p / (1 - p))."""
-    return float(np.log(probability / (1.0 - probability)))
+def covariances(tracks: Floats) -> Floats:
+    """(n, 9, 9), a view."""
+    return tracks[:, COVARIANCE].reshape(len(tracks), 9, 9)
 
 
-def probability(odds: NDArray[Any]) -> NDArray[np.float64]:
-    """(n,) in [0, 1] from (n,) log-odds."""
-    return np.asarray(1.0 / (1.0 + np.exp(-odds)))
+def classes_of(tracks: Floats) -> Ints:
+    """(n,) int64."""
+    return tracks[:, CLASS].astype(np.int64)
 
 
-def to_states(tracks: Tracks) -> ObjectStates:
-    """The tracks as object states; nothing is shared with the table."""
-    mean = tracks["mean"]
+def planar(vectors: Floats) -> NDArray[np.complex128]:
+    """(n,) x + i y of (n, 2), a view: in the plane, one operation on complex numbers does the work of several."""
+    return np.asarray(vectors.view(np.complex128)[:, 0])
+
+
+def to_states(tracks: Floats) -> ObjectStates:
+    """The tracks as object states, which share the memory of the table."""
+    odds = tracks[:, ODDS]
     return ObjectStates(
-        id=tracks["id"].copy(),
-        position=mean[:, 0:3].copy(),
-        velocity=mean[:, 6:9].copy(),
-        size=mean[:, 3:6].copy(),
-        yaw=tracks["yaw"].copy(),
-        covariance=tracks["covariance"].copy(),
-        score=probability(tracks["odds"]),
-        class_id=tracks["class_id"].astype(np.uint8),
+        id=tracks[:, ID].astype(np.int64),
+        position=tracks[:, 0:3],
+        velocity=tracks[:, 6:9],
+        size=tracks[:, 3:6],
+        yaw=wrap_angle(tracks[:, YAW]),
+        covariance=covariances(tracks),
+        score=odds / (1.0 + odds),
+        class_id=tracks[:, CLASS].astype(np.uint8),
     )
 
 
 def known_class(class_id: NDArray[np.uint8]) -> Ints:
     """(n,) int64: what is no class is of an unknown one."""
-    return np.where(class_id < len(CLASSES), class_id, 0).astype(np.int64)
+    return np.asarray(_KNOWN.take(class_id))
 
 
-def vote(tracks: Tracks, class_id: Ints) -> None:
+def vote(tracks: Floats, class_id: Ints) -> None:
     """Count the class (n,) seen of each track; the majority is its class, the lower index in a tie."""
-    record = tracks["record"]
-    record[np.arange(len(tracks)), VOTES + class_id] += 1.0
-    tracks["class_id"] = record[:, VOTES:].argmax(axis=1)
+    votes = tracks[:, VOTES]
+    votes += _ONE_VOTE.take(class_id, 0)
+    tracks[:, CLASS] = votes.argmax(axis=1)

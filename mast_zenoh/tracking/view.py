@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.geometry import to_local, wrap_angle
-from mast_zenoh.states import Floats
+from mast_zenoh.states import Bools, Floats
+from mast_zenoh.tracking.neighbours import TABLE
 
 #: m; half the extent of a road user, over which an object at the edge of the field of view is seen in part.
 EDGE_M = 2.5
@@ -35,49 +35,48 @@ class SensorView:
     elevation_max: float
     max_range: float
 
-    def expects(self, points: Floats) -> Floats:
-        """(n,) in [0, 1]: how much of an object at `points` (n, 3) in the world is in the field of view.
+    def expects(self, boxes: Floats, screens: Floats) -> Floats:
+        """(k,) in [0, 1]: how much of each of k `boxes` (k, 6) is in the field of view and not behind another object.
 
-        One at the edge is half in.
+        screens: (n, 6) what may hide them; the boxes themselves may be among them. Both are x y z l w h in m, in the
+        world frame. A box at the edge of the field of view is half in.
         """
-        local = to_local(points, self.position, self.rotation)
-        x, y, z = local[:, 0], local[:, 1], local[:, 2]
+        x, y, z = ((boxes[:, :3] - self.position) @ self.rotation).T
         ground = np.hypot(x, y)
         distance = np.hypot(ground, z)
         inside = self.max_range - distance
         if self.azimuth_max - self.azimuth_min < 2 * np.pi - 1e-6:
             azimuth = np.arctan2(y, x)
-            edge = np.minimum(azimuth - self.azimuth_min, self.azimuth_max - azimuth)
-            inside = np.minimum(inside, edge * ground)
+            inside = np.minimum(inside, np.minimum(azimuth - self.azimuth_min, self.azimuth_max - azimuth) * ground)
         elevation = np.arctan2(z, ground)
         edge = np.minimum(elevation - self.elevation_min, self.elevation_max - elevation)
         inside = np.minimum(inside, edge * distance)
-        share: Floats = np.minimum(np.maximum(0.5 + 0.5 * inside / EDGE_M, 0.0), 1.0)
-        return share
+        share = np.minimum(np.maximum(0.5 + (0.5 / EDGE_M) * inside, 0.0), 1.0)
+        return np.asarray(share * ~hidden(self.position, boxes, screens))
 
 
-def unblocked(origin: Floats, position: Floats, size: Floats, screens: Floats, screen_size: Floats) -> Floats:
-    """(k,) in [0, 1]: how much of each object no nearer one hides from a sensor.
+def hidden(origin: Floats, boxes: Floats, screens: Floats) -> Bools:
+    """(k,) which of k `boxes` (k, 6) are behind a nearer one of n `screens` (n, 6), as seen from `origin` (3,) m.
 
-    origin: (3,) m, the sensor; position, size: (k, 3) m, centres and length width height of the objects in question
-    screens, screen_size: (n, 3) m, of all that may hide them; the objects themselves may be among them
-
-    An object hides the sector of azimuth that its footprint (taken as a disc of its mean horizontal extent) fills, for
-    what lies behind it and not above the line from the sensor over its top.
+    An object hides what has its centre in the sector of azimuth that the object's footprint fills (taken as a disc of
+    its mean horizontal extent), and is not above the line from the sensor over its top.
     """
-    if len(position) == 0 or len(screens) == 0:
-        return np.ones(len(position))
-    offset = np.concatenate([position, screens]) - origin
-    length, width, height = np.concatenate([size, screen_size]).T
-    ground = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), NEAREST_M)
-    # As seen from the sensor: azimuth, half the width (rad), slope of the line over the top.
-    azimuth = np.arctan2(offset[:, 1], offset[:, 0])
-    half = np.arctan2(np.maximum(0.25 * (length + width), NEAREST_M), ground)
-    top = (offset[:, 2] + 0.5 * height) / ground
-    k = len(position)
-    own = half[:k, None]
-    apart = np.abs(wrap_angle(azimuth[:k, None] - azimuth[k:]))
-    covered = np.minimum(own + half[k:] - apart, 2.0 * np.minimum(own, half[k:])) / (2.0 * own)
-    hides = (ground[:k, None] > (ground + 0.5 * width)[k:]) & (top[:k, None] < top[k:])
-    share: Floats = 1.0 - np.maximum(covered * hides, 0.0).max(axis=1)
-    return share
+    # A table of boxes and screens, in pieces that fit into memory whatever a hostile source says is there.
+    piece = max(1, TABLE // max(1, len(screens)))
+    if len(boxes) > piece:
+        starts = range(0, len(boxes), piece)
+        return np.concatenate([hidden(origin, boxes[start : start + piece], screens) for start in starts])
+    k = len(boxes)
+    both = np.concatenate([boxes, screens])
+    both[:, :3] -= origin
+    x, y, z, length, width, height = both.T
+    ground = np.maximum(np.hypot(x, y), NEAREST_M)
+    # Across and along the line of sight to each box, times its distance.
+    place = x + 1j * y
+    aside = place[:k, None] * place[k:].conj()
+    hides = np.abs(aside.imag) < ground[:k, None] * (0.25 * (length + width))[k:]
+    hides &= aside.real > 0.0
+    hides &= ground[:k, None] > (ground + 0.5 * width)[k:]
+    top = (z + 0.5 * height) / ground
+    hides &= top[:k, None] < top[k:]
+    return np.asarray(hides.any(axis=1))

@@ -37,6 +37,16 @@ def test_a_run_in_one_process_leaves_a_run_folder_and_a_report(mast, tmp_path: P
     assert record["frames"] == 4
 
 
+def test_messages_are_recorded_unless_told_otherwise(mast, tmp_path: Path) -> None:
+    assert mast("run", "baseline", *SHORT, "--no-report", "--out", "a")[0] == 0
+    assert mast("run", "baseline", *SHORT, "--no-report", "--no-record", "--out", "b")[0] == 0
+    assert [(tmp_path / name / "messages.mcap").is_file() for name in "ab"] == [True, False]
+    assert mast("diff", "a", "a")[0] == 0
+    code, _, err = mast("diff", "a", "b")
+    assert code == 2
+    assert "b/messages.mcap: missing; b is a run that was not recorded" in err.replace("\n", "")
+
+
 def test_without_a_folder_the_run_names_its_own(mast, tmp_path: Path) -> None:
     for _ in range(2):
         assert mast("run", "baseline", *SHORT, "--no-report")[0] == 0
@@ -74,6 +84,7 @@ def test_without_a_folder_the_run_names_its_own(mast, tmp_path: Path) -> None:
         (("study", "case_study", "--set", "n_adversary=1"), 10, "did you mean 'n_adversaries'"),
         (("wiring", "baseline", "--format", "xml"), 2, "--format"),
         (("report", "nowhere"), 15, "nowhere"),
+        (("diff", "nowhere", "nowhere"), 2, "cannot compare: nowhere: no such folder"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )
@@ -120,6 +131,8 @@ def test_the_wiring_is_shown_in_three_forms(mast) -> None:
     code, out, _ = mast("wiring", "uncoordinated", "--set", "n_adversaries=1")
     assert code == 0
     assert "[adversary_1]" in out
+    assert "recorder hears every key" in out
+    assert out.count("recorder") == 1
     code, out, _ = mast("wiring", "uncoordinated", "--set", "n_adversaries=1", "--format", "json")
     wires = {wire["key"]: wire for wire in json.loads(out)["wires"]}
     assert wires["agent/infra_1/detections"]["interposers"] == ["adversary_1"]

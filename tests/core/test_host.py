@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError
-from mast_zenoh.keyexpr import Input, Ports
+from mast_zenoh.keyexpr import ANY, Input, Ports
 from mast_zenoh.messages import Header, Message, text
-from mast_zenoh.node import Context, Node, Received, handler_names
+from mast_zenoh.node import Context, Node, Overheard, Received, handler_names
 from mast_zenoh.runtime import host as host_module
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.states import ObjectStates
@@ -470,3 +470,59 @@ def test_a_node_needs_a_handler_for_every_input() -> None:
 def test_a_message_knows_its_frame_time_and_columns() -> None:
     received = Received(Message(Header("clock", "simulator", 3, 9, 0), {}), "")
     assert (received.frame, received.time_ns, received.body) == (3, 9, {})
+
+
+class Ear(Node):
+    """Writes down everything."""
+
+    inputs = {"everything": ANY}
+
+    def __init__(self) -> None:
+        self.heard: list[Overheard] = []
+
+    def on_everything(self, overheard: Overheard, context: Context) -> None:
+        self.heard.append(overheard)
+
+
+def ear(*, encode: bool = True) -> Host:
+    heard = {
+        key: Input("everything", hears.subject, hears.message, hears.source) for key, hears in (CLOCK | TRACKS).items()
+    }
+    return Host("ear", Ear(), Ports(heard, {}), seed=7, encode=encode)
+
+
+def test_who_hears_every_key_gets_the_bytes_and_the_header_at_once() -> None:
+    host = ear()
+    host.deliver("agent/a/tracks", said_by("a", 3), 3)
+    host.deliver("clock", clock(2), 2)
+    assert [(o.key, o.payload, o.header and o.header.frame, o.flaw) for o in host.node.heard] == [
+        ("agent/a/tracks", said_by("a", 3), 3, ""),
+        ("clock", clock(2), 2, ""),
+    ]
+    assert host.handled == {"agent/a/tracks": 1, "clock": 1}
+    assert (host.frame, host.time_ns) == (2, 2 * 10**8), "it knows how far the run is"
+    assert dict(host.hears) == host._ports.inputs
+
+
+def test_who_hears_every_key_gets_what_is_malformed_with_what_is_wrong() -> None:
+    host = ear()
+    for payload in (b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]):
+        host.deliver("agent/a/tracks", payload, -1, counted=False)
+    assert [o.payload for o in host.node.heard] == [b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]]
+    assert all(o.flaw for o in host.node.heard)
+    assert "source 'mallory', expected 'a'" in host.node.heard[1].flaw
+    assert not host.rejected, "nothing was dropped"
+    assert not host.handled
+
+
+def test_bodies_are_not_looked_at_for_who_hears_every_key() -> None:
+    host = ear()
+    broken = message("tracks", "a", 0, tracks(position=np.full((1, 3), np.nan)))
+    host.deliver("agent/a/tracks", broken, 0)
+    assert (host.node.heard[0].payload, host.node.heard[0].flaw) == (broken, "")
+
+
+def test_messages_themselves_are_encoded_for_who_hears_every_key() -> None:
+    host, payload = ear(encode=False), said_by("a", 1)
+    host.deliver("agent/a/tracks", codec.decode(payload, "tracks"), 1)
+    assert host.node.heard[0].payload == payload

@@ -161,3 +161,26 @@ def test_the_wiring_is_printed_as_text_and_drawn_with_its_rewrites() -> None:
     drawn = keyexpr.to_mermaid(wiring)
     assert drawn.startswith("flowchart LR")
     assert 'simulator -.->|"agent/ego/detections/@tap/0"| adversary_1' in drawn
+
+
+def test_a_node_that_hears_every_key_hears_tap_legs_too_and_stands_on_no_wire() -> None:
+    ear = node("recorder", inputs="everything:*")
+    nodes = {"simulator": SIMULATOR, "ego": AGENT, "adversary_1": interposer(agent="ego"), "broker": BROKER}
+    without, wiring = resolve(nodes, insertion()), resolve({**nodes, "ear": ear}, insertion())
+    assert wiring.wires == without.wires
+    heard = wiring.ports("ear").inputs
+    assert tuple(heard) == wiring.keys()
+    assert heard["agent/ego/detections/@tap/0"] == keyexpr.Input("everything", "ego", "detections", "simulator")
+    assert ("agent/ego/detections/@tap/0", "simulator", "ear") in set(wiring.flows())
+    assert Wiring.from_json(wiring.to_json()) == wiring
+    lines = keyexpr.to_text(wiring).splitlines()
+    assert lines[-1] == "ear hears every key"
+    assert lines[:-1] == keyexpr.to_text(without).splitlines()
+    assert keyexpr.to_mermaid(wiring) == keyexpr.to_mermaid(without)
+
+
+@pytest.mark.parametrize("more", [dict(outputs="tracks:tracks"), dict(inputs="everything:* clock:clock")])
+def test_who_hears_every_key_has_no_other_port(more: dict[str, str]) -> None:
+    ear = node("recorder", **(dict(inputs="everything:*") | more))
+    with pytest.raises(WiringError, match=r"node 'ear': who hears every key on one port \('everything'\) has no other"):
+        resolve({"simulator": SIMULATOR, "ego": AGENT, "broker": BROKER, "ear": ear})

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.fusion import Clusterer, DBSCANClusterer, SampledAssignmentClusterer
+from mast_zenoh.fusion import Clusterer, DBSCANClusterer, SampledAssignmentClusterer, clustering
 from mast_zenoh.states import ObjectStates
+from mast_zenoh.tracking import neighbours
 
 #: (x, y, agent) of tracks; coarse places, so that distances tie.
 tracks = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6), st.integers(0, 4)), max_size=25)
@@ -79,6 +80,49 @@ def test_a_sparse_point_does_not_link_the_dense_clusters_beside_it():
     # The last is 0.8 m from both, and no core: it joins the first of the two.
     assert DBSCANClusterer(eps=0.85, min_samples=4).cluster(objects, agent).tolist() == [0] * 4 + [1] * 4 + [0]
     assert DBSCANClusterer(eps=0.85, min_samples=3).cluster(objects, agent).tolist() == [0] * 9
+
+
+def nearest_first(objects: ObjectStates, agent: np.ndarray, radius: float) -> list[set[int]]:
+    """What `SampledAssignmentClusterer` says it does, one pair after the other."""
+    order = np.lexsort((objects.id, agent))
+    position, agent = objects.position[order, :2], agent[order]
+    n = len(order)
+    clusters = [{row} for row in range(n)]
+    squared = ((position[:, None] - position[None]) ** 2).sum(axis=2)
+    for nearness, i, j in sorted((squared[p, q], p, q) for p in range(n) for q in range(p + 1, n)):
+        a, b = (next(one for one in clusters if row in one) for row in (i, j))
+        apart = np.linalg.norm(position[list(a)].mean(axis=0) - position[list(b)].mean(axis=0))
+        if nearness > radius**2 or a is b or apart > radius or {*agent[list(a)]} & {*agent[list(b)]}:
+            continue
+        clusters.remove(b)
+        a |= b
+    return sorted(({int(order[row]) for row in one} for one in clusters), key=min)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 4), st.integers(0, 4)), max_size=14))
+def test_pairs_are_joined_nearest_first(rows):
+    objects, agent = states(rows)
+    # Off the radius by more than rounding, which the order of sums decides.
+    labels = SampledAssignmentClusterer(assign_radius=2.005).cluster(objects, agent)
+    found = [{int(row) for row in np.flatnonzero(labels == label)} for label in range(labels.max(initial=-1) + 1)]
+    assert sorted(found, key=min) == nearest_first(objects, agent, 2.005)
+
+
+@pytest.mark.parametrize("clusterer", [SampledAssignmentClusterer(), DBSCANClusterer()])
+def test_many_tracks_are_clustered_as_few_are(clusterer: Clusterer, monkeypatch: pytest.MonkeyPatch):
+    random = np.random.default_rng(0)
+    objects = ObjectStates.of(random.uniform(-40, 40, (400, 3)), id=np.arange(400) // 5)
+    few = clusterer.cluster(objects, np.arange(400) % 5)
+    monkeypatch.setattr(neighbours, "TABLE", 100)
+    monkeypatch.setattr(clustering, "TABLE", 100)
+    np.testing.assert_array_equal(clusterer.cluster(objects, np.arange(400) % 5), few)
+
+
+@pytest.mark.parametrize("clusterer", [SampledAssignmentClusterer(), DBSCANClusterer()])
+def test_thousands_of_tracks_in_one_place_are_no_trouble(clusterer: Clusterer):
+    labels = clusterer.cluster(ObjectStates.of(np.zeros((5000, 3)), id=np.arange(5000) // 5), np.arange(5000) % 5)
+    assert np.bincount(labels).max() <= 5
 
 
 def test_nothing_gives_no_clusters():

@@ -102,6 +102,22 @@ def test_the_picture_is_as_sure_as_the_fusion_says():
     assert 0.1 < unsure.covariance[0, 0, 0] < 0.7
 
 
+@pytest.mark.parametrize("group", [wrapper, unfiltered])
+@pytest.mark.parametrize(
+    "covariance",
+    [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.triu(np.full((9, 9), 5.0)), np.diag([1e-300] * 9)],
+    ids=["none", "negative", "huge", "not symmetric", "tiny"],
+)
+def test_no_covariance_from_outside_spoils_the_picture(group, covariance):
+    pipeline = centre(group())
+    for frame in range(6):
+        honest, hostile = tracks([[10, 0], [30, 0]]), tracks([[10.2, 0], [50, 0]])
+        hostile.covariance[:] = covariance
+        picture, _ = pipeline.step(nanoseconds(frame), *of_agents(honest, hostile), NAMES)
+        assert all(np.isfinite(column).all() for column in picture.columns().values())
+    assert np.isclose(picture.position[:, 0], 30.0, atol=0.1).any()
+
+
 def test_an_agent_that_falls_silent_leaves_the_object_with_less_support():
     pipeline = centre(wrapper())
     for frame in range(5):

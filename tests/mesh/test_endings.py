@@ -8,7 +8,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from conftest import Launched, Observer, alive, eventually
+from launched import Launched, Observer, alive, eventually
 
 from mast_zenoh import codec
 

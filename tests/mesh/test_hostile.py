@@ -9,9 +9,10 @@ import signal
 
 import pytest
 import zenoh
-from conftest import Launched, Observer, eventually
+from launched import Launched, Observer, eventually
 
 from mast_zenoh.keyexpr import Wiring
+from mast_zenoh.messagelog.reader import read
 
 pytestmark = pytest.mark.mesh
 MESSAGES = 100_000
@@ -30,7 +31,7 @@ def garbage(count: int) -> list[bytes]:
 
 
 def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launch) -> None:
-    run: Launched = launch("coordinated", "--mode", "realtime", "--set", "scene_index=1")
+    run: Launched = launch("coordinated", "--mode", "realtime", "--set", "scene_index=1", "--no-record")
     record = run.started()
     observer = Observer(record, "clock")
     try:
@@ -62,3 +63,26 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launc
     assert sum(n for node in nodes.values() for n in node["rejected"].values()) == expected
     logs = "".join((run.out / node["log"]).read_text() for node in nodes.values())
     assert 0 < logs.count("rejected a message") <= sum(hearers.values()), "logged once per source"
+
+
+def test_what_strangers_send_is_written_down_as_it_is_and_marked(launch) -> None:
+    run: Launched = launch("baseline", "--mode", "realtime", "--frames", "40")
+    record = run.started()
+    observer = Observer(record, "clock")
+    sent = garbage(500)
+    try:
+        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        publisher = observer.session.declare_publisher(
+            observer.prefix + "cc/picture", congestion_control=zenoh.CongestionControl.BLOCK
+        )
+        for payload in sent:
+            publisher.put(payload)
+        eventually(lambda: observer.frame() >= 30, "the run goes on")
+    finally:
+        observer.close()
+    code, output = run.end()
+    assert code == 0, output
+    assert run.record()["recorded"]["malformed"] == len(sent)
+    marked = [message for message in read(run.out) if message.malformed]
+    assert [message.payload for message in marked] == sent
+    assert {message.wire for message in marked} == {"cc/picture"}

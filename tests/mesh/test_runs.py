@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import Launched, Observer, eventually
+from launched import Launched, Observer, eventually
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import local
@@ -33,9 +33,9 @@ def test_every_role_is_a_process_of_its_own(launch) -> None:
     record = run.record()
     roles = sorted(node["role"] for node in record["nodes"].values())
     assert roles == sorted(
-        ["simulator", *["agent"] * 5, "broker", "command_center", "adversary", "adversary", "evaluator"]
+        ["simulator", *["agent"] * 5, "broker", "command_center", "adversary", "adversary", "evaluator", "recorder"]
     )
-    assert len(set(run.pids())) == 11
+    assert len(set(run.pids())) == 12
     assert all(node["ended"] == "ok" and node["last_frame"] == 29 for node in record["nodes"].values())
     assert record["status"] == "ok"
     assert record["timings"]["frames_per_second"] > 0
@@ -46,6 +46,7 @@ def test_every_role_is_a_process_of_its_own(launch) -> None:
         "metrics.parquet",
         "objects.parquet",
         "attacks.parquet",
+        "messages.mcap",
     } <= {path.name for path in run.out.iterdir()}
     assert (run.out / "logs" / "ego.log").is_file()
 

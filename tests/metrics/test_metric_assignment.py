@@ -10,6 +10,7 @@ from metric_oracles import best_pairs, boxes, iou, outline
 from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh.metrics import Boxes, CenterDistanceAssigner, IoU3DGreedyAssigner, birdseye_intersection, iou_3d
+from mast_zenoh.metrics.boxes import order_by, pairs_within
 
 
 def scattered(n: int, rng: np.random.Generator, spread: float, group=0) -> Boxes:
@@ -152,3 +153,32 @@ def test_the_greedy_assigner_always_takes_the_best_overlap_that_is_left(n, m, se
 def test_senseless_limits_are_refused(cls, arguments):
     with pytest.raises(ValueError, match=f"{next(iter(arguments))}: found"):
         cls(**arguments)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    radius=st.sampled_from([0.5, 5.0, 60.0]),
+    spread=st.sampled_from([1.0, 50.0, 1e6]),
+    far=st.booleans(),
+)
+def test_near_pairs_are_all_pairs_of_a_group_within_the_radius_and_in_order(seed, radius, spread, far) -> None:
+    rng = np.random.default_rng(seed)
+    sides = [boxes(rng.uniform(-spread, spread, (n, 2)), group=rng.integers(0, 4, n)) for n in rng.integers(0, 15, 2)]
+    if far and len(sides[0]):
+        sides[0].position[0, :2] = 1e9, -1e9
+    i, j = pairs_within(*sides, radius)
+    apart = np.linalg.norm(sides[0].position[:, None, :2] - sides[1].position[None, :, :2], axis=2)
+    same = sides[0].group[:, None] == sides[1].group
+    assert set(zip(*np.nonzero(same & (apart <= radius)), strict=True)) <= set(zip(i.tolist(), j.tolist(), strict=True))
+    assert np.all(apart[i, j] <= radius * (1 + 1e-6) + 1e-5)
+    assert same[i, j].all()
+    assert np.array_equal(np.lexsort((j, i)), np.arange(len(i)))
+
+
+@settings(max_examples=100, deadline=None)
+@given(keys=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 2)), max_size=8))
+def test_rows_are_ordered_as_by_a_full_sort(keys) -> None:
+    group, id_, tie = np.array(keys, np.int64).reshape(-1, 3).T
+    ties = (tie.astype(float),)
+    assert order_by(id_, group, ties=ties).tolist() == np.lexsort((*ties, id_, group)).tolist()

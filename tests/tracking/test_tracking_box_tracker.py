@@ -276,6 +276,16 @@ def test_a_class_that_does_not_exist_is_an_unknown_one():
     assert tracks.class_id.tolist() == [CLASS_INDEX["unknown"]]
 
 
+def test_thousands_of_detections_are_no_trouble():
+    tracker = KalmanBoxTracker3D()
+    random = np.random.default_rng(0)
+    spread, pile = random.uniform(-300, 300, (2000, 2)), random.normal(size=(500, 2))
+    for frame in range(4):
+        tracks = tracker.step(nanoseconds(frame), detected(np.concatenate([spread, pile])), view())
+        tracker.step(nanoseconds(frame), NOTHING, view())
+    assert len(tracks) > 1000
+
+
 # -- full states
 
 
@@ -319,9 +329,7 @@ def test_a_doubtful_report_is_not_taken_up_at_once():
 def test_no_covariance_from_outside_stops_the_tracker(covariance):
     tracker = KalmanBoxTracker3D()
     for frame in range(6):
-        hostile = states([[10.0, 0.0], [30.0, 0.0]])
-        hostile.covariance[1] = covariance
-        tracks = tracker.step_states(nanoseconds(frame), hostile)
-        tracker.step(nanoseconds(frame), detected([50.0, 0.0], covariance=covariance[None, :3, :3]))
+        said = np.stack([np.eye(3) * 0.1, covariance[:3, :3]])
+        tracks = tracker.step(nanoseconds(frame), detected([[10.0, 0.0], [30.0, 0.0]], covariance=said))
     assert all(np.isfinite(column).all() for column in tracks.columns().values())
     assert np.isclose(tracks.position[:, 0], 10.0, atol=0.1).any()

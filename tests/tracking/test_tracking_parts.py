@@ -1,6 +1,8 @@
 """The parts that trackers are made of."""
 
 import itertools
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -12,9 +14,10 @@ from mast_zenoh.tracking import BipartiteAssignment, GreedyAssignment, SensorVie
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import overlap
 from mast_zenoh.tracking.filterpy_tracker import FilterpyFilter
+from mast_zenoh.tracking.inversion import inverse
 from mast_zenoh.tracking.kalman import BOX, WHOLE, BatchedFilter, process_noise
 from mast_zenoh.tracking.soundness import sound
-from mast_zenoh.tracking.view import unblocked
+from mast_zenoh.tracking.view import hidden
 
 # -- assignment
 
@@ -119,6 +122,11 @@ def test_a_new_cars_speed_is_open_along_its_heading_only():
     assert np.sqrt(across @ covariance[6:8, 6:8] @ across) == pytest.approx(3.0)
 
 
+def test_filterpy_is_loaded_by_those_who_use_it_only():
+    code = "import sys, mast_zenoh.tracking; sys.exit('filterpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
 # -- covariances from outside
 
 
@@ -137,7 +145,27 @@ def test_a_sound_covariance_is_left_as_it_is():
     np.testing.assert_array_equal(sound(P), P)
 
 
+# -- inverses
+
+
+@pytest.mark.parametrize("coupled", [True, False])
+def test_the_inverse_is_that_of_the_whole_matrix_whatever_is_coupled(coupled):
+    P = some_states(7)[2]
+    if not coupled:
+        block = np.array([0, 0, 1, 2, 3, 4, 0, 0, 1])
+        P = P * (block[:, None] == block)
+    np.testing.assert_allclose(inverse(P), np.linalg.inv(P), rtol=0, atol=1e-12)
+
+
 # -- what can be seen
+
+CAR = [4.5, 1.8, 1.5]
+NO_BOXES = np.zeros((0, 6))
+
+
+def boxes(position, size) -> np.ndarray:
+    """(n, 6) boxes of one size at positions (n, 3)."""
+    return np.concatenate([np.asarray(position, float), np.tile(size, (len(position), 1))], axis=1)
 
 
 def test_an_object_is_expected_inside_the_field_of_view_and_half_at_its_edge():
@@ -151,34 +179,36 @@ def test_an_object_is_expected_inside_the_field_of_view_and_half_at_its_edge():
         100.0,
     )
     points = np.array([[30.0, 0.0, 0.8], [-30.0, 0.0, 0.8], [120.0, 0.0, 0.8], [5.0, 0.0, 0.8], [0.0, 30.0, 0.8]])
-    assert pole.expects(points).tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+    assert pole.expects(boxes(points, CAR), NO_BOXES).tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
     edge = np.sqrt(100.0**2 - 14.2**2)
-    assert pole.expects(np.array([[edge, 0.0, 0.8]]))[0] == pytest.approx(0.5)
+    assert pole.expects(boxes([[edge, 0.0, 0.8]], CAR), NO_BOXES)[0] == pytest.approx(0.5)
 
 
 def test_a_full_turn_has_no_edge_behind():
     roof = SensorView(np.zeros(3), np.eye(3), -np.pi, np.pi, -0.3, 0.3, 50.0)
-    assert roof.expects(np.array([[-20.0, 0.0, 0.0], [-20.0, -0.01, 0.0]])).tolist() == [1.0, 1.0]
+    assert roof.expects(boxes([[-20.0, 0.0, 0.0], [-20.0, -0.01, 0.0]], CAR), NO_BOXES).tolist() == [1.0, 1.0]
 
 
 def test_an_object_hides_what_is_behind_it_but_not_what_is_beside_or_before_it():
-    car, lorry = [4.5, 1.8, 1.5], [9.0, 2.5, 3.5]
-    position = np.array([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7], [8.0, 0.0, 0.7]])
-    clear = unblocked(
-        np.array([0.0, 0.0, 1.8]), position, np.array([car] * 3), np.array([[20.0, 0.0, 1.7]]), np.array([lorry])
-    )
-    assert clear.tolist() == [0.0, 1.0, 1.0]
+    cars = boxes([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7], [8.0, 0.0, 0.7], [-40.0, 0.0, 0.7]], CAR)
+    lorry = boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])
+    assert hidden(np.array([0.0, 0.0, 1.8]), cars, lorry).tolist() == [True, False, False, False]
+
+
+def test_what_is_hidden_is_not_expected():
+    roof = SensorView(np.array([0.0, 0.0, 1.8]), np.eye(3), -np.pi, np.pi, -0.3, 0.3, 50.0)
+    cars = boxes([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7]], CAR)
+    assert roof.expects(cars, boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])).tolist() == [0.0, 1.0]
 
 
 def test_a_pole_looks_over_a_car():
-    position, size = np.array([[40.0, 0.0, 0.7]]), np.array([[4.5, 1.8, 1.5]])
-    over = unblocked(np.array([0.0, 0.0, 15.0]), position, size, np.array([[20.0, 0.0, 0.7]]), size)
-    assert over.tolist() == [1.0]
+    behind, before = boxes([[40.0, 0.0, 0.7]], CAR), boxes([[20.0, 0.0, 0.7]], CAR)
+    assert hidden(np.array([0.0, 0.0, 15.0]), behind, before).tolist() == [False]
 
 
 def test_nothing_hides_itself():
-    position, size = np.array([[40.0, 0.0, 0.7], [60.0, 30.0, 0.7]]), np.tile([4.5, 1.8, 1.5], (2, 1))
-    assert unblocked(np.zeros(3), position, size, position, size).tolist() == [1.0, 1.0]
+    cars = boxes([[40.0, 0.0, 0.7], [60.0, 30.0, 0.7]], CAR)
+    assert hidden(np.zeros(3), cars, cars).tolist() == [False, False]
 
 
 # -- footprints

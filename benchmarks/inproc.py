@@ -1,0 +1,104 @@
+"""Frames/s of whole runs in one process, all roles and evaluation included; and what a second job is worth.
+
+    python benchmarks/inproc.py [--scene avstack:PATH] [--repeats 7] [--trials 12]
+
+Runs are timed from building the nodes to the evaluator's results, in CPU time of one core (other work on the machine
+does not count) and on the wall clock; the best of the repeats is what the code can do, the median what it did.
+
+Jobs are compared by trials per second of wall clock: of all trials, with the start of the workers, and without it (from
+the first outcomes to the last), as a study of many trials has it. That needs two idle cores; the CPU time per trial
+tells what a second job costs on a machine that has other work.
+
+Without --scene it takes scene_a from $MAST_DATA or ../shared/data, or else the generated junction.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import tarfile
+import tempfile
+import time
+from contextlib import closing
+from pathlib import Path
+
+from mast_zenoh import scenario
+from mast_zenoh.runtime.inproc import InProcess, results_of
+from mast_zenoh.study import definition, execution, plan
+
+DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[2] / "shared" / "data")
+SCENARIOS = ("baseline", "uncoordinated", "coordinated")
+
+
+def whole_runs(name: str, scene: str, repeats: int) -> None:
+    """Time runs of one scenario, and print a line."""
+    path, loaded = scenario.load(name, [f"scene={scene}"])
+    resolved = scenario.resolve(path, loaded)
+    cpu, wall, evaluation = [], [], []
+    for _ in range(repeats):
+        began_cpu, began = time.process_time(), time.perf_counter()
+        process = InProcess(resolved)
+        results = process.run()
+        cpu.append(time.process_time() - began_cpu)
+        wall.append(time.perf_counter() - began)
+        evaluation.append(wall[-1] - results[""]["wall_s"])
+    frames = resolved.frames
+    metrics = results_of({key: value for key, value in results.items() if key}, "metrics")
+    picture = next(iter(metrics["agents"].values()))["picture"]
+    print(
+        f"{name:14}{frames / min(cpu):12.0f}{frames / statistics.median(cpu):10.0f}"
+        f"{frames / statistics.median(wall):10.0f}{100 * sum(evaluation) / sum(wall):12.0f} %"
+        f"{picture['fn']['mean']:10.2f}{picture['fp']['mean']:6.2f}{picture['rmse_m']:7.3f}"
+    )
+
+
+def one_and_two_jobs(scene: str, trials: int) -> None:
+    """Time the same trials with one job and with two."""
+    study = definition.load("monte_carlo", [f"scenes={scene}"])
+    seeds = -(-trials // len(study.configurations))
+    todo = plan.trials(study, count=seeds, seed=0, frames=None, runtime="inproc")[:trials]
+    for seed in {trial.seed: trial for trial in todo}.values():
+        execution.one.prepare(seed)  # the scenes are prepared before the clock runs, for both alike
+    rates = {}
+    for jobs in (1, 2):
+        began = time.perf_counter()
+        ends, cpu = [], []
+        with closing(execution.carry_out(todo, jobs=jobs, cluster=None)) as outcomes:
+            for outcome in outcomes:
+                assert not outcome.error, outcome.error
+                ends.append(time.perf_counter())
+                cpu.append(outcome.cpu_s)
+        steady = (len(ends) - jobs) / (ends[-1] - ends[jobs - 1])
+        rates[jobs] = len(ends) / (ends[-1] - began), steady, statistics.mean(cpu)
+    print(f"{f'{trials} trials':14}{'trials/s':>12}{'without start':>16}{'CPU s/trial':>14}")
+    for jobs, (whole, steady, cost) in rates.items():
+        print(f"{f'jobs: {jobs}':14}{whole:12.2f}{steady:16.2f}{cost:14.2f}")
+    ratio = [two / one for one, two in zip(rates[1], rates[2], strict=True)]
+    print(f"{'2 against 1':14}{ratio[0]:12.2f}{ratio[1]:16.2f}{ratio[2]:14.2f}")
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene")
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--trials", type=int, default=28)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        scene = arguments.scene or "intersection"
+        if arguments.scene is None and (DATA / "scene_a.tar.gz").is_file():
+            with tarfile.open(DATA / "scene_a.tar.gz") as archive:
+                archive.extractall(folder, filter="data")
+            scene = f"avstack:{folder}/scene_a"
+        print(f"scene: {scene.split('/')[-1]}; load: {os.getloadavg()[0]:.1f} on {len(os.sched_getaffinity(0))} cores")
+        headings = f"{'frames/s':14}{'CPU, best':>12}{'median':>10}{'wall':>10}{'evaluation':>14}"
+        print(headings + f"{'FN':>10}{'FP':>6}{'RMSE':>7}")
+        for name in SCENARIOS:
+            whole_runs(name, scene, arguments.repeats)
+        print()
+        one_and_two_jobs(scene, arguments.trials)
+
+
+if __name__ == "__main__":
+    main()

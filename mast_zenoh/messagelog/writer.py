@@ -1,0 +1,164 @@
+"""Writes messages.mcap. What is not yet a whole chunk is lost with the process; whole chunks are not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, NamedTuple
+
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.keyexpr import Input
+from mast_zenoh.messagelog import channels
+from mast_zenoh.messages import SCHEMAS, Header
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
+
+FILE = "messages.mcap"
+
+#: A chunk is written when the messages in it have so many bytes, or when it has lasted for so many frames.
+CHUNK_BYTES = 1 << 20
+CHUNK_FRAMES = 25
+
+_SEQUENCES = 1 << 32  # MCAP has 32 bits for a sequence number
+
+
+class _Entry(NamedTuple):
+    """A message of the chunk in the making; they are written in ascending order."""
+
+    log_time: int
+    frame: int
+    sequence: int
+    rank: int
+    time_ns: int
+    channel: int
+    payload: bytes
+
+
+class MessageLog:
+    """The file, which is made when it begins.
+
+    path: where it will be; relative to the run folder in a scenario
+    messages:  how many have been written
+    malformed: how many have come that have no sound header
+    lost:      how many could not be written, or are in the chunk that is being made
+    problem:   why nothing more can be written; "" if nothing is wrong
+    """
+
+    def __init__(self, path: Path = Path(FILE)) -> None:
+        self.path = path
+        self.messages = 0
+        self.problem = ""
+        self._file: IO[bytes] | None = None
+        self._chunk: list[_Entry] = []
+        self._bytes = 0
+        self._frame = 0  # in which the chunk began
+        self._added = 0
+        self._flaws: Counter[str] = Counter()  # malformed messages by key
+
+    @classmethod
+    def load(cls, path: Path) -> MessageLog:
+        """The log of a path in a scenario."""
+        return cls(path)
+
+    @property
+    def malformed(self) -> int:
+        """See the class."""
+        return self._flaws.total()
+
+    @property
+    def lost(self) -> int:
+        """See the class."""
+        return self._added - self.messages
+
+    def begin(self, hears: Mapping[str, Input]) -> None:
+        """Open the file, with a channel for every key. Raises RunFolderError where there is one or cannot be one."""
+        from mcap.writer import CompressionType, Writer  # every node knows this module, one writes
+
+        try:
+            self._file = self.path.open("xb")
+        except OSError as error:
+            raise RunFolderError(f"{self.path}: cannot be made a recording: {error.strerror or error}") from None
+        self._writer: Writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
+        self._writer.start(channels.PROFILE)
+        self._schemas = {
+            name: self._writer.register_schema(
+                f"{name}.{SCHEMAS[name].version}",
+                channels.SCHEMA_ENCODING,
+                channels.json_schema(SCHEMAS[name]).encode(),
+            )
+            for name in sorted({heard.message for heard in hears.values()})
+        }
+        self._hears = hears
+        #: The rank of a key among all, by wire and leg: it keeps their order among messages of one time.
+        self._ranks = {key: rank for rank, key in enumerate(sorted(hears, key=channels.wire_and_key))}
+        self._channels = {key: self._channel(key) for key in self._ranks}
+        self._file.flush()  # a run that is killed at once leaves a recording of no messages
+
+    def add(self, key: str, payload: bytes, header: Header) -> None:
+        """A message on a key; lost if there is a problem."""
+        self._add(key, self._channels[key], payload, header.frame, header.time_ns, header.seq)
+
+    def add_malformed(self, key: str, payload: bytes, frame: int, time_ns: int) -> None:
+        """What came on a key and is no message of its wire, as it is; lost if there is a problem.
+
+        frame, time_ns: of the newest clock when it came
+        """
+        name = f"{key}/{channels.MALFORMED}"
+        if name not in self._channels:
+            self._channels[name] = self._channel(key, malformed=True)
+        self._flaws[key] += 1
+        self._add(key, self._channels[name], payload, frame, time_ns, self._flaws[key] - 1)
+
+    def close(self) -> None:
+        """Write what is left, and the index."""
+        if self._file is None:
+            return
+        self._flush()
+        try:
+            if not self.problem:
+                self._writer.finish()
+            self._file.close()
+        except OSError as error:
+            self.problem = self.problem or f"{self.path}: cannot be written: {error.strerror or error}"
+        self._file = None
+
+    def _channel(self, key: str, *, malformed: bool = False) -> int:
+        heard = self._hears[key]
+        return int(
+            self._writer.register_channel(
+                f"{key}/{channels.MALFORMED}" if malformed else key,
+                "" if malformed else channels.ENCODING,
+                0 if malformed else self._schemas[heard.message],
+                channels.metadata(key, heard.message, heard.source, malformed=malformed),
+            )
+        )
+
+    def _add(self, key: str, channel: int, payload: bytes, frame: int, time_ns: int, seq: int) -> None:
+        self._added += 1
+        if self.problem:
+            return
+        if not self._chunk:
+            self._frame = frame
+        log_time = time_ns + self._ranks[key]
+        self._chunk.append(_Entry(log_time, frame, seq, self._added, time_ns, channel, payload))
+        self._bytes += len(payload)
+        if self._bytes >= CHUNK_BYTES or frame >= self._frame + CHUNK_FRAMES:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Write the chunk, sorted. Where that fails nothing more is written: what is there can be read."""
+        chunk, self._chunk, self._bytes = sorted(self._chunk), [], 0
+        if self.problem:
+            return
+        try:
+            for entry in chunk:
+                self._writer.add_message(
+                    entry.channel, entry.log_time, entry.payload, entry.time_ns, entry.sequence % _SEQUENCES
+                )
+            self._writer.flush()
+        except OSError as error:
+            self.problem = f"{self.path}: cannot be written: {error.strerror or error}"
+            return
+        self.messages += len(chunk)

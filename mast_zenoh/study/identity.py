@@ -1,0 +1,78 @@
+"""What the outcome of a trial depends on, as a digest: a trial with the same one need not be run again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import mast_zenoh
+from mast_zenoh import bundle, scenario, scenes
+
+#: Packages whose versions decide over the numbers, and parts of this one that do not.
+_PACKAGES = ("mast-zenoh", "numpy", "scipy", "filterpy", "msgpack")
+_OUTSIDE = {"study", "report", "launch", "cli.py", "documentation.py", "__main__.py"}
+
+
+@cache
+def environment() -> dict[str, str]:
+    """Python, the packages that decide over the numbers, and a hash of this package's code, its nodes and maps."""
+    found = {"python": platform.python_version()} | {name: version(name) for name in _PACKAGES}
+    root = Path(mast_zenoh.__file__).parent
+    files = [path for path in root.rglob("*.py") if path.relative_to(root).parts[0] not in _OUTSIDE]
+    for kind in ("nodes", "keyexpr_maps", "scenarios"):
+        files += [path for path in (bundle.ROOT / kind).iterdir() if path.suffix in (".py", ".toml")]
+    return found | {"code": _hash(path.read_bytes() for path in sorted(set(files)))}
+
+
+def scene_key(loaded: Mapping[str, Any]) -> str:
+    """The same for scenarios that play the same scene; the seed is not in it."""
+    return json.dumps(scenario.choose_scene(loaded.get("scene", "intersection")), sort_keys=True, default=str)
+
+
+@cache
+def files_key(paths: tuple[Path, ...]) -> str:
+    """Of files, or of all files below folders: their names, sizes and times of change."""
+    lines = []
+    for path in paths:
+        for file in [path] if path.is_file() else sorted(path.rglob("*")):
+            stat = file.stat()
+            lines.append(f"{file.relative_to(path.parent)} {stat.st_size} {stat.st_mtime_ns}".encode())
+    return _hash(lines)
+
+
+def input_files(scene: scenes.Scene) -> tuple[Path, ...]:
+    """What a scene reads."""
+    return tuple(scene.inputs())
+
+
+def user_files(path: Path, loaded: Mapping[str, Any]) -> tuple[Path, ...]:
+    """The Python files of the user that a scenario may be made of: its own folder's, unless they are ours."""
+    if path.parent == bundle.ROOT / "scenarios":
+        return ()
+    return tuple(sorted(path.parent.glob("*.py")))
+
+
+def digest(loaded: Mapping[str, Any], files: str, seed: int, frames: int | None, runtime: str) -> str:
+    """Of a scenario's content, its files, and how it is run; 40 hexadecimal digits."""
+    parts = {
+        "scenario": loaded,
+        "files": files,
+        "seed": seed,
+        "frames": frames,
+        "runtime": runtime,
+        "environment": environment(),
+    }
+    return _hash([json.dumps(parts, sort_keys=True, default=repr).encode()])
+
+
+def _hash(parts: Iterable[bytes]) -> str:
+    found = hashlib.blake2b(digest_size=20)
+    for part in parts:
+        found.update(len(part).to_bytes(8, "little") + part)
+    return found.hexdigest()

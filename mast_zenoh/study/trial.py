@@ -1,0 +1,128 @@
+"""One trial: a configuration, a scene and a seed, and what came of it. Workers import this, and little else."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import ConfigurationError, RunError
+from mast_zenoh.metrics import Table
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.study import identity
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What to run. `digest` says what the outcome depends on (`identity.digest`); equal digests, equal outcomes.
+
+    configuration, scene: labels in the study
+    scenario, settings:   as for `mast run SCENARIO --set …`
+    scene_key:            the same for trials that play the same recording
+    environment:          code and versions that the outcome is to be that of
+    """
+
+    digest: str
+    configuration: str
+    scene: str
+    seed: int
+    scenario: str
+    settings: tuple[str, ...]
+    frames: int | None
+    runtime: str
+    scene_key: str
+    environment: tuple[tuple[str, str], ...]
+
+    def command(self) -> str:
+        """The command that runs this trial alone, with a run folder and a report."""
+        words = ["mast", "run", self.scenario, *(word for each in self.settings for word in ("--set", each))]
+        words += ["--seed", str(self.seed), *(["--frames", str(self.frames)] if self.frames else [])]
+        return shlex.join([*words, "--runtime", self.runtime])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a trial; error: why it failed, "" if it did not.
+
+    metrics:     what metrics.json holds
+    per_frame:   the columns of metrics.parquet
+    compromised: the agents on whose wires adversaries sit
+    cpu_s:       s, CPU time of the process that ran it; no part of the results
+    """
+
+    trial: Trial
+    metrics: Mapping[str, Any]
+    per_frame: Table
+    compromised: tuple[str, ...] = ()
+    error: str = ""
+    cpu_s: float = 0.0
+
+    @classmethod
+    def failed(cls, trial: Trial, reason: str) -> Outcome:
+        """Of a trial that has no results."""
+        return cls(trial, {}, {}, error=reason)
+
+
+def prepare(trial: Trial) -> None:
+    """Prepare the trial's scene, so that others that play it find it in this machine's cache."""
+    _resolve(trial)
+
+
+def run(trial: Trial) -> Outcome:
+    """Run a trial. Whatever goes wrong with it is in the outcome."""
+    begun = time.process_time()
+    try:
+        here = identity.environment()
+        for name, version in trial.environment:
+            if here.get(name) != version:
+                raise ConfigurationError(
+                    f"{name}: this worker has {here.get(name)}, the study was started with {version}"
+                )
+        resolved = _resolve(trial)
+        compromised = {str(s.config["agent"]) for s in resolved.nodes.values() if s.role == "adversary"}
+        metrics, table = (_in_process if trial.runtime == "inproc" else _on_a_mesh)(resolved)
+        return Outcome(trial, metrics, table, tuple(sorted(compromised)), cpu_s=round(time.process_time() - begun, 3))
+    except Exception as error:
+        return Outcome.failed(trial, f"{type(error).__name__}: {error}")
+
+
+def _resolve(trial: Trial) -> scenario.Resolved:
+    path, loaded = scenario.load(trial.scenario, trial.settings)
+    return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames)
+
+
+def _in_process(resolved: scenario.Resolved) -> tuple[Mapping[str, Any], Table]:
+    process = InProcess(resolved)
+    results = process.run()
+    failed = [f"{name}: {port}" for name, host in process.hosts.items() for port in host.failures]
+    if failed:
+        raise RunError(f"handlers failed, so the figures would not be sound: {', '.join(failed)}")
+    evaluator = next((found for found in results.values() if "metrics" in found), None)
+    if evaluator is None:
+        raise RunError("no node handed in metrics")
+    return evaluator["metrics"], evaluator["tables"]["metrics"]
+
+
+def _on_a_mesh(resolved: scenario.Resolved) -> tuple[Mapping[str, Any], Table]:
+    from mast_zenoh.launch import folder as run_folder  # a trial in this process needs neither Zenoh nor Parquet
+    from mast_zenoh.launch import local
+
+    folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
+    try:
+        ended = local.run(resolved, folder / "run")
+        if ended.error:
+            raise ended.error
+        failed = [name for name, node in ended.record["nodes"].items() if node.get("failures")]
+        if failed:
+            raise RunError(f"handlers failed, so the figures would not be sound: {', '.join(failed)}")
+        return run_folder.read_json(ended.folder / "metrics.json"), run_folder.read_table(
+            ended.folder / "metrics.parquet"
+        )
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)

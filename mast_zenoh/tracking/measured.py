@@ -1,0 +1,65 @@
+"""What a tracker takes in, in an order that does not depend on how it came."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mast_zenoh.states import Detections, Floats, Ints, ObjectStates
+from mast_zenoh.tracking.soundness import LEAST, MOST
+from mast_zenoh.tracking.tracks import known_class
+
+
+class Measured(NamedTuple):
+    """m measurements.
+
+    row: (m,) int64, where each was in the input
+    state: (m, 6) boxes x y z l w h, or (m, 9) with vx vy vz; noise: (m, k, k) their covariances
+    yaw: (m,) rad; class_id: (m,) int64
+    """
+
+    row: Ints
+    state: Floats
+    noise: Floats
+    yaw: Floats
+    class_id: Ints
+
+    @classmethod
+    def detections(cls, d: Detections, variance: Floats) -> Measured:
+        """Boxes; `variance`: (6,) of what a detection says nothing about."""
+        x = d.position[:, 0]
+        order = x.argsort(kind="stable")
+        x = x.take(order)
+        if (x[1:] == x[:-1]).any():
+            order = np.lexsort((d.score, d.class_id, *d.size.T, d.yaw, *d.position.T))
+        box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
+        noise = _noise(d.covariance, order, variance)
+        return cls(order, box, noise, d.yaw.take(order), known_class(d.class_id.take(order)))
+
+    @classmethod
+    def states(cls, s: ObjectStates) -> Measured:
+        """Full states."""
+        order = np.lexsort((s.id, s.position[:, 0]))
+        state = np.concatenate([s.position, s.size, s.velocity], axis=1).take(order, 0)
+        return cls(order, state, s.covariance.take(order, 0), s.yaw.take(order), known_class(s.class_id.take(order)))
+
+
+def _noise(covariance: Floats, order: Ints, variance: Floats) -> Floats:
+    """(m, 6, 6) of boxes in `order`: of the position what the detector says (m, 3, 3), if it does.
+
+    Of that the horizontal part and the vertical one: what they have in common says nothing on a road. Whatever the
+    numbers, the result is positive definite.
+    """
+    m = len(order)
+    noise = np.zeros((m, 36))
+    noise[:, ::7] = variance
+    if covariance.any():
+        said = covariance.reshape(m, 9).take(order, 0)
+        own = said[:, ::4]
+        own = np.minimum(np.maximum(np.where(own > 0.0, own, variance[:3]), LEAST), MOST)
+        noise[:, :15:7] = own
+        own -= 0.5 * LEAST
+        bound = np.sqrt(own[:, 0] * own[:, 1])
+        noise[:, 1] = noise[:, 6] = np.minimum(np.maximum(said[:, 1], -bound), bound)
+    return noise.reshape(m, 6, 6)

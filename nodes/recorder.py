@@ -1,0 +1,46 @@
+"""The recorder: writes down every message on every key, tap legs included, as it was sent.
+
+Nothing listens to it, so it can change nothing; and nobody waits for it but at the end of the run. It does no I/O: the
+log is handed to it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mast_zenoh.keyexpr import ANY
+from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.node import Context, Node, Overheard
+from mast_zenoh.runtime.process import main
+
+
+class Recorder(Node):
+    """log: what it writes into, a path in the run folder."""
+
+    role = "recorder"
+    inputs = {"everything": ANY}
+
+    def __init__(self, log: MessageLog) -> None:
+        self.log = log
+
+    def start(self, context: Context) -> None:
+        """All keys are known before the first message."""
+        self.log.begin(context.hears)
+
+    def on_everything(self, overheard: Overheard, context: Context) -> None:
+        """A message, sound or not."""
+        if overheard.header is None or overheard.flaw:
+            self.log.add_malformed(overheard.key, overheard.payload, max(context.frame, 0), context.time_ns)
+        else:
+            self.log.add(overheard.key, overheard.payload, overheard.header)
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        """How many there were, and how many could not be written."""
+        self.log.close()
+        if self.log.problem:
+            context.log.error("%s: %d messages are lost", self.log.problem, self.log.lost)
+        return {"recorded": {name: getattr(self.log, name) for name in ("messages", "malformed", "lost")}}
+
+
+if __name__ == "__main__":
+    main(Recorder)

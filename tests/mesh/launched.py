@@ -1,0 +1,97 @@
+"""Runs as a user starts them, and a stranger who watches."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import zenoh
+
+from mast_zenoh.runtime.session import open_client
+
+
+def eventually(condition: Callable[[], Any], what: str, seconds: float = 60.0) -> Any:
+    """Wait until `condition` is true and return its value; fail when the deadline passes."""
+    pause, deadline = threading.Event(), time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < deadline, f"not within {seconds:.0f} s: {what}"
+        pause.wait(0.02)
+    return value
+
+
+class Launched:
+    """`mast run` as a user starts it, in a process of its own."""
+
+    def __init__(self, out: Path, *arguments: str) -> None:
+        self.out = out
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "mast_zenoh", "run", *arguments, "--no-report", "--out", str(out)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            cwd=out.parent,
+        )
+
+    def record(self) -> dict[str, Any]:
+        """run.json; empty while there is none."""
+        path = self.out / "run.json"
+        return json.loads(path.read_text()) if path.is_file() else {}
+
+    def started(self) -> dict[str, Any]:
+        """run.json, as soon as it names the processes."""
+
+        def ready() -> dict[str, Any] | None:
+            assert self.process.poll() is None, self.process.communicate()[0]
+            record = self.record()
+            return record if record.get("nodes") else None
+
+        return eventually(ready, "run.json names the nodes")
+
+    def pids(self) -> list[int]:
+        """The nodes' process ids."""
+        return [node["pid"] for node in self.record()["nodes"].values()]
+
+    def end(self, seconds: float = 90.0) -> tuple[int, str]:
+        """(exit code, output) when it has ended by itself."""
+        output, _ = self.process.communicate(timeout=seconds)
+        return self.process.returncode, output
+
+
+class Observer:
+    """A stranger on the mesh of a run: sees what every subscriber of an open mesh can see."""
+
+    def __init__(self, record: dict[str, Any], keys: str = "**") -> None:
+        self.prefix = f"mast/{record['id']}/"
+        self.samples: list[tuple[str, zenoh.Sample]] = []
+        self.session = open_client(record["endpoint"])
+        handler = zenoh.handlers.Callback(self._take, indirect=False)
+        self._subscriber = self.session.declare_subscriber(self.prefix + keys, handler)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        self.samples.append((str(sample.key_expr).removeprefix(self.prefix), sample))
+
+    def frame(self) -> int:
+        """How many clocks it has seen."""
+        return sum(key == "clock" for key, _ in self.samples)
+
+    def close(self) -> None:
+        self.session.close()
+
+
+def alive(pids: list[int]) -> list[int]:
+    """Those of the processes that still run."""
+
+    def runs(pid: int) -> bool:
+        try:
+            return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+        except psutil.NoSuchProcess:
+            return False
+
+    return [pid for pid in pids if runs(pid)]

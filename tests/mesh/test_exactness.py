@@ -1,0 +1,100 @@
+"""Runs on the mesh are equal to the last byte: to each other, to runs in one process, and whoever sits on the wires."""
+
+from __future__ import annotations
+
+import os
+import signal
+import tarfile
+from pathlib import Path
+
+import pytest
+from launched import Launched, Observer, eventually
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.reader import read
+
+pytestmark = pytest.mark.mesh
+DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
+FRAMES = 8
+
+
+def in_process(out: Path, name: str, *settings: str) -> Path:
+    """The same in one process."""
+    path, loaded = scenario.load(name, settings)
+    ended = local.run(scenario.resolve(path, loaded, frames=FRAMES, record=True), out, runtime="inproc")
+    assert ended.error is None
+    return ended.folder
+
+
+def on_mesh(launch, name: str, *settings: str) -> Path:
+    """The run folder of a run on the mesh, every message of which was recorded."""
+    words = [word for setting in settings for word in ("--set", setting)]
+    run: Launched = launch(name, "--frames", str(FRAMES), *words)
+    code, output = run.end()
+    assert code == 0, output
+    assert run.record()["recorded"] == {"messages": len(list(read(run.out))), "malformed": 0, "lost": 0}
+    return run.out
+
+
+def assert_equal(a: Path, b: Path, *, taps: bool = True) -> None:
+    found = compare(a, b, taps=taps)
+    assert found.first is None, "\n".join(explain(found))
+    assert found.equal == sum(taps or not message.tap for message in read(a)) > 0
+
+
+def test_two_runs_on_the_mesh_and_one_in_one_process_are_equal(launch, tmp_path: Path) -> None:
+    what = ("coordinated", "n_infrastructure=5", "n_adversaries=2", "attack_start_s=0.2")
+    first, second = on_mesh(launch, *what), on_mesh(launch, *what)
+    assert any(message.message == "attack_report" for message in read(first)), "there is something to go wrong"
+    assert_equal(first, second)
+    assert_equal(first, in_process(tmp_path / "inproc", *what))
+
+
+def test_interposers_that_change_nothing_leave_no_trace_in_the_recording(launch, tmp_path: Path) -> None:
+    tapped = on_mesh(launch, "passthrough", "n_infrastructure=2")
+    assert_equal(in_process(tmp_path / "plain", "baseline", "n_infrastructure=2"), tapped, taps=False)
+    assert_equal(in_process(tmp_path / "tapped", "passthrough", "n_infrastructure=2"), tapped)
+
+
+def test_the_reference_scene_is_played_alike_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+    archive = DATA / "scene_a.tar.gz"
+    if not archive.exists():
+        pytest.skip(f"no reference data: {archive} is missing (set MAST_DATA)")
+    with tarfile.open(archive) as tar:
+        tar.extractall(tmp_path, filter="data")
+    what = ("uncoordinated", f"scene=avstack:{tmp_path / 'scene_a'}", "attack_start_s=0.2")
+    assert_equal(on_mesh(launch, *what), in_process(tmp_path / "inproc", *what))
+
+
+def test_a_real_log_is_played_alike_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+    logs = sorted((DATA / "av2_logs").glob("*/city_SE3_egovehicle.feather"))
+    if not logs:
+        pytest.skip(f"no reference data: no log in {DATA / 'av2_logs'} (set MAST_DATA)")
+    what = ("uncoordinated", f"scene=av2:{logs[0].parent}", "n_infrastructure=1", "n_adversaries=1")
+    assert_equal(on_mesh(launch, *what), in_process(tmp_path / "inproc", *what))
+
+
+@pytest.mark.parametrize("victim", ["launcher", "recorder"])
+def test_whoever_is_killed_the_recording_can_be_read(launch, tmp_path: Path, victim: str) -> None:
+    run: Launched = launch("baseline", "--mode", "realtime", "--rate", "6")
+    record = run.started()
+    observer = Observer(record, "clock")
+    try:
+        eventually(lambda: observer.frame() >= 60, "60 clocks")
+    finally:
+        observer.close()
+    if victim == "launcher":
+        run.process.kill()
+        run.process.wait()
+        eventually(
+            lambda: (run.out / "messages.mcap").read_bytes().endswith(b"MCAP0\r\n"), "the recorder has closed it"
+        )
+    else:
+        os.kill(record["nodes"]["recorder"]["pid"], signal.SIGKILL)
+        assert run.end()[0] == 22, "a run that cannot be recorded any more has failed"
+    frames = [message.frame for message in read(run.out) if message.key == "clock"]
+    assert frames == list(range(len(frames)))
+    assert len(frames) >= (60 if victim == "launcher" else 25)

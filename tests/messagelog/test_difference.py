@@ -1,0 +1,121 @@
+"""Two recordings compared: where they differ first, in words that a reader can act on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings import TAP, detections, payload, small_run, write
+
+from mast_zenoh import cli
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.explain import explain
+
+WIRE = "agent/b/detections"
+
+
+def with_message(key: str, frame: int, data: bytes) -> list[tuple[str, bytes]]:
+    """The small run with another message in one place."""
+    return [(k, data if d == payload(key, frame) and k == key else d) for k, d in small_run()]
+
+
+def text(folder: Path, a: list[tuple[str, bytes]], b: list[tuple[str, bytes]], **options: object) -> str:
+    a_file, b_file = write(folder / "a.mcap", a), write(folder / "b.mcap", b)
+    return "\n".join(explain(compare(a_file, b_file, **options)))  # type: ignore[arg-type]
+
+
+def test_equal_recordings_are_equal_however_they_were_written(tmp_path: Path) -> None:
+    assert text(tmp_path, small_run(), small_run()[::-1]) == "equal: 24 messages"
+
+
+def test_the_first_difference_is_shown_field_by_field_with_units(tmp_path: Path) -> None:
+    other = with_message(WIRE, 3, payload(WIRE, 3, detections(1.0, 5.5)))
+    found = text(tmp_path, small_run(), other)
+    assert f"first difference: frame 3, {WIRE}, publisher simulator, sequence 3" in found
+    assert "position row 1[0]: A 5.0 m, B 5.5 m; 1 of 6 values differ" in found
+    assert f"1 messages differ: {WIRE} 1" in found
+    assert "23 messages are equal" in found
+    assert "score" not in found
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (payload(WIRE, 3, detections(1.0)), "position: A has 2 rows, B has 1 rows"),
+        (payload(WIRE, 3, detections(1.0, 5.0) | {"yaw": np.array([0.0, -0.0])}), "yaw row 1: A 0.0 rad, B -0.0 rad"),
+        (
+            payload(WIRE, 3, detections(1.0, 5.0) | {"mount_position": np.array([0.0, 2.0, 0.0])}),
+            "mount_position[1]: A 0.0 m, B 2.0 m",
+        ),
+        (payload(WIRE, 3, detections(np.nan, 5.0)), "B is not a sound message"),
+        (payload(WIRE, 3)[:-1] + b"\x01", "mount_rotation[3]: A 0.0"),
+    ],
+)
+def test_whatever_differs_is_said(tmp_path: Path, data: bytes, said: str) -> None:
+    assert said in text(tmp_path, small_run(), with_message(WIRE, 3, data))
+
+
+def test_what_is_missing_is_said_with_its_side(tmp_path: Path) -> None:
+    fewer = [(k, d) for k, d in small_run() if (k, d) != (WIRE, payload(WIRE, 4))]
+    found = text(tmp_path, small_run(), fewer)
+    assert f"first difference: frame 4, {WIRE}" in found
+    assert "only in A: detections of 400000000 ns: position (2, 3)" in found
+    assert f"1 messages are only in A: {WIRE} 1" in found
+
+
+def test_a_recording_that_stops_early_lacks_its_end(tmp_path: Path) -> None:
+    found = text(tmp_path, small_run(3), small_run(5))
+    assert "first difference: frame 3" in found
+    assert "8 messages are only in B" in found
+
+
+def test_tap_legs_are_left_out_unless_asked_for(tmp_path: Path) -> None:
+    other = with_message(TAP, 2, payload(TAP, 2, detections(7.0)))
+    assert text(tmp_path, small_run(), other) == "equal: 24 messages"
+    (tmp_path / "taps").mkdir()
+    assert f"frame 2, {TAP}" in text(tmp_path / "taps", small_run(), other, taps=True)
+
+
+def test_wires_can_be_ignored(tmp_path: Path) -> None:
+    other = [(k, d) for k, d in with_message(WIRE, 3, payload(WIRE, 3, detections(9.0))) if "status" not in k]
+    assert text(tmp_path, small_run(), other, ignore=["*/detections", "agent/*/status"]) == "equal: 6 messages"
+
+
+def test_malformed_messages_are_compared_byte_by_byte(tmp_path: Path) -> None:
+    found = text(tmp_path, [*small_run(), ("clock", b"\x01\x02")], [*small_run(), ("clock", b"\x01\x03")])
+    assert "first difference: malformed, clock/@malformed" in found
+    assert "byte 1: A 02, B 03; lengths 2, 2" in found
+
+
+@pytest.mark.parametrize(
+    ("other", "words", "code"),
+    [
+        (small_run(), (), 0),
+        (with_message(WIRE, 3, payload(WIRE, 3, detections())), (), 1),
+        (with_message(WIRE, 3, payload(WIRE, 3, detections())), ("--ignore", WIRE), 0),
+        (with_message(TAP, 3, payload(TAP, 3, detections())), ("--taps",), 1),
+        (None, (), 2),
+        (small_run(), ("--ignore", "*"), 2),
+    ],
+    ids=["equal", "different", "ignored", "taps", "nothing there", "nothing left"],
+)
+def test_the_command_exits_with_0_1_or_2(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    other: list[tuple[str, bytes]] | None,
+    words: tuple[str, ...],
+    code: int,
+) -> None:
+    for name, messages in (("a", small_run()), ("b", other)):
+        (tmp_path / name).mkdir()
+        if messages is not None:
+            write(tmp_path / name / "messages.mcap", messages)
+    monkeypatch.setattr("sys.argv", ["mast", "diff", str(tmp_path / "a"), str(tmp_path / "b"), *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert (ended.value.code or 0) == code
+    said = capsys.readouterr()
+    assert ("cannot compare" in said.err) == (code == 2)
+    assert ("first difference" in said.out) == (code == 1)

@@ -1,0 +1,223 @@
+"""What was sent is in the file: every byte, in one order, as far as the file goes."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from recordings import HEARS, PERIOD_NS, TAP, payload, small_run, write
+
+from mast_zenoh import codec
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.messagelog import writer
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messagelog.writer import MessageLog
+
+PAGE = Path(__file__).parents[2] / "docs" / "recording.md"
+
+
+@pytest.mark.parametrize("chunk_bytes", [1 << 20, 2000, 1], ids=["one chunk", "some chunks", "a chunk a message"])
+def test_messages_come_back_in_the_order_of_frame_wire_publisher_and_sequence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_bytes: int
+) -> None:
+    monkeypatch.setattr(writer, "CHUNK_BYTES", chunk_bytes)
+    sent = small_run()
+    for shuffle in range(5):
+        shuffled = random.Random(shuffle).sample(sent, len(sent))
+        found = list(read(write(tmp_path / f"{shuffle}.mcap", shuffled)))
+        assert [(message.frame, message.wire, message.tap) for message in found] == [
+            (frame, key.split("/@")[0], "@" in key) for frame in range(6) for key in sorted(HEARS)
+        ]
+        assert [(message.key, message.payload) for message in found] == sent
+
+
+def test_many_messages_of_a_frame_on_a_wire_keep_the_order_of_their_numbers(tmp_path: Path) -> None:
+    sent = [("agent/a/status", payload("agent/a/status", 3, seq=seq)) for seq in (2**40, 0, 7, 2)]
+    assert [message.seq for message in read(write(tmp_path / "run.mcap", sent))] == [0, 2, 7, 2**40]
+
+
+def test_doubles_are_kept_in_the_order_in_which_they_came(tmp_path: Path) -> None:
+    sent = [("clock", payload("clock", 0)), ("agent/a/status", payload("agent/a/status", 0))]
+    twice = payload("agent/a/status", 0, {name: [9] for name in ("mobile", "detections", "tracks")})
+    found = list(read(write(tmp_path / "run.mcap", [*sent, ("agent/a/status", twice)])))
+    assert [message.payload for message in found] == [sent[1][1], twice, sent[0][1]]
+
+
+def test_other_readers_find_channels_with_metadata_and_schemas(tmp_path: Path) -> None:
+    with write(tmp_path / "run.mcap", small_run()).open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        found = list(reader.iter_messages())
+    assert summary is not None
+    channels = {channel.topic: channel for channel in summary.channels.values()}
+    assert channels.keys() == HEARS.keys()
+    assert channels[TAP].metadata == {
+        "wire": "agent/b/detections",
+        "publisher": "simulator",
+        "message": "detections",
+        "tap": "true",
+        "malformed": "false",
+    }
+    assert {channel.message_encoding for channel in channels.values()} == {"msgpack"}
+    schema = summary.schemas[channels["agent/b/detections"].schema_id]
+    assert (schema.name, schema.encoding) == ("detections.1", "jsonschema")
+    column = json.loads(schema.data)["properties"]["body"]["properties"]["position"]
+    assert (column["unit"], column["prefixItems"][0]["const"], column["prefixItems"][1]["description"]) == (
+        "m",
+        "<f8",
+        "n, 3",
+    )
+    assert [message.data for _, _, message in found] == [data for _, data in small_run()], "in our order, for them too"
+    for _, channel, message in found:
+        header = codec.decode_header(message.data, channel.metadata["message"])
+        assert message.publish_time == header.time_ns
+        assert 0 <= message.log_time - header.time_ns < len(HEARS)
+        assert message.sequence == header.seq
+
+
+def test_what_is_no_message_is_kept_as_it_is_and_marked(tmp_path: Path) -> None:
+    rubbish = [b"", b"\xc1", payload("agent/a/status", 1)[:-3], payload("clock", 1)]
+    sent = [*small_run(3), *(("agent/a/status", data) for data in rubbish)]
+    found = list(read(write(tmp_path / "run.mcap", sent)))
+    marked = [message for message in found if message.malformed]
+    assert [message.payload for message in marked] == rubbish
+    assert {(m.key, m.wire, m.frame, m.time_ns) for m in marked} == {
+        ("agent/a/status/@malformed", "agent/a/status", -1, 2 * PERIOD_NS)
+    }
+    assert len(found) - len(marked) == len(small_run(3))
+
+
+def test_a_file_that_is_cut_off_anywhere_is_read_up_to_its_last_whole_chunk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends: list[tuple[int, int]] = []  # (bytes in the file, messages in them) after each chunk
+    monkeypatch.setattr(writer, "CHUNK_BYTES", 4000)
+    flush = Writer.flush
+
+    def noted(self: Writer) -> None:
+        flush(self)
+        ends.append((path.stat().st_size, len(ends) + 1))
+
+    monkeypatch.setattr(Writer, "flush", noted)
+    path = tmp_path / "run.mcap"
+    write(path, small_run(12))
+    data, whole = path.read_bytes(), [message.payload for message in read(path)]
+    assert len(ends) > 3
+    cut = tmp_path / "cut.mcap"
+    before = 0
+    for size in range(8, len(data), 7):
+        cut.write_bytes(data[:size])
+        found = [message.payload for message in read(cut)]
+        assert found == whole[: len(found)]
+        assert len(found) >= before, "what was whole stays whole"
+        before = len(found)
+    assert before == len(whole)
+    for end, chunks in ends:
+        cut.write_bytes(data[:end])
+        assert len(list(read(cut))) >= min(chunks, 1), "a chunk that has been written can be read"
+
+
+def test_a_process_that_is_killed_leaves_all_its_whole_chunks(tmp_path: Path) -> None:
+    program = (
+        "import os, signal\n"
+        "from pathlib import Path\n"
+        "from recordings import HEARS, small_run\n"
+        "from mast_zenoh import codec\n"
+        "from mast_zenoh.messagelog.writer import MessageLog\n"
+        "log = MessageLog(Path('run.mcap'))\n"
+        "log.begin(HEARS)\n"
+        "for key, data in small_run(60):\n"
+        "    log.add(key, data, codec.decode_header(data, HEARS[key].message))\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    ended = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    found = [(message.key, message.payload) for message in read(tmp_path / "run.mcap")]
+    assert found == small_run(60)[: len(found)]
+    assert {frame for frame in range(60) if ("clock", payload("clock", frame)) in found} >= set(range(50))
+
+
+def test_a_recording_that_had_just_begun_is_empty_and_readable(tmp_path: Path) -> None:
+    log = MessageLog(tmp_path / "run.mcap")
+    log.begin(HEARS)
+    assert list(read(tmp_path / "run.mcap")) == []
+    log.close()
+    assert list(read(tmp_path / "run.mcap")) == []
+
+
+def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mcap", small_run())
+    data = bytearray(path.read_bytes())
+    data[200] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(RunFolderError, match=r"run\.mcap: byte \d+: a damaged chunk"):
+        list(read(path))
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda folder: folder / "nowhere", "no such folder"),
+        (lambda folder: folder, "no folder of a run"),
+        (lambda folder: (folder / "run.json").write_text("{}") and folder, "a run that was not recorded"),
+        (
+            lambda folder: (folder / "x.mcap").write_text("hello") and folder / "x.mcap",
+            "does not begin as an MCAP file",
+        ),
+        (lambda folder: (folder / "x.mcap").write_text("") == 0 and folder / "x.mcap", "does not begin as an MCAP"),
+    ],
+)
+def test_what_is_no_recording_is_refused(tmp_path: Path, make, said: str) -> None:
+    with pytest.raises(RunFolderError, match=said):
+        list(read(make(tmp_path)))
+
+
+def test_a_recording_is_never_written_over(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mcap", small_run())
+    with pytest.raises(RunFolderError, match="cannot be made a recording: File exists"):
+        MessageLog(path).begin(HEARS)
+
+
+def test_when_the_disk_is_full_what_is_there_stays_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "CHUNK_BYTES", 2000)
+    log = MessageLog(tmp_path / "run.mcap")
+    log.begin(HEARS)
+    sent = small_run(40)
+
+    def add(messages: list[tuple[str, bytes]]) -> None:
+        for key, data in messages:
+            log.add(key, data, codec.decode_header(data, HEARS[key].message))
+
+    add(sent[:100])
+
+    def full(self: Writer) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Writer, "flush", full)
+    add(sent[100:])
+    log.close()
+    assert log.problem == f"{tmp_path / 'run.mcap'}: cannot be written: No space left on device"
+    assert 0 < log.messages <= 100
+    assert log.messages + log.lost == len(sent)
+    assert len(list(read(tmp_path / "run.mcap"))) == log.messages
+
+
+def test_the_program_in_the_documentation_reads_a_recording(tmp_path: Path) -> None:
+    (program,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), flags=re.S | re.M)
+    assert len(program.splitlines()) <= 14
+    write(tmp_path / "messages.mcap", small_run(3))
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert "agent/b/detections 2 (2, 3)" in done.stdout

@@ -1,0 +1,49 @@
+"""How much of the time each object is tracked."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from metric_oracles import cars
+
+from mast_zenoh.metrics import Record, Scorer
+from mast_zenoh.states import ObjectStates
+
+
+def summary(truth: list[ObjectStates], picture: list[ObjectStates], scored: slice = slice(None)):
+    record = Record(["ego"])
+    for frame, (objects, believed) in enumerate(zip(truth, picture, strict=True)):
+        record.add_truth(frame, objects, np.full((len(objects), 1), 9), np.zeros((1, 3)), np.array([-1]))
+        record.add_picture(frame, believed)
+    return Scorer().score(record).summary(scored)["ego"]["picture"]
+
+
+BOTH = cars((0.0, 0.0), (20.0, 0.0), id=[1, 2])
+FIRST = cars((0.0, 0.0), id=[1])
+NONE = ObjectStates.empty()
+
+
+def test_completeness_is_the_matched_part_of_each_objects_frames_mean_over_objects() -> None:
+    assert summary([BOTH] * 4, [BOTH, FIRST, FIRST, NONE])["completeness"] == pytest.approx((3 / 4 + 1 / 4) / 2)
+
+
+def test_an_object_counts_alike_however_long_it_is_seen() -> None:
+    assert summary([BOTH, FIRST, FIRST, FIRST], [FIRST] * 4)["completeness"] == pytest.approx((1.0 + 0.0) / 2)
+
+
+def test_only_scored_frames_count() -> None:
+    assert summary([BOTH] * 4, [NONE, BOTH, BOTH, NONE], slice(1, 3))["completeness"] == 1.0
+
+
+def test_without_objects_it_is_not_defined_and_json_holds_null() -> None:
+    found = summary([NONE, NONE], [FIRST, FIRST])
+    assert found["completeness"] is None
+    json.dumps(found, allow_nan=False)
+
+
+def test_set_distances_are_of_every_frame_and_summed_up_like_counts() -> None:
+    found = summary([BOTH, BOTH], [BOTH, FIRST])
+    assert found["ospa_m"] == {"mean": pytest.approx(np.sqrt(25 / 2) / 2), "std": pytest.approx(np.sqrt(25 / 2) / 2)}
+    assert found["gospa_m"]["mean"] == pytest.approx(np.sqrt(25 / 2) / 2)

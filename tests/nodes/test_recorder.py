@@ -1,0 +1,88 @@
+"""The recorder writes down what was sent, and changes nothing by being there."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tiny_world import Run
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.runtime import results
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.scenario import Resolved
+
+SETTINGS = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.2")
+
+
+def resolved(record: bool = True, **run: Any) -> Resolved:
+    path, content = scenario.load("coordinated", SETTINGS)
+    content["scene"] = dict(type="TinyScene", n_infrastructure=2)
+    content["run"] |= run
+    return scenario.resolve(path, content, frames=8, record=record)
+
+
+def recorded(folder: Path, *, encode: bool) -> dict[str, list[bytes]]:
+    """The bytes by key that are in the recording."""
+    process = InProcess(resolved().in_folder(folder), encode=encode)
+    outcome = process.run()
+    found: dict[str, list[bytes]] = defaultdict(list)
+    for message in read(folder / "messages.mcap"):
+        found[message.key].append(message.payload)
+    assert outcome["recorder"]["recorded"] == {"messages": sum(map(len, found.values())), "malformed": 0, "lost": 0}
+    return found
+
+
+@pytest.mark.parametrize("encode", [True, False], ids=["bytes are passed", "messages are passed"])
+def test_it_has_every_byte_that_was_sent_on_every_key(tmp_path: Path, encode: bool) -> None:
+    said = Run(resolved(record=False))
+    found = recorded(tmp_path, encode=encode)
+    assert any("@tap" in key for key in found)
+    assert found == {key: payloads for key, payloads in said.messages.items() if payloads}
+
+
+def test_the_others_say_and_find_the_same_with_it_and_without(tmp_path: Path) -> None:
+    plain = Run(resolved(record=False))
+    outcome = InProcess(resolved().in_folder(tmp_path)).run()
+    for name, result in plain.results.items():
+        assert results.pack(outcome[name]) == results.pack(result)
+
+
+def test_it_is_there_when_asked_for_unless_the_scenario_says_no() -> None:
+    assert "recorder" in resolved().nodes
+    assert "recorder" not in resolved(record=False).nodes
+    path, content = scenario.load("baseline")
+    content["run"] |= {"record": False}
+    assert "recorder" not in scenario.resolve(path, content, frames=2, record=True).nodes
+    content["run"] |= {"record": "yes"}
+    with pytest.raises(ConfigurationError, match=r"run\.record: found 'yes', expected True or False"):
+        scenario.resolve(path, content, frames=2, record=True)
+
+
+def test_run_json_says_how_many_messages_were_recorded(tmp_path: Path) -> None:
+    ended = local.run(resolved(), tmp_path / "run", runtime="inproc")
+    record = json.loads((ended.folder / "run.json").read_text())
+    assert record["recorded"] == {"messages": len(list(read(ended.folder))), "malformed": 0, "lost": 0}
+    without = local.run(resolved(record=False), tmp_path / "without", runtime="inproc")
+    assert "recorded" not in without.record
+    assert not (without.folder / "messages.mcap").exists()
+
+
+def test_what_could_not_be_written_is_noted_in_run_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from mcap.writer import Writer
+
+    def full(self: Writer) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Writer, "flush", full)
+    ended = local.run(resolved(), tmp_path / "run", runtime="inproc")
+    assert ended.error is None, "the run goes on"
+    recorded = ended.record["recorded"]
+    assert recorded["messages"] == 0 < recorded["lost"]
+    assert ended.record["message"] == f"{recorded['lost']} messages could not be recorded"

@@ -1,0 +1,141 @@
+"""Studies on several processes: the same tables, whoever runs the trials, and whatever is killed in between."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+import pytest
+from small_study import tables, write_small
+
+from mast_zenoh.errors import StartError
+from mast_zenoh.study import definition, trials
+
+pytest.importorskip("distributed", reason="dask is not installed")
+
+DEADLINE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def study_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small(tmp_path_factory.mktemp("study"))
+
+
+@pytest.fixture(scope="module")
+def reference(study_file: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The tables of the study run by one process, one trial after the other."""
+    ended = trials.run(definition.load(str(study_file)), tmp_path_factory.mktemp("reference") / "out", count=4)
+    return tables(ended.out)
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    """Wait for something to become true, looking often."""
+    pause, deadline = threading.Event(), time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        pause.wait(0.02)
+
+
+def mast(*words: str, cwd: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "mast_zenoh", *words]
+    return subprocess.Popen(
+        command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+
+
+def study(study_file: Path, out: Path, *words: str) -> list[str]:
+    return ["study", str(study_file), "--trials", "4", "--out", str(out), *words]
+
+
+@pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
+def test_a_study_of_two_jobs_that_is_stopped_is_resumed_and_gives_the_same_tables(
+    study_file: Path, reference: dict[str, bytes], tmp_path: Path, stop: signal.Signals
+) -> None:
+    out = tmp_path / "out"
+    running = mast(*study(study_file, out, "--jobs", "2"), cwd=tmp_path)
+    until(lambda: len(list((out / "trials").glob("[!.]*"))) >= 2 if out.exists() else False, "two trials")
+    workers = psutil.Process(running.pid).children(recursive=True)
+    running.send_signal(stop)
+    said, _ = running.communicate(timeout=DEADLINE_S)
+    _, alive = psutil.wait_procs(workers, timeout=DEADLINE_S)
+    assert not alive, "workers outlive the study"
+    kept = {path.name: path.stat().st_mtime_ns for path in (out / "trials").glob("[!.]*")}
+    assert len(kept) >= 2
+    if stop == signal.SIGINT:
+        assert running.returncode == 130, said
+        assert "--resume" in said
+    again = mast(*study(study_file, out, "--jobs", "1", "--resume"), cwd=tmp_path)
+    said, _ = again.communicate(timeout=DEADLINE_S)
+    assert again.returncode == 0, said
+    assert f"{len(kept)} of 12 trials are done already" in said or len(kept) == 12
+    for name, written in kept.items():
+        assert (out / "trials" / name).stat().st_mtime_ns == written, "a finished trial was run again"
+    assert tables(out) == reference
+
+
+@contextmanager
+def dask(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    """A scheduler or a worker, as a user starts it by hand."""
+    command = [sys.executable, "-m", "dask", *words]
+    process = subprocess.Popen(
+        command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, text=True
+    )
+    try:
+        yield process
+    finally:
+        os.killpg(process.pid, signal.SIGTERM)
+        try:
+            process.wait(DEADLINE_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            raise
+
+
+def address_in(scheduler_file: Path) -> str:
+    """Where the scheduler listens; "" until it has written that."""
+    try:
+        return str(json.loads(scheduler_file.read_text())["address"])
+    except (OSError, ValueError):
+        return ""
+
+
+def test_a_scheduler_and_two_workers_started_by_hand_run_the_study(
+    study_file: Path, reference: dict[str, bytes], tmp_path: Path
+) -> None:
+    where = tmp_path / "scheduler.json"
+    with dask(
+        "scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--scheduler-file",
+        str(where),
+        cwd=tmp_path,
+    ):
+        until(lambda: address_in(where) != "", "the scheduler")
+        joined = ("worker", "--scheduler-file", str(where), "--nthreads", "1", "--no-dashboard", "--no-nanny")
+        with dask(*joined, cwd=tmp_path), dask(*joined, cwd=tmp_path):
+            running = mast(*study(study_file, tmp_path / "out", "--cluster", address_in(where)), cwd=tmp_path)
+            said, _ = running.communicate(timeout=DEADLINE_S)
+            assert running.returncode == 0, said
+    assert tables(tmp_path / "out") == reference
+
+
+def test_a_cluster_that_does_not_answer_is_named(study_file: Path, tmp_path: Path, monkeypatch) -> None:
+    from mast_zenoh.study import execution
+
+    monkeypatch.setattr(execution, "_CONNECT_S", 1)
+    loaded = definition.load(str(study_file))
+    with pytest.raises(StartError, match=r"--cluster tcp://127\.0\.0\.1:1: no Dask scheduler answers there"):
+        trials.run(loaded, tmp_path / "out", count=1, cluster="tcp://127.0.0.1:1")

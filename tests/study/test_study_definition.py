@@ -1,0 +1,100 @@
+"""A study file says what to run; what is wrong in it is refused by name."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.study import definition
+
+
+@pytest.fixture
+def load(tmp_path: Path):
+    def load(content: Any, *settings: str) -> definition.Study:
+        path = Path(tempfile.mkdtemp(dir=tmp_path)) / "mine.py"  # a file is run once
+        path.write_text(f"def study(n=2):\n    return {content!r}\n")
+        return definition.load(str(path), settings)
+
+    return load
+
+
+def runs(**more: Any) -> dict[str, Any]:
+    return {"runs": {"baseline": {"scenario": "baseline"}, "attacked": {"scenario": "uncoordinated", **more}}}
+
+
+def test_a_grid_becomes_a_configuration_for_each_point(load) -> None:
+    study = load(runs(parameters={"scene_index": 3}, grid={"n_adversaries": [1, 2], "false_positives": [0.5]}))
+    assert [each.label for each in study.configurations] == ["baseline", "attacked-1-0.5", "attacked-2-0.5"]
+    last = study.configurations[-1]
+    assert last.settings == ("scene_index=3", "n_adversaries=2", "false_positives=0.5")
+    assert (last.run, last.point) == ("attacked", (("n_adversaries", 2), ("false_positives", 0.5)))
+
+
+def test_the_baseline_is_the_one_named_or_the_one_of_that_name_or_the_first(load) -> None:
+    assert load(runs()).baseline == "baseline"
+    assert load(runs() | {"baseline": "attacked"}).baseline == "attacked"
+    assert load({"runs": {"plain": {"scenario": "baseline"}}}).baseline == "plain"
+
+
+def test_scenes_are_short_names_or_parameters(load) -> None:
+    study = load(runs() | {"scenes": ["avstack:data/a", {"scene": "intersection", "scene_index": 4}]})
+    assert [place.label for place in study.scenes] == ["avstack:data/a", "intersection, 4"]
+    assert study.scenes[1].settings == ("scene=intersection", "scene_index=4")
+    assert [place.settings for place in load(runs()).scenes] == [()]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (3, r"must return a dict with `runs`"),
+        ({"runs": {}}, r"must return a dict with `runs`"),
+        (runs() | {"trails": 3}, r"trails: unknown key; did you mean 'trials'"),
+        (runs(gird={}), r"runs\.attacked\.gird: unknown key; did you mean 'grid'"),
+        (runs(grid={"n": 3}), r"runs\.attacked\.grid\.n: found 3, expected a list of values"),
+        (runs(grid=[1]), r"runs\.attacked\.grid: found \[1\], expected a dict"),
+        (runs() | {"baseline": "atacked"}, r"baseline: found 'atacked'; did you mean 'attacked'"),
+        (runs() | {"scenes": []}, r"scenes: found \[\], expected a list"),
+        (runs() | {"scenes": [3]}, r"scenes\[0\]: found 3, expected a short name or a dict"),
+        (runs() | {"trials": 0}, r"trials: found 0, expected a whole number from 1"),
+        (runs() | {"seed": -1}, r"seed: found -1, expected a whole number from 0"),
+        (runs() | {"runtime": "cloud"}, r"runtime: found 'cloud'; known: inproc, mesh"),
+        ({"runs": {"a/b": {"scenario": "baseline"}}}, r"found the label 'a/b', expected one that can name a folder"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_place(load, content: Any, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=rf"mine\.py: .*{message}"):
+        load(content)
+
+
+def test_two_configurations_cannot_have_one_label(load) -> None:
+    one = {"scenario": "uncoordinated", "grid": {"n_adversaries": [1]}}
+    with pytest.raises(ConfigurationError, match="two configurations are called 'a-1'"):
+        load({"runs": {"a": one, "a-1": {"scenario": "baseline"}}})
+
+
+def test_an_error_in_the_function_names_the_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def study():\n    return 1 / 0\n")
+    with pytest.raises(ConfigurationError, match=r"mine\.py: study\(\.\.\.\): ZeroDivisionError"):
+        definition.load(str(tmp_path / "mine.py"))
+
+
+def test_a_scenario_beside_the_study_is_found_from_anywhere(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("def scenario():\n    return {}\n")
+    (tmp_path / "mine.py").write_text("def study():\n    return dict(runs=dict(a=dict(scenario='own.py')))\n")
+    assert definition.load(str(tmp_path / "mine.py")).configurations[0].scenario == str(tmp_path / "own.py")
+
+
+@pytest.mark.parametrize(("name", "labels"), [("case_study", 3), ("monte_carlo", 7)])
+def test_our_own_studies_are_sound(name: str, labels: int) -> None:
+    study = definition.load(name)
+    assert len(study.configurations) == labels
+    assert study.baseline == "baseline"
+
+
+def test_the_scenes_of_the_monte_carlo_study_can_be_chosen() -> None:
+    study = definition.load("monte_carlo", ["scenes=avstack:a, intersection:5"])
+    assert [place.label for place in study.scenes] == ["avstack:a", "intersection:5"]

@@ -1,0 +1,261 @@
+"""Trials are kept one by one: none is run twice, none that fails loses the others, and the tables are the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from pyarrow import parquet
+from small_study import TABLES, tables, write_small
+
+from mast_zenoh import cli
+from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
+from mast_zenoh.study import definition, identity, trial, trials
+from mast_zenoh.study.trial import Outcome, Trial
+
+OWN = """
+from mast_zenoh import bundle, loading
+
+def scenario():
+    return loading.module(bundle.ROOT / "scenarios" / "baseline.py").scenario(n_infrastructure=1)
+"""
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> definition.Study:
+    return definition.load(str(write_small(tmp_path_factory.mktemp("study"))))
+
+
+@pytest.fixture(scope="module")
+def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> trials.Ended:
+    """The study, run without any trouble."""
+    return trials.run(small, tmp_path_factory.mktemp("whole") / "out", count=2)
+
+
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
+    """The trials that are really run from here on."""
+    found: list[Trial] = []
+    run = trial.run
+
+    def counted(each: Trial) -> Outcome:
+        found.append(each)
+        return run(each)
+
+    monkeypatch.setattr(trial, "run", counted)
+    return found
+
+
+def stopping(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    """Press Ctrl-C while the trial after this many runs."""
+    run, done = trial.run, []
+
+    def stopped(each: Trial) -> Outcome:
+        if len(done) == after:
+            raise KeyboardInterrupt
+        done.append(each)
+        return run(each)
+
+    monkeypatch.setattr(trial, "run", stopped)
+
+
+def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row(whole: trials.Ended) -> None:
+    table = parquet.read_table(whole.out / "results.parquet").to_pydict()
+    cells = set(zip(table["configuration"], table["seed"], strict=True))
+    assert cells == {(label, seed) for label in ("baseline", "attacked-1-5.0", "attacked-1-20.0") for seed in (0, 1)}
+    found = set(table["metric"])
+    assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp injected"} <= found
+    assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "time_to_first_false_s"} <= found
+    frames = parquet.read_table(whole.out / "frames.parquet")
+    assert len(frames) == 6 * 8 * 2 * 3, "trials, frames, agents, estimators"
+
+
+def test_what_was_stopped_is_resumed_without_repeating_a_trial(small, whole, monkeypatch, tmp_path: Path, ran) -> None:
+    with monkeypatch.context() as patch:
+        stopping(patch, after=3)
+        with pytest.raises(Interrupted, match="--resume"):
+            trials.run(small, tmp_path / "out", count=2)
+    assert len(ran) == 3
+    assert json.loads((tmp_path / "out" / "study.json").read_text())["status"] == "interrupted"
+    ran.clear()
+    trials.run(small, tmp_path / "out", count=2, resume=True)
+    assert len(ran) == 3
+    assert tables(tmp_path / "out") == tables(whole.out)
+
+
+def test_more_seeds_can_be_added_later(small, whole, tmp_path: Path, ran) -> None:
+    trials.run(small, tmp_path / "out", count=1)
+    ran.clear()
+    trials.run(small, tmp_path / "out", count=2, resume=True)
+    assert {each.seed for each in ran} == {1}
+    assert tables(tmp_path / "out") == tables(whole.out)
+
+
+def test_a_trial_whose_file_is_broken_is_run_again(small, whole, tmp_path: Path, ran) -> None:
+    trials.run(small, tmp_path / "out", count=2)
+    files = sorted((tmp_path / "out" / "trials").iterdir())
+    files[0].write_bytes(files[0].read_bytes()[:-20])
+    files[1].unlink()
+    (tmp_path / "out" / "trials" / ".half-written").write_bytes(b"PAR1")
+    ran.clear()
+    trials.run(small, tmp_path / "out", count=2, resume=True)
+    assert len(ran) == 2
+    assert tables(tmp_path / "out") == tables(whole.out)
+    assert sorted((tmp_path / "out" / "trials").iterdir()) == files
+
+
+def test_a_failed_trial_is_told_with_its_command_and_the_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:
+    run = trial.run
+
+    def failing(each: Trial) -> Outcome:
+        if each.configuration == "attacked-1-5.0" and each.seed == 1:
+            return Outcome.failed(each, "RunError: on purpose")
+        return run(each)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(trial, "run", failing)
+        ended = trials.run(small, tmp_path / "out", count=2)
+    with pytest.raises(TrialsFailed, match="1 trials failed") as caught:
+        ended.raise_failures()
+    (failed, reason) = ended.failed[0]
+    assert reason == "RunError: on purpose"
+    assert failed.command() in str(caught.value)
+    assert "--seed 1" in failed.command()
+    estimates = {row.label: row.get("fp_iob").trials for row in ended.rows}
+    assert estimates == {"baseline": 0, "attacked-1-5.0": 1, "attacked-1-20.0": 2}
+    noted = json.loads((tmp_path / "out" / "study.json").read_text())
+    assert [each["error"] for each in noted["trials"] if "error" in each] == ["RunError: on purpose"]
+    trials.run(small, tmp_path / "out", count=2, resume=True).raise_failures()
+
+
+def test_the_command_of_a_trial_runs_it_alone_with_the_same_figures(small, whole, tmp_path: Path) -> None:
+    noted = json.loads((whole.out / "study.json").read_text())["trials"][-1]
+    words = shlex.split(noted["command"])
+    assert words[:2] == ["mast", "run"]
+    command = [sys.executable, "-m", "mast_zenoh", *words[1:], "--no-report", "--out", str(tmp_path / "run")]
+    subprocess.run(command, check=True, capture_output=True, cwd=tmp_path)
+    alone = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    path = whole.out / "trials" / f"{noted['digest']}.parquet"
+    about = json.loads(parquet.read_schema(path).metadata[b"mast-zenoh"])
+    assert about["metrics"] == alone
+
+
+def test_a_worker_with_other_code_or_versions_does_no_trial(small) -> None:
+    planned = trials.plan.trials(small, count=1, seed=0, frames=8, runtime="inproc")
+    outcome = trial.run(replace(planned[0], environment=(("numpy", "0.1"),)))
+    assert "numpy: this worker has" in outcome.error
+    assert "the study was started with 0.1" in outcome.error
+
+
+def test_an_attack_that_does_nothing_adds_nothing_in_any_frame(small, tmp_path: Path) -> None:
+    """Baseline and attack share scene, detections and clutter: paired differences are zero, not small."""
+    waiting = definition.load(str(small.path), ["start_s=99.0"])
+    ended = trials.run(waiting, tmp_path / "out", count=2)
+    table = parquet.read_table(ended.out / "results.parquet").to_pydict()
+    added = [
+        (value, std)
+        for metric, value, std in zip(table["metric"], table["value"], table["std"], strict=True)
+        if metric.endswith("_iob")
+    ]
+    assert len(added) == 2 * 2 * 5
+    assert set(added) == {(0.0, 0.0)}
+
+
+def test_the_digest_is_of_the_configuration_the_seed_the_frames_and_the_users_files(small, tmp_path: Path) -> None:
+    def digests(study: definition.Study, **more) -> set[str]:
+        options = dict(count=2, seed=0, frames=8, runtime="inproc") | more
+        return {each.digest for each in trials.plan.trials(study, **options)}
+
+    first = digests(small)
+    assert len(first) == 6
+    assert digests(small) == first
+    assert not digests(small, seed=2) & first
+    assert not digests(small, frames=9) & first
+    assert not digests(small, runtime="mesh") & first
+    assert len(digests(definition.load(str(small.path), ["start_s=0.3"])) & first) == 2, "the baseline's"
+
+    (tmp_path / "mine.py").write_text("def study():\n    return dict(runs=dict(a=dict(scenario='own.py')))\n")
+    found = []
+    for comment in ("one", "two"):
+        (tmp_path / "own.py").write_text(f"# {comment}\n{OWN}")
+        identity.files_key.cache_clear()
+        found.append(digests(definition.load(str(tmp_path / "mine.py"))))
+    assert not found[0] & found[1]
+
+
+def test_everything_is_refused_before_the_first_trial(tmp_path: Path, ran) -> None:
+    (tmp_path / "mine.py").write_text(
+        "def study():\n    return dict(runs=dict(a=dict(scenario='baseline'), b=dict(scenario='uncoordinated', "
+        "grid=dict(n_adversary=[1]))), trials=1, frames=2)\n"
+    )
+    with pytest.raises(ConfigurationError, match="n_adversary: no such launch-time parameter; did you mean 'n_adv"):
+        trials.run(definition.load(str(tmp_path / "mine.py")), tmp_path / "out", count=1)
+    assert ran == []
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_in_use_is_refused_and_so_is_resuming_another_study(small, whole, tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match="is not empty"):
+        trials.run(small, whole.out, count=1)
+    with pytest.raises(RunFolderError, match="--resume: expected --out too"):
+        trials.run(small, None, count=1, resume=True)
+    (tmp_path / "study.json").write_text('{"name": "other"}')
+    with pytest.raises(RunFolderError, match="holds the study 'other', expected 'small'"):
+        trials.run(small, tmp_path, count=1, resume=True)
+
+
+def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
+    )
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code in (0, None)
+    said = capsys.readouterr().out
+    for word in ("CAFP IoB", "attacked-1-20.0", "Causes of false tracks", "OSPA", *TABLES):
+        assert word in said
+
+
+def test_some_failed_trials_have_an_exit_code_of_their_own(small, tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(trial, "_in_process", lambda resolved: 1 / 0)
+    monkeypatch.setattr(
+        sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
+    )
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == TrialsFailed.exit_code == 24
+    assert "mast run uncoordinated --set" in capsys.readouterr().err
+
+
+def test_an_idle_worker_loads_no_drawing_table_or_mesh_library() -> None:
+    code = (
+        "import sys, mast_zenoh.study.trial\n"
+        "print([n for n in ('matplotlib', 'pyarrow', 'zenoh', 'rich', 'pandas', 'scipy.stats') if n in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)
+    assert done.stdout.strip() == "[]"
+
+
+def test_without_dask_one_job_works_and_more_are_refused_with_what_to_install(
+    small, tmp_path: Path, monkeypatch
+) -> None:
+    for name in ("dask", "distributed"):
+        monkeypatch.setitem(sys.modules, name, None)
+    trials.run(small, tmp_path / "one", count=1, jobs=1)
+    with pytest.raises(ConfigurationError, match=r"install mast-zenoh\[study\], or run with --jobs 1"):
+        trials.run(small, tmp_path / "two", count=1, jobs=2)
+    assert not (tmp_path / "two").exists()
+
+
+@pytest.mark.mesh
+def test_trials_on_a_mesh_give_the_same_tables_as_in_one_process(small, tmp_path: Path) -> None:
+    made = {runtime: trials.run(small, tmp_path / runtime, count=1, runtime=runtime) for runtime in ("mesh", "inproc")}
+    made["mesh"].raise_failures()
+    assert tables(made["mesh"].out) == tables(made["inproc"].out)
