@@ -28,10 +28,10 @@ from pathlib import Path
 import zenoh
 
 from mast_zenoh import scenario
-from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.launch import local
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.session import open_client, open_router
+from mast_zenoh.wiring import Wiring
 
 #: What a node of a role waits for before it publishes, in the bare loop.
 TRIGGERS = {"agent": ("pose", "detections"), "broker": ("tracks",), "command_center": ("collated",)}

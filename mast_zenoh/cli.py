@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.console import Console
 
-from mast_zenoh import keyexpr, scenario
+from mast_zenoh import scenario
 from mast_zenoh.errors import Interrupted, MastError
+from mast_zenoh.wiring import Wiring, to_mermaid, to_text
 
 if TYPE_CHECKING:
     from mast_zenoh.study.definition import Study
@@ -139,11 +140,11 @@ def wiring(
     """Who talks to whom on which key, rewrites shown."""
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, record=True)
-    found = keyexpr.Wiring.from_json(resolved.wiring)
+    found = Wiring.from_json(resolved.wiring)
     if format == "json":
         sys.stdout.write(json.dumps(found.to_json(), indent=2) + "\n")
     else:
-        sys.stdout.write((keyexpr.to_text if format == "text" else keyexpr.to_mermaid)(found) + "\n")
+        sys.stdout.write((to_text if format == "text" else to_mermaid)(found) + "\n")
 
 
 @app.command()

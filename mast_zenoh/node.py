@@ -23,8 +23,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from mast_zenoh.keyexpr import Input
 from mast_zenoh.messages import Body, Header, Message
+from mast_zenoh.wiring import Input
 
 
 class Received(NamedTuple):
@@ -59,7 +59,7 @@ class Received(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Overheard:
-    """A message as a node gets it that hears every key (an input port of the type `keyexpr.ANY`).
+    """A message as a node gets it that hears every key (an input port of the type `wiring.ANY`).
 
     key:     on which it came, tap legs included
     payload: the bytes as they were sent

@@ -9,10 +9,9 @@ Processes get the resolved scenario as JSON (`Resolved.to_json`), never the Pyth
 
 from __future__ import annotations
 
-import ast
 import inspect
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,27 +21,15 @@ from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.node import Node
 from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.settings import ALIASES, KEYS, reach, split
+from mast_zenoh.wiring import Wiring
 
 ON_EXIT = ("fail", "continue", "restart")
 MODES = ("lockstep", "realtime")
 
-#: The keys of a scenario, and of its `run` part.
-KEYS = {
-    "name": "what the scenario is called",
-    "scene": "where the truth comes from: dict(type=…) or a short name",
-    "agents": "name pattern of agents (fnmatch) to their configuration",
-    "broker": "",
-    "command_center": "",
-    "evaluator": "",
-    "adversaries": "name to configuration, with `agent`: who is compromised",
-    "coordinator": "",
-    "nodes": "further nodes, name to configuration with `role` and `file`",
-    "keyexpr": "map and rewrites",
-    "run": "mode, rate, frames, seed, record",
-}
+#: The `run` part of a scenario.
 RUN_DEFAULTS: dict[str, Any] = {"mode": "lockstep", "rate": 1.0, "frames": None, "seed": 0, "record": True}
 _SINGLE = ("broker", "command_center", "evaluator", "coordinator")
-_ALIASES = {"commandcenter": "command_center"}  # as spelt in the paper's configuration listing
 _DEFAULT_ON_EXIT = {"agent": "continue", "adversary": "continue", "coordinator": "continue", "link": "continue"}
 _CONTROLS = ("type", "file", "on_exit", "role")
 
@@ -142,7 +129,7 @@ def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]
     reaches into the dict that it returns.
     """
     path, function = loading.function("scenarios", name, "scenario")
-    parameters, dotted = split_settings(settings, function, str(path))
+    parameters, dotted = split(settings, function, str(path))
     try:
         scenario = function(**parameters)
     except ConfigurationError as error:
@@ -153,28 +140,8 @@ def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]
         raise ConfigurationError(f"{path}: scenario(...) returned {type(scenario).__name__}, expected a dict")
     scenario = _own(_spelt(scenario, str(path)))
     for key, value in dotted.items():
-        _reach(scenario, key, value, str(path))
+        reach(scenario, key, value, str(path))
     return path, scenario
-
-
-def split_settings(
-    settings: Sequence[str], function: Callable[..., Any], place: str
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(parameters of the function, dotted settings), typed."""
-    known = inspect.signature(function).parameters
-    parameters: dict[str, Any] = {}
-    dotted: dict[str, Any] = {}
-    for setting in settings:
-        key, equals, value = setting.partition("=")
-        if not equals:
-            raise ConfigurationError(f"--set {setting}: expected KEY=VALUE")
-        if "." in key:
-            dotted[key] = _literal(value)
-        elif key in known:
-            parameters[key] = _typed(value, known[key].default, f"{place}: --set {key}")
-        else:
-            raise ConfigurationError(f"{place}: --set {key}: no such launch-time parameter{nearest(key, known)}")
-    return parameters, dotted
 
 
 def resolve(
@@ -307,7 +274,7 @@ def _spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> NodeSp
     return NodeSpec(role, str(file), cls.__name__, parameters, on_exit)
 
 
-def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec]) -> keyexpr.Wiring:
+def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec]) -> Wiring:
     options = {"map": "testbed.toml", "rewrites": [], **scenario.get("keyexpr", {})}
     for key in options:
         if key not in ("map", "rewrites"):
@@ -337,9 +304,9 @@ def _usual_ports() -> dict[str, set[str]]:
 
 def _spelt(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
     """The scenario with the keys that it may be written with as we write them."""
-    spelt = {_ALIASES.get(key, key): value for key, value in scenario.items()}
+    spelt = {ALIASES.get(key, key): value for key, value in scenario.items()}
     if len(spelt) < len(scenario):
-        twice = [f"{key} and {same}" for key, same in _ALIASES.items() if {key, same} <= scenario.keys()]
+        twice = [f"{key} and {same}" for key, same in ALIASES.items() if {key, same} <= scenario.keys()]
         raise ConfigurationError(f"{place}: {', '.join(twice)} are the same: expected one of them")
     return spelt
 
@@ -389,45 +356,6 @@ def _matching(patterns: Mapping[str, Any], name: str, place: str) -> Mapping[str
     if not isinstance(config, Mapping):
         raise ConfigurationError(f"{place}: {name}: found {config!r}, expected a dict")
     return config
-
-
-def _literal(value: str) -> Any:
-    try:
-        return ast.literal_eval(value)
-    except (ValueError, SyntaxError):
-        return {"true": True, "false": False, "none": None}.get(value.lower(), value)
-
-
-def _typed(value: str, default: Any, place: str) -> Any:
-    """A setting in the type of its default."""
-    if isinstance(default, str):
-        return value
-    found = _literal(value)
-    if default is None or default is inspect.Parameter.empty:
-        return found
-    if isinstance(default, float) and type(found) is int:
-        return float(found)
-    if type(found) is not type(default) and not (
-        isinstance(default, (list, tuple)) and isinstance(found, (list, tuple))
-    ):
-        raise ConfigurationError(f"{place}: found {value!r}, expected {type(default).__name__} as in {default!r}")
-    return found
-
-
-def _reach(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> None:
-    """Set what a dotted key names; every step must exist, and the last one is refused later if nobody takes it."""
-    *steps, last = dotted.split(".")
-    scenario |= {key: {} for key in steps[:1] if key in KEYS and key not in scenario}
-    level: Any = scenario
-    for depth, step in enumerate(steps):
-        step = _ALIASES.get(step, step) if depth == 0 else step
-        if not isinstance(level, Mapping) or step not in level:
-            known = level if isinstance(level, Mapping) else ()
-            raise ConfigurationError(f"{place}: --set {dotted}: no {step!r} there{nearest(step, known)}")
-        level = level[step]
-    if not isinstance(level, dict):
-        raise ConfigurationError(f"{place}: --set {dotted}: {'.'.join(steps)} is {level!r}, not a dict")
-    level[last] = value
 
 
 def _plain(value: Any) -> Any:

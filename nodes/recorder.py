@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from mast_zenoh.keyexpr import ANY
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.process import main
+from mast_zenoh.wiring import ANY
 
 
 class Recorder(Node):

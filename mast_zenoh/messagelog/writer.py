@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.keyexpr import Input
 from mast_zenoh.messagelog import channels
 from mast_zenoh.messages import SCHEMAS, Header
+from mast_zenoh.wiring import Input
 
 if TYPE_CHECKING:
     from mcap.writer import Writer

@@ -14,11 +14,11 @@ from typing import Any
 import msgpack
 import zenoh
 
-from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.mesh import MeshNode
 from mast_zenoh.runtime.pacer import Pacer
+from mast_zenoh.wiring import Wiring
 
 #: How long the last messages of a real-time run may be under way before everyone is told to stop.
 REALTIME_GRACE_S = 0.5

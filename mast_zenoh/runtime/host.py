@@ -16,10 +16,10 @@ import numpy as np
 
 from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
-from mast_zenoh.keyexpr import ANY, Input, Ports
 from mast_zenoh.messages import Body, Header, Message
 from mast_zenoh.node import Node, Overheard, Received, handler_names
 from mast_zenoh.streams import stream
+from mast_zenoh.wiring import ANY, Input, Ports
 
 MAX_HELD = 10_000  #: messages held back for a clock that has not come; more are dropped and counted
 

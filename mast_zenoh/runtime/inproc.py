@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.errors import RunError
-from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.scenario import Resolved, build_node
+from mast_zenoh.wiring import Wiring
 
 
 class InProcess:

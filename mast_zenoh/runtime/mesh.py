@@ -22,11 +22,11 @@ from typing import Any
 import msgpack
 import zenoh
 
-from mast_zenoh.keyexpr import Leg, Wiring
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.node import Node
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.wiring import Leg, Wiring
 
 #: What a message carries beside its payload: a mark of this testbed's nodes, the epoch, and the step that it was sent
 #: in. An interposer's messages carry the same as the publisher's would, so there is nothing to tell them by.

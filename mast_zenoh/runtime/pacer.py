@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from mast_zenoh.keyexpr import Wiring
+from mast_zenoh.wiring import Wiring
 
 
 class Pacer:

@@ -18,12 +18,12 @@ from pathlib import Path
 
 from mast_zenoh import loading, registry
 from mast_zenoh.errors import MastError
-from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.driver import Driver
 from mast_zenoh.runtime.mesh import MeshNode
 from mast_zenoh.runtime.session import open_client
 from mast_zenoh.scenario import Resolved
+from mast_zenoh.wiring import Wiring
 
 ORPHAN_GRACE_S = 2.0
 
@@ -58,6 +58,10 @@ def run(node: type[Node], arguments: argparse.Namespace) -> None:
     spec = resolved.nodes[arguments.name]
     built = registry.construct(node, spec.config, f"{arguments.run_folder}/scenario.json: {arguments.name}")
     wiring = Wiring.from_json(resolved.wiring)
+    if resolved.mode == "lockstep" and hasattr(os, "SCHED_BATCH"):
+        # Whoever computes goes on until it is done: in lock-step nobody gains by being let in sooner. Set before the
+        # session is opened, so that Zenoh's threads have it too.
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     with open_client(arguments.endpoint) as session:
         common = (arguments.run, arguments.name, built, wiring, resolved.seed, session)
         if isinstance(built, Source):

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import loading, scenario
+from mast_zenoh import loading
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.settings import split
 
 #: The keys of a study, and of one of its `runs`.
 KEYS = {
@@ -73,7 +74,7 @@ def load(name: str, settings: Sequence[str] = ()) -> Study:
     Raises ConfigurationError, which names the file, the place, what was found and what was expected.
     """
     path, function = loading.function("studies", name, "study")
-    parameters, dotted = scenario.split_settings(settings, function, str(path))
+    parameters, dotted = split(settings, function, str(path))
     if dotted:
         raise ConfigurationError(f"{path}: --set {next(iter(dotted))}: a study has no dotted settings")
     try:

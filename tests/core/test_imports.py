@@ -17,7 +17,7 @@ LAYERS = (
     ("runtime",),
     ("loading", "scenario"),
     ("node",),
-    ("registry", "keyexpr", "messagelog", "codec", "messages", "bundle"),
+    ("registry", "settings", "keyexpr", "wiring", "messagelog", "codec", "messages", "bundle"),
     ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics"),
     ("geometry", "states", "streams", "errors", "__init__"),
 )

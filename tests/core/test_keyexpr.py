@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from mast_zenoh import bundle, keyexpr
 from mast_zenoh.errors import WiringError
-from mast_zenoh.keyexpr import NodeOptions, Wiring
+from mast_zenoh.keyexpr import NodeOptions
+from mast_zenoh.wiring import Input, Wiring, to_mermaid, to_text
 
 MAPS = bundle.ROOT / "keyexpr_maps"
 
@@ -156,9 +157,9 @@ def test_a_missing_or_broken_file_is_named(tmp_path: Path) -> None:
 def test_the_wiring_is_printed_as_text_and_drawn_with_its_rewrites() -> None:
     nodes = {"simulator": SIMULATOR, "ego": AGENT, "adversary_1": interposer(agent="ego"), "broker": BROKER}
     wiring = resolve(nodes, insertion())
-    assert "* agent/ego/detections" in keyexpr.to_text(wiring)
-    assert "simulator ── agent/ego/detections/@tap/0 ──▶ adversary_1" in keyexpr.to_text(wiring)
-    drawn = keyexpr.to_mermaid(wiring)
+    assert "* agent/ego/detections" in to_text(wiring)
+    assert "simulator ── agent/ego/detections/@tap/0 ──▶ adversary_1" in to_text(wiring)
+    drawn = to_mermaid(wiring)
     assert drawn.startswith("flowchart LR")
     assert 'simulator -.->|"agent/ego/detections/@tap/0"| adversary_1' in drawn
 
@@ -170,13 +171,13 @@ def test_a_node_that_hears_every_key_hears_tap_legs_too_and_stands_on_no_wire() 
     assert wiring.wires == without.wires
     heard = wiring.ports("ear").inputs
     assert tuple(heard) == wiring.keys()
-    assert heard["agent/ego/detections/@tap/0"] == keyexpr.Input("everything", "ego", "detections", "simulator")
+    assert heard["agent/ego/detections/@tap/0"] == Input("everything", "ego", "detections", "simulator")
     assert ("agent/ego/detections/@tap/0", "simulator", "ear") in set(wiring.flows())
     assert Wiring.from_json(wiring.to_json()) == wiring
-    lines = keyexpr.to_text(wiring).splitlines()
+    lines = to_text(wiring).splitlines()
     assert lines[-1] == "ear hears every key"
-    assert lines[:-1] == keyexpr.to_text(without).splitlines()
-    assert keyexpr.to_mermaid(wiring) == keyexpr.to_mermaid(without)
+    assert lines[:-1] == to_text(without).splitlines()
+    assert to_mermaid(wiring) == to_mermaid(without)
 
 
 @pytest.mark.parametrize("more", [dict(outputs="tracks:tracks"), dict(inputs="everything:* clock:clock")])

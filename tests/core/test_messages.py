@@ -8,10 +8,10 @@ import pytest
 from mast_zenoh import bundle, loading
 from mast_zenoh.attacks import ACTIONS
 from mast_zenoh.codec import _INDEX_LIMITS
-from mast_zenoh.keyexpr import ANY
 from mast_zenoh.messages import SCHEMAS, text
 from mast_zenoh.node import Node
 from mast_zenoh.states import CLASSES
+from mast_zenoh.wiring import ANY
 
 OURS = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
 

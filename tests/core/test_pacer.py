@@ -1,7 +1,7 @@
 """The next frame begins when nothing is under way, and not before."""
 
-from mast_zenoh.keyexpr import Endpoint, Leg, Wire, Wiring
 from mast_zenoh.runtime.pacer import Pacer
+from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
 
 
 def wire(key: str, publisher: str, *subscribers: str) -> Wire:

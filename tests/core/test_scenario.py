@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from tiny_world import Run, TinyScene, tiny
 
-from mast_zenoh import bundle, loading, scenario, scenes
+from mast_zenoh import bundle, loading, scenario, scenes, settings
 from mast_zenoh.attacks import PassThrough
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, WiringError
 from mast_zenoh.fusion import CommandCenterPipeline
-from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.scenario import Resolved, build_node, load, resolve
+from mast_zenoh.wiring import Wiring
 
 TINY = dict(type="TinyScene", n_infrastructure=2)
 TRACKER = dict(type="KalmanBoxTracker3D")
@@ -79,7 +79,7 @@ def test_a_launch_time_parameter_has_the_type_of_its_default(
     tmp_path: Path, setting: str, expected: dict[str, Any]
 ) -> None:
     _, function = loading.function("scenarios", mine(tmp_path), "scenario")
-    parameters, dotted = scenario.split_settings([setting], function, "mine.py")
+    parameters, dotted = settings.split([setting], function, "mine.py")
     assert parameters == expected
     assert [type(value) for value in parameters.values()] == [type(value) for value in expected.values()]
     assert dotted == {}

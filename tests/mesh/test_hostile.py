@@ -11,8 +11,8 @@ import pytest
 import zenoh
 from launched import Launched, Observer, eventually
 
-from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.messagelog.reader import read
+from mast_zenoh.wiring import Wiring
 
 pytestmark = pytest.mark.mesh
 MESSAGES = 100_000

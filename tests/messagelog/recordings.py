@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh import codec, scenario
-from mast_zenoh.keyexpr import Input
 from mast_zenoh.launch import local
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import Header
+from mast_zenoh.wiring import Input
 
 PERIOD_NS = 10**8
 TAP = "agent/b/detections/@tap/0"

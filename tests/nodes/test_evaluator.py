@@ -9,8 +9,8 @@ from tiny_world import Bench, Run, picture, states, tiny, tracks
 from mast_zenoh.attacks import ACTIONS
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw
-from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.messages import text
+from mast_zenoh.wiring import Wiring
 
 AGENTS = ("ego", "infra_1", "infra_2")
 PLACES = ((10.0, 0.0), (20.0, 5.0))

@@ -5,7 +5,7 @@ import pytest
 from tiny_world import PERIOD_NS, Bench, Run, TinyScene, tiny
 
 from mast_zenoh import geometry
-from mast_zenoh.keyexpr import Wiring
+from mast_zenoh.wiring import Wiring
 
 
 def advance(bench: Bench):

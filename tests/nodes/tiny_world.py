@@ -13,7 +13,6 @@ import pytest
 
 from mast_zenoh import codec, scenario
 from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw, rotation_from_yaw_pitch
-from mast_zenoh.keyexpr import Wiring
 from mast_zenoh.messages import Header, Message
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.host import Host
@@ -24,6 +23,7 @@ from mast_zenoh.scenes.recording import truth_states
 from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
 from mast_zenoh.states import CLASS_INDEX, Detections, ObjectStates
 from mast_zenoh.streams import stream
+from mast_zenoh.wiring import Wiring
 
 PERIOD_NS = 100_000_000
 STILL = np.array([1.0, 0.0, 0.0, 0.0])

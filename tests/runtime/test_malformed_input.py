@@ -12,7 +12,7 @@ from tiny_world import Bench, Run, tiny, tracks
 
 from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
-from mast_zenoh.keyexpr import Wiring
+from mast_zenoh.wiring import Wiring
 
 TOTAL = 100_000
 SCENARIOS = {"baseline": (), "uncoordinated": ("attack_start_s=0.2",), "coordinated": ("attack_start_s=0.2",)}

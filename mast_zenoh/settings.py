@@ -1,0 +1,75 @@
+"""Launch-time settings, `--set KEY=VALUE`: split by what they reach, typed, and put where they belong."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from mast_zenoh.errors import ConfigurationError, nearest
+
+#: The keys of a scenario; docs/scenarios.md says what they hold.
+KEYS = (
+    *("name", "scene", "agents", "broker", "command_center", "evaluator", "adversaries", "coordinator", "nodes"),
+    *("keyexpr", "run"),
+)
+#: Keys as they are also spelt: in the paper's configuration listing.
+ALIASES = {"commandcenter": "command_center"}
+
+
+def split(settings: Sequence[str], function: Callable[..., Any], place: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """(parameters of the function, dotted settings), typed."""
+    known = inspect.signature(function).parameters
+    parameters: dict[str, Any] = {}
+    dotted: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not equals:
+            raise ConfigurationError(f"--set {setting}: expected KEY=VALUE")
+        if "." in key:
+            dotted[key] = _literal(value)
+        elif key in known:
+            parameters[key] = _typed(value, known[key].default, f"{place}: --set {key}")
+        else:
+            raise ConfigurationError(f"{place}: --set {key}: no such launch-time parameter{nearest(key, known)}")
+    return parameters, dotted
+
+
+def reach(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> None:
+    """Set what a dotted key names; every step must exist, and the last one is refused later if nobody takes it."""
+    *steps, last = dotted.split(".")
+    steps[0] = ALIASES.get(steps[0], steps[0])
+    scenario |= {key: {} for key in steps[:1] if key in KEYS and key not in scenario}
+    level: Any = scenario
+    for step in steps:
+        if not isinstance(level, Mapping) or step not in level:
+            known = level if isinstance(level, Mapping) else ()
+            raise ConfigurationError(f"{place}: --set {dotted}: no {step!r} there{nearest(step, known)}")
+        level = level[step]
+    if not isinstance(level, dict):
+        raise ConfigurationError(f"{place}: --set {dotted}: {'.'.join(steps)} is {level!r}, not a dict")
+    level[last] = value
+
+
+def _literal(value: str) -> Any:
+    try:
+        return ast.literal_eval(value)
+    except (ValueError, SyntaxError):
+        return {"true": True, "false": False, "none": None}.get(value.lower(), value)
+
+
+def _typed(value: str, default: Any, place: str) -> Any:
+    """A setting in the type of its default."""
+    if isinstance(default, str):
+        return value
+    found = _literal(value)
+    if default is None or default is inspect.Parameter.empty:
+        return found
+    if isinstance(default, float) and type(found) is int:
+        return float(found)
+    if type(found) is not type(default) and not (
+        isinstance(default, (list, tuple)) and isinstance(found, (list, tuple))
+    ):
+        raise ConfigurationError(f"{place}: found {value!r}, expected {type(default).__name__} as in {default!r}")
+    return found

@@ -1,0 +1,180 @@
+"""What a resolved key-expression map is: wires, their legs, and the ports of every node; as JSON, text and drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+#: The message type of an input port that hears every key: a node that has one publishes nothing.
+ANY = "*"
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """A port of a node."""
+
+    node: str
+    port: str
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One hop of a wire: a key, its one publisher and its subscribers."""
+
+    key: str
+    publisher: Endpoint
+    subscribers: tuple[Endpoint, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """A logical connection. `subject` is the name in its key (the agent of agent/{agent}/pose), else empty."""
+
+    key: str
+    subject: str
+    message: str
+    legs: tuple[Leg, ...]
+
+    @property
+    def interposers(self) -> tuple[str, ...]:
+        """The nodes on the wire, from its publisher to its subscribers."""
+        return tuple(leg.publisher.node for leg in self.legs[1:])
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """What a node hears on one key: the port, the subject, the message type, and who originally speaks."""
+
+    port: str
+    subject: str
+    message: str
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """All keys of one node: inputs by key, outputs by (port, subject)."""
+
+    inputs: Mapping[str, Input]
+    outputs: Mapping[tuple[str, str], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """The key of every port of every node.
+
+    overhearers: ports that hear every key, tap legs included, beside the subscribers of each
+    """
+
+    wires: tuple[Wire, ...]
+    overhearers: tuple[Endpoint, ...] = ()
+
+    def legs(self) -> Iterator[tuple[Wire, Leg]]:
+        """Every leg with its wire."""
+        for wire in self.wires:
+            for leg in wire.legs:
+                yield wire, leg
+
+    def flows(self) -> Iterator[tuple[str, str, str]]:
+        """(key, publisher, subscriber) of whoever hears whom, overhearers included."""
+        for _, leg in self.legs():
+            for end in (*leg.subscribers, *self.overhearers):
+                yield leg.key, leg.publisher.node, end.node
+
+    def keys(self) -> tuple[str, ...]:
+        """Every key, tap legs included, in one fixed order."""
+        return tuple(leg.key for _, leg in self.legs())
+
+    def ports(self, node: str) -> Ports:
+        """The keys of one node."""
+        inputs: dict[str, Input] = {}
+        outputs: dict[tuple[str, str], str] = {}
+        for wire, leg in self.legs():
+            if leg.publisher.node == node:
+                outputs[leg.publisher.port, wire.subject] = leg.key
+            for subscriber in (*leg.subscribers, *self.overhearers):
+                if subscriber.node == node:
+                    inputs[leg.key] = Input(subscriber.port, wire.subject, wire.message, wire.legs[0].publisher.node)
+        return Ports(inputs, outputs)
+
+    def to_json(self) -> dict[str, Any]:
+        """The form of wiring.json; `from_json` reads it back."""
+
+        def leg_json(leg: Leg) -> dict[str, Any]:
+            return {
+                "key": leg.key,
+                "from": leg.publisher.node,
+                "from_port": leg.publisher.port,
+                "to": [end.node for end in leg.subscribers],
+                "to_ports": [end.port for end in leg.subscribers],
+            }
+
+        return {
+            "wires": [
+                {
+                    "key": wire.key,
+                    "subject": wire.subject,
+                    "message": wire.message,
+                    "publisher": wire.legs[0].publisher.node,
+                    "subscribers": [end.node for end in wire.legs[-1].subscribers],
+                    "interposers": list(wire.interposers),
+                    "legs": [leg_json(leg) for leg in wire.legs],
+                }
+                for wire in self.wires
+            ],
+            "overhearers": [{"node": end.node, "port": end.port} for end in self.overhearers],
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Wiring:
+        """The wiring that `to_json` wrote."""
+        return cls(
+            tuple(
+                Wire(
+                    wire["key"],
+                    wire["subject"],
+                    wire["message"],
+                    tuple(
+                        Leg(
+                            leg["key"],
+                            Endpoint(leg["from"], leg["from_port"]),
+                            tuple(map(Endpoint, leg["to"], leg["to_ports"])),
+                        )
+                        for leg in wire["legs"]
+                    ),
+                )
+                for wire in data["wires"]
+            ),
+            tuple(Endpoint(end["node"], end["port"]) for end in data.get("overhearers", ())),
+        )
+
+
+def to_text(wiring: Wiring) -> str:
+    """The wiring as lines: each wire, its chain, rewrites marked."""
+    lines = []
+    for wire in wiring.wires:
+        mark = "*" if wire.interposers else " "
+        first, *rest = wire.legs
+        chain = f"{first.publisher.node} ─▶ " + "".join(f"[{leg.publisher.node}] ─▶ " for leg in rest)
+        lines.append(
+            f"{mark} {wire.key:<34} {chain}{', '.join(end.node for end in wire.legs[-1].subscribers) or '(nobody)'}"
+        )
+        if rest:
+            lines += [
+                f"      {leg.publisher.node} ── {leg.key} ──▶ {', '.join(e.node for e in leg.subscribers)}"
+                for leg in wire.legs
+            ]
+    lines += ["", f"{len(wiring.wires)} wires; * rewritten, [node] inserted"]
+    return "\n".join([*lines, *(f"{end.node} hears every key" for end in wiring.overhearers)])
+
+
+def to_mermaid(wiring: Wiring) -> str:
+    """The wiring as a Mermaid flow chart; inserted nodes and tap legs are marked."""
+    lines = ["flowchart LR"]
+    interposers = sorted({node for wire in wiring.wires for node in wire.interposers})
+    lines += [f"    {node}{{{{{node}}}}}:::inserted" for node in interposers]
+    for wire, leg in wiring.legs():
+        arrow = "-.->" if leg.key != wire.key else "-->"
+        lines += [f'    {leg.publisher.node} {arrow}|"{leg.key}"| {end.node}' for end in leg.subscribers]
+    return "\n".join([*lines, "    classDef inserted fill:#c0392b,color:#fff"])
