@@ -29,6 +29,7 @@ from mast_zenoh.report.style import (
     plain,
 )
 from mast_zenoh.report.view import Boxes, FrameView
+from mast_zenoh.states import Bools, Floats
 
 #: Boxes are drawn at least this long and wide, m, so that a pedestrian is more than a speck.
 _SMALLEST = 1.4
@@ -102,6 +103,7 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
     if recording is None or view.frame >= len(recording):
         return
     x, y, half = window
+    taken: list[tuple[float, float, float, float]] = []
     for index, agent in enumerate(recording.agents):
         at = recording.agent_position[view.frame, index]
         if max(abs(at[0] - x), abs(at[1] - y)) > half:
@@ -120,7 +122,7 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
         # The name goes behind the agent, where its wedge and the traffic that it watches are not.
         behind = -np.array([np.cos(turn), np.sin(turn)])
         inside = np.abs(at[:2] + behind * 0.25 * half - [x, y]) < half
-        side = np.where(inside, behind, -behind) > 0
+        side = _free_side(taken, at, len(agent.name), half, np.where(inside, behind, -behind) > 0)
         axes.annotate(
             plain(agent.name),
             (at[0], at[1]),
@@ -134,6 +136,25 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
             path_effects=_HALO,
             zorder=6,
         )
+
+
+def _free_side(
+    taken: list[tuple[float, float, float, float]], at: Floats, letters: int, half: float, wanted: Bools
+) -> tuple[bool, bool]:
+    """(right, above): where a name stands beside `at` without lying on another; as `wanted` if that is free.
+
+    taken: what the names before it cover, as left, right, bottom, top in m; this one is added
+    """
+    width, height = 0.045 * letters * half, 0.09 * half
+    right, above = bool(wanted[0]), bool(wanted[1])
+    for choice in ((right, above), (right, not above), (not right, above), (not right, not above)):
+        left = at[0] if choice[0] else at[0] - width
+        low = at[1] if choice[1] else at[1] - height
+        box = (left, left + width, low, low + height)
+        if not any(box[0] < t[1] and t[0] < box[1] and box[2] < t[3] and t[2] < box[3] for t in taken):
+            taken.append(box)
+            return choice
+    return right, above
 
 
 def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:

@@ -93,7 +93,7 @@ def birdseye_figure(view: FrameView) -> Figure:
     view = clipped(view, shown)
     figure = _dark_figure([view], 12.0, 6.4)
     for index, (estimator, title) in enumerate(_PANELS.items()):
-        axes = _panel(figure, 0.6 + 5.82 * index, 0.4, 5.46, 5.46)
+        axes = _panel(figure, 0.7 + 5.82 * index, 0.4, 5.4, 5.4)
         draw_birdseye(axes, view, estimator, shown)
         if index:
             axes.set_ylabel("")
@@ -127,13 +127,13 @@ def side_by_side_figure(views: Mapping[str, FrameView], rows: Sequence[SummaryRo
     shown = window(list(views.values()))
     views = {label: clipped(view, shown) for label, view in views.items()}
     pitch = 14.4 / columns
-    side, foot = pitch - 0.62, 1.62
+    side, foot = pitch - 0.74, 1.62
     lines = -(-len(views) // columns)
     figure = _dark_figure(list(views.values()), 14.4, lines * (side + foot) + 0.05)
     by_label = {row.run: row for row in rows}
     for index, (label, view) in enumerate(views.items()):
         line, column = divmod(index, columns)
-        left, top = 0.5 + column * pitch, 0.38 + line * (side + foot)
+        left, top = 0.66 + column * pitch, 0.38 + line * (side + foot)
         axes = _panel(figure, left, top, side, side)
         draw_birdseye(axes, view, "picture", shown)
         _title(axes, label, view, 14.0)
