@@ -17,6 +17,7 @@ never on their order: `mast_zenoh.fusion.collation.Gather` is there for that.
 from __future__ import annotations
 
 import logging
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -135,14 +136,14 @@ class Node:
         return {}
 
 
-class Source(Node):
+class Source(Node, ABC):
     """A node that drives the scene: the runtime asks it for the next frame when it is time."""
 
     period_ns: int = 100_000_000
 
+    @abstractmethod
     def advance(self, context: Context) -> bool:
         """Publish the next frame; False when there is none."""
-        raise NotImplementedError
 
 
 def handler_names(node: type[Node]) -> dict[str, str]:
