@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from math import prod
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgpack
 import numpy as np
@@ -37,9 +37,19 @@ _MAX_SQUARES = MAX_MAGNITUDE**2
 assert sys.byteorder == "little", "columns are sent as they lie in memory"
 
 
-#: A column, its dtype, its shape as a tuple and as a list, and its bytes.
-_Planned = tuple[Column, "np.dtype[Any] | None", tuple[int, ...], list[int], int]
 _MAX_PLANS = 1024
+
+
+class _Planned(NamedTuple):
+    """What one column of a body of known sizes must hold; `dtype` is None for text. `limit`: see `_limit`."""
+
+    column: Column
+    dtype: np.dtype[Any] | None
+    dtype_name: str
+    shape: tuple[int, ...]
+    dims: list[int]
+    n_bytes: int
+    limit: float
 
 
 def _index_limit(column: Column) -> int:
@@ -58,7 +68,6 @@ class _Layout:
     """The shapes that the columns of one schema must have, for given sizes of its letters; remembered."""
 
     def __init__(self, schema: Schema) -> None:
-        self.dtypes = [_WIRE_DTYPE.get(column.dtype) for column in schema.columns]
         #: for each letter, the column and the axis that give its size
         self._letters: dict[str, tuple[str, int]] = {}
         for column in schema.columns:
@@ -67,41 +76,46 @@ class _Layout:
                     self._letters.setdefault(size, (column.name, axis))
         self.sources = tuple(self._letters.values())
         self._schema = schema
-        self._templates = [column.shape for column in schema.columns]
-        self._known: dict[tuple[int, ...], list[tuple[int, ...]]] = {}
-        self._plans: dict[tuple[int, ...], list[_Planned]] = {}
-        #: column, dtype, and its limit: the least square of a quaternion, or what an index must be below
         self._checks = [(column.name, column.dtype, _limit(column)) for column in schema.columns]
-
-    def shapes(self, sizes: tuple[int, ...]) -> list[tuple[int, ...]]:
-        """The shape of every column; `sizes` are those of `sources`, in their order. ValueError if one is no size."""
-        found = self._known.get(sizes)
-        if found is None:
-            if not all(type(size) is int and 0 <= size <= MAX_ROWS for size in sizes):
-                raise ValueError
-            of = self.named(sizes)
-            found = [tuple(of[s] if isinstance(s, str) else s for s in shape) for shape in self._templates]
-            if len(self._known) < _MAX_PLANS:
-                self._known[sizes] = found
-        return found
+        self._plans: dict[tuple[int, ...], list[_Planned]] = {}
 
     def named(self, sizes: tuple[int, ...]) -> dict[str, int]:
         """The sizes by letter."""
         return dict(zip(self._letters, sizes, strict=True))
+
+    def plan(self, sizes: tuple[int, ...]) -> list[_Planned]:
+        """For every column what a body must hold; `sizes` are those of `sources`, in their order.
+
+        Raises ValueError if one is no size.
+        """
+        plan = self._plans.get(sizes)
+        if plan is None:
+            if not all(type(size) is int and 0 <= size <= MAX_ROWS for size in sizes):
+                raise ValueError
+            of = self.named(sizes)
+            plan = []
+            for column in self._schema.columns:
+                shape = tuple(of[size] if isinstance(size, str) else size for size in column.shape)
+                dtype = _WIRE_DTYPE.get(column.dtype)
+                n_bytes = prod(shape) * (dtype.itemsize if dtype else 0)
+                name = _DTYPE_NAME[column.dtype]
+                plan.append(_Planned(column, dtype, name, shape, list(shape), n_bytes, _limit(column)))
+            if len(self._plans) < _MAX_PLANS:
+                self._plans[sizes] = plan
+        return plan
 
     def quick(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """The columns of a packed body with nothing odd about it; None where there is, whatever it may be."""
         columns: dict[str, NDArray[Any]] = {}
         floats: list[bytes] = []
         try:
-            for column, dtype, shape, dims, n_bytes in self._plan(
-                tuple([body[n][1][axis] for n, axis in self.sources])
-            ):
+            plan = self.plan(tuple([body[name][1][axis] for name, axis in self.sources]))
+            for column, dtype, dtype_name, shape, dims, n_bytes, limit in plan:
                 found_dtype, found_dims, data = body[column.name]
                 if dtype is None:
                     columns[column.name] = _array(self._schema.name, column, body[column.name], {})
                     continue
-                if found_dtype != dtype.str or found_dims != dims or type(data) is not bytes or len(data) != n_bytes:
+                if found_dtype != dtype_name or found_dims != dims or type(data) is not bytes or len(data) != n_bytes:
                     return None
                 for size in found_dims:
                     if type(size) is not int:  # 3.0 and True are equal to whole numbers
@@ -109,9 +123,9 @@ class _Layout:
                 columns[column.name] = array = np.ndarray(shape, dtype, data)
                 if column.dtype == "float64":
                     floats.append(data)
-                    if column.name.endswith("rotation") and np.vdot(array, array) < LEAST_QUATERNION**2:
+                    if limit and np.vdot(array, array) < limit:
                         return None
-                elif column.dtype == "uint8" and data and max(data) >= _index_limit(column):
+                elif limit and data and max(data) >= limit:
                     return None
         except (KeyError, IndexError, TypeError, ValueError, MessageError):
             return None
@@ -140,18 +154,6 @@ class _Layout:
         # Less than this in all is less than what a column may have by itself.
         return n_bytes <= MAX_BYTES and bool(squares <= _MAX_SQUARES)
 
-    def _plan(self, sizes: tuple[int, ...]) -> list[_Planned]:
-        """For every column what a body of these sizes must hold."""
-        plan = self._plans.get(sizes)
-        if plan is None:
-            plan = [
-                (column, dtype, shape, list(shape), prod(shape) * (dtype.itemsize if dtype else 0))
-                for column, dtype, shape in zip(self._schema.columns, self.dtypes, self.shapes(sizes), strict=True)
-            ]
-            if len(self._plans) < _MAX_PLANS:
-                self._plans[sizes] = plan
-        return plan
-
 
 _LAYOUTS = {name: _Layout(schema) for name, schema in SCHEMAS.items()}
 
@@ -165,16 +167,15 @@ def conform(header: Header, body: Body) -> Message:
     if len(body) != len(schema.columns):
         raise MessageError(_names_differ(schema.name, body, schema.columns))
     layout = _LAYOUTS[schema.name]
-    shapes: list[tuple[int, ...]] | None = None
     sizes: dict[str, int] = {}
     try:
         found = tuple([body[name].shape[axis] for name, axis in layout.sources])
-        shapes, sizes = layout.shapes(found), layout.named(found)
+        shapes = [planned.shape for planned in layout.plan(found)]
     except (KeyError, IndexError, ValueError):
-        pass  # what is odd is told below
+        shapes = []  # what is odd is told below
     columns: dict[str, NDArray[Any]] = {}
     for index, column in enumerate(schema.columns):
-        name, wire = column.name, layout.dtypes[index]
+        name, wire = column.name, _WIRE_DTYPE.get(column.dtype)
         if name not in body:
             raise MessageError(_names_differ(schema.name, body, schema.columns))
         array = body[name]
@@ -184,8 +185,8 @@ def conform(header: Header, body: Body) -> Message:
             if array.flags.writeable:
                 array = array.view()
                 array.setflags(write=False)
-        if shapes is None or array.shape != shapes[index]:
-            _check_shape(schema.name, column, array.shape, sizes)
+        if not shapes or array.shape != shapes[index]:
+            _check_shape(schema.name, column, array.shape, layout.named(found) if shapes else sizes)
         columns[name] = array
     return Message(header, columns)
 
