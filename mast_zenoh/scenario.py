@@ -18,6 +18,7 @@ from typing import Any
 
 from mast_zenoh import bundle, keyexpr, loading, registry, scenes
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
+from mast_zenoh.faults.steps import ProcessStep
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.node import Node
 from mast_zenoh.scenes.recording import Recording, SceneAgent
@@ -50,6 +51,7 @@ class Resolved:
     """A scenario with nothing left to decide.
 
     modules: the user's Python files that define algorithms named in it; whoever builds its nodes runs them first
+    steps: what happens to processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
     """
 
     name: str
@@ -62,6 +64,9 @@ class Resolved:
     wiring: dict[str, Any]
     scene: dict[str, Any]
     modules: tuple[str, ...] = ()
+    steps: tuple[ProcessStep, ...] = ()
+    timeline: tuple[dict[str, Any], ...] = ()
+    network: dict[str, Any] = field(default_factory=dict)
     recording: Recording | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
@@ -70,14 +75,17 @@ class Resolved:
             name: {"role": s.role, "file": s.file, "type": s.type, "on_exit": s.on_exit, "config": _plain(s.config)}
             for name, s in self.nodes.items()
         }
-        names = ("name", "seed", "mode", "rate", "frames", "period_ns", "scene", "modules")
-        return {**{name: getattr(self, name) for name in names}, "nodes": nodes}
+        names = ("name", "seed", "mode", "rate", "frames", "period_ns", "scene", "modules", "timeline", "network")
+        steps = [step._asdict() for step in self.steps]
+        return {**{name: getattr(self, name) for name in names}, "steps": steps, "nodes": nodes}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], wiring: dict[str, Any]) -> Resolved:
         """What `to_json` wrote."""
         nodes = {name: NodeSpec(**spec) for name, spec in data["nodes"].items()}
-        return cls(**{**data, "nodes": nodes, "wiring": wiring, "modules": tuple(data["modules"])})
+        steps = tuple(ProcessStep(**step) for step in data["steps"])
+        lists = {name: tuple(data[name]) for name in ("modules", "timeline")}
+        return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps})
 
     @classmethod
     def read(cls, run_folder: Path) -> Resolved:

@@ -14,11 +14,12 @@ LAYERS = (
     ("study",),
     ("report",),
     ("launch",),
+    ("checks",),
     ("runtime",),
     ("loading", "scenario"),
     ("node",),
     ("registry", "settings", "keyexpr", "wiring", "messagelog", "codec", "messages", "bundle"),
-    ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics"),
+    ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics", "links", "faults"),
     ("geometry", "states", "streams", "errors", "__init__"),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
@@ -46,7 +47,8 @@ def test_imports_run_down(path: Path) -> None:
             assert RANK[parts[1]] >= RANK[own], f"imports {name}, which stands above it"
 
 
-PURE = [path for path in FILES if path.relative_to(PACKAGE).parts[0] in {"tracking", "fusion", "attacks", "metrics"}]
+ALGORITHMS = {"tracking", "fusion", "attacks", "metrics", "links", "faults"}
+PURE = [path for path in FILES if path.relative_to(PACKAGE).parts[0] in ALGORITHMS]
 FORBIDDEN = {"zenoh", "socket", "time", "random", "os", "subprocess", "threading", "asyncio"}
 
 
