@@ -18,6 +18,8 @@ lint: .venv/ready
 bench: .venv/ready
 	$(BIN)/python benchmarks/lockstep.py
 	$(BIN)/python benchmarks/inproc.py
+	$(BIN)/python benchmarks/secure.py
+	$(BIN)/python benchmarks/link.py
 
 docs: .venv/ready
 	$(BIN)/python -m mast_zenoh.documentation docs

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
+from typer.core import TyperCommand
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import Interrupted, MastError
+from mast_zenoh.security import levels
 from mast_zenoh.wiring import Wiring, to_mermaid, to_text
 
 if TYPE_CHECKING:
@@ -35,9 +37,25 @@ Scenario = Annotated[
 Out = Annotated[Path | None, typer.Option(help="Folder for the results; new or empty. Default: runs/NAME-TIME.")]
 Frames = Annotated[int | None, typer.Option(min=1, help="How many frames to play.")]
 Seed = Annotated[int | None, typer.Option(min=0, help="Of all random draws.")]
+Secure = Annotated[
+    Literal["open", "tls", "mtls", "acl"],
+    typer.Option("--secure", metavar="[LEVEL]", help="Secure the mesh: tls, mtls, or acl, which is meant without one."),
+]
 
 
-@app.command()
+class SecureCommand(TyperCommand):
+    """A command whose option `--secure` may stand alone."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put in the level that was left out."""
+        spelt = list(args)
+        for index, (word, following) in enumerate(zip(args, [*args[1:], ""], strict=True)):
+            if word == "--secure" and following not in levels.LEVELS:
+                spelt[index] = f"--secure={levels.SECURE}"
+        return super().parse_args(ctx, spelt)
+
+
+@app.command(cls=SecureCommand)
 def run(
     scenario_file: Scenario,
     settings: Settings = None,
@@ -48,6 +66,7 @@ def run(
     rate: Annotated[float | None, typer.Option(help="Real time: how many times faster than the wall clock.")] = None,
     out: Out = None,
     endpoint: Annotated[str | None, typer.Option(help="Of a Zenoh router that runs already, tcp/HOST:PORT.")] = None,
+    secure: Secure = "open",
     report: Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")] = True,
     record: Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")] = True,
 ) -> None:
@@ -60,7 +79,10 @@ def run(
         raise typer.BadParameter(
             "real time needs the mesh: one process has no network to be late on", param_hint="--mode"
         )
-    ended = local.run(resolved, out, runtime=runtime, endpoint=endpoint, console=_out)
+    if secure != "open" and (runtime == "inproc" or endpoint):
+        where = f"the router at {endpoint} is another's" if endpoint else "one process has no mesh"
+        raise typer.BadParameter(f"a secure mesh has a router of its own: {where}", param_hint="--secure")
+    ended = local.run(resolved, out, runtime=runtime, endpoint=endpoint, secure=secure, console=_out)
     from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
 
     if (ended.folder / "metrics.json").is_file():
@@ -94,6 +116,11 @@ def study(
     from mast_zenoh.study import definition
 
     loaded = definition.load(study_file, settings or ())
+    if loaded.security:
+        if trials or jobs or cluster or resume or runtime == "inproc":
+            raise typer.BadParameter("an outsider is let loose once at each level, on the mesh", param_hint=study_file)
+        _besiege(loaded, out, seed=seed, frames=frames)
+        return
     count = trials or loaded.trials
     if count is None and not (jobs or cluster or resume):
         _compare(loaded, out, frames=frames, seed=seed, runtime=runtime)
@@ -131,6 +158,17 @@ def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
     _out.print(f"report: {html.write_study_report(ended.out, ended.folders)}", highlight=False)
 
 
+def _besiege(loaded: Study, out: Path | None, **options: Any) -> None:
+    """Every configuration at every level of security, with an outsider who tries to get at it."""
+    from mast_zenoh.report import attempts_table
+    from mast_zenoh.study.rogue import comparison
+
+    ended = comparison.run(loaded, out, console=_out, **options)
+    _out.print(attempts_table.as_rich(ended.rows))
+    for path in ended.files:
+        _out.print(str(path), markup=False, highlight=False)
+
+
 @app.command()
 def wiring(
     scenario_file: Scenario,
@@ -166,6 +204,50 @@ def diff(
     for line in explain(found):
         _out.print(line, markup=False, highlight=False)
     raise typer.Exit(0 if found.first is None else 1)
+
+
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run that goes on.")]
+
+
+@app.command()
+def intercept(
+    run_folder: RunFolder,
+    wire: Annotated[str, typer.Option(help="The wire to sit on: agent/infra_2/tracks.")],
+    node: Annotated[str, typer.Option("--with", metavar="NODE.py", help="A node's file, or the name of one of ours.")],
+    name: Annotated[str | None, typer.Option(help="Of the new node. Default: its file's, with a number.")] = None,
+    input: Annotated[str | None, typer.Option(metavar="PORT", help="Where it takes the wire's messages.")] = None,
+    output: Annotated[str | None, typer.Option(metavar="PORT", help="Where it passes them on.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the node, or a dotted path.")
+    ] = None,
+) -> None:
+    """Put a node on a wire of a run that goes on: no message is lost, doubled or out of order."""
+    from mast_zenoh.launch import asking
+
+    done = asking.intercept(run_folder, wire, node, name=name, input=input, output=output, settings=settings or ())
+    _say_done(f"{done['node']} is on", done)
+
+
+@app.command()
+def release(
+    run_folder: RunFolder,
+    name: Annotated[str | None, typer.Option(help="The node to take off its wires.")] = None,
+    wire: Annotated[str | None, typer.Option(help="Or the wire whose only node is meant.")] = None,
+) -> None:
+    """Take a node off its wires while the run goes on, when it has passed on what it got."""
+    from mast_zenoh.launch import asking
+
+    if (name is None) == (wire is None):
+        raise typer.BadParameter("say --name or --wire", param_hint="--name / --wire")
+    done = asking.release(run_folder, name=name, wire=wire)
+    _say_done(f"{done['node']} is off", done)
+
+
+def _say_done(what: str, done: dict[str, Any]) -> None:
+    where = ", ".join(done["wires"])
+    _out.print(
+        f"{what} {where} from frame {done['frame']} on ({done['took_ms']:.1f} ms)", markup=False, highlight=False
+    )
 
 
 @app.command()

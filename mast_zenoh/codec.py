@@ -9,7 +9,7 @@ Arrays are raw little-endian bytes in C order; decoding makes read-only views of
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import prod
 from typing import Any, NamedTuple
 
@@ -29,9 +29,11 @@ MAX_MAGNITUDE = 1e9  #: no quantity of a scene in SI units comes near it; more w
 LEAST_QUATERNION = 1e-3  #: length of a quaternion; they are normalised by those who use them
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
+_MAP_OF_6, _MAP_OF_7, _BODY_KEY = b"\x86", b"\x87", b"\xa4body"
+_LONGEST_HEADER = 4096  #: bytes
 _WIRE_DTYPE = {name: np.dtype(name).newbyteorder("<") for name in ("float64", "int64", "int32", "uint8")}
 _DTYPE_NAME = {name: dtype.str for name, dtype in _WIRE_DTYPE.items()} | {"str": "str"}
-_INDEX_LIMITS = {"class_id": len(CLASSES), "action": 3}
+_INDEX_LIMITS = {"class_id": len(CLASSES), "action": 3, "port": 5, "fate": 5}
 _HEADER_LIMIT = 1 << 62
 _MAX_SQUARES = MAX_MAGNITUDE**2
 assert sys.byteorder == "little", "columns are sent as they lie in memory"
@@ -234,6 +236,56 @@ def decode(payload: bytes, expected: str) -> Message:
     message = Message(header, _columns(schema, body))
     _check_references(message)
     return message
+
+
+class Unopened(Mapping[str, NDArray[Any]]):
+    """The columns of a message whose body nobody has looked at: whoever does so first decodes them.
+
+    Then raises MessageError where `decode` would have, as often as somebody looks.
+    """
+
+    __slots__ = ("_columns", "_expected", "_payload")
+
+    def __init__(self, payload: bytes, expected: str) -> None:
+        self._payload, self._expected = payload, expected
+        self._columns: Body | None = None
+
+    def _open(self) -> Body:
+        if self._columns is None:
+            self._columns = decode(self._payload, self._expected).body
+        return self._columns
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._open()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._open())
+
+    def __len__(self) -> int:
+        return len(self._open())
+
+
+def decode_unopened(payload: bytes, expected: str) -> Message:
+    """As `decode`, but only the header is checked now, and the body when somebody looks at it."""
+    header = _quick_header(payload, expected) or decode_header(payload, expected)
+    return Message(header, Unopened(payload, expected))
+
+
+def _quick_header(payload: bytes, expected: str) -> Header | None:
+    """The header of a message with nothing odd about it, without touching its body; None where there is."""
+    end = payload.find(_BODY_KEY, 0, _LONGEST_HEADER)
+    if payload[:1] != _MAP_OF_7 or end < 0 or len(payload) > MAX_BYTES:
+        return None
+    try:
+        fields = msgpack.unpackb(_MAP_OF_6 + payload[1:end], strict_map_key=True, max_ext_len=0, max_map_len=6)
+        schema, version, source, frame, time_ns, seq = [fields[name] for name in _HEADER_KEYS[:-1]]
+    except Exception:  # whatever it is, the slow way finds out
+        return None
+    if schema != expected or type(version) is not int or version != SCHEMAS[expected].version:
+        return None
+    header = Header(schema, source, frame, time_ns, seq)
+    _check_header(header)
+    return header
 
 
 def decode_header(payload: bytes, expected: str) -> Header:

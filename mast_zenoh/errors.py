@@ -7,11 +7,17 @@
     ├── SceneError               13   a scene's data is missing, truncated or inconsistent
     ├── MessageError             14   bytes that are not a message of the expected schema
     ├── RunFolderError           15   a run folder is missing, incomplete or already in use
+    ├── CredentialsError         16   a certificate or key is missing, expired or refused
     └── RunError                 20   a run ended badly
         ├── StartError           21   the nodes did not all come up in time
         ├── NodeDied             22   a node whose policy is `fail` ended
         ├── StallError           23   lock-step made no progress in time
         ├── TrialsFailed         24   some trials of a study failed; the others are kept
+        ├── BackendError         25   this machine cannot carry out a fault
+        ├── NotRunning           26   a run that is to be changed does not run
+        ├── EngineError          27   an engine, a host or an image is missing, out of reach, or has failed
+        ├── DiskFull             28   there is no room for what a run writes
+        ├── VersionMismatch      29   a node elsewhere runs another version
         └── Interrupted         130   Ctrl-C or SIGTERM
 
 A wrong word on the command line exits with 2, as everywhere.
@@ -65,6 +71,12 @@ class RunFolderError(MastError):
     exit_code = 15
 
 
+class CredentialsError(MastError):
+    """A certificate or key is missing, expired or refused: names the file or the endpoint, and the reason."""
+
+    exit_code = 16
+
+
 class RunError(MastError):
     """A run ended badly."""
 
@@ -93,6 +105,36 @@ class TrialsFailed(RunError):
     """Some trials of a study failed: names each with the command that runs it alone; the others are kept."""
 
     exit_code = 24
+
+
+class BackendError(RunError):
+    """This machine, or this way of running, cannot carry out a fault: says what lacks, and what to install."""
+
+    exit_code = 25
+
+
+class NotRunning(RunError):
+    """A run that is to be changed does not run any more, plays in one process, or does not answer."""
+
+    exit_code = 26
+
+
+class EngineError(RunError):
+    """An engine, a host or an image is missing, out of reach, or has failed: says which, and what to do."""
+
+    exit_code = 27
+
+
+class DiskFull(RunError):
+    """There is no room for what a run writes: names the place, what is free and what is needed."""
+
+    exit_code = 28
+
+
+class VersionMismatch(RunError):
+    """A node elsewhere runs another version than the launcher: names both."""
+
+    exit_code = 29
 
 
 class Interrupted(RunError):

@@ -168,6 +168,19 @@ SCHEMAS: dict[str, Schema] = {
             ),
         ),
         Schema(
+            "link_report",
+            1,
+            "what a link did to messages in the step before; for the evaluator only",
+            (
+                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES"),
+                Column("frame", "int64", ("n",), "", "frame of the message"),
+                Column("seq", "int64", ("n",), "", "sequence number of the message"),
+                Column("fate", "uint8", ("n",), "", "index into mast_zenoh.links.FATES"),
+                Column("rule", "int64", ("n",), "", "index of the rule that did it, among those up or down"),
+                Column("delay_s", "float64", ("n",), "s", "by which it is late; 0 where it was dropped"),
+            ),
+        ),
+        Schema(
             "observation",
             1,
             "what an adversary sees on its wire, for its coordinator, world frame",

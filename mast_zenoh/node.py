@@ -18,12 +18,13 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from mast_zenoh import codec
 from mast_zenoh.messages import Body, Header, Message
 from mast_zenoh.wiring import Input
 
@@ -57,6 +58,11 @@ class Received(NamedTuple):
         """The columns."""
         return self.message.body
 
+    @property
+    def encoded(self) -> bytes:
+        """Its bytes: as they came, or as they would have been sent."""
+        return codec.encode(self.message) if self.payload is None else self.payload
+
 
 @dataclass(frozen=True, slots=True)
 class Overheard:
@@ -77,7 +83,8 @@ class Overheard:
 class Context(Protocol):
     """What a node may do. `frame` and `time_ns` are those of the newest clock it has got; -1 and 0 before the first.
 
-    hears: what it hears, by key
+    now_ns: what time it is, ns since the scene began: `time_ns` in lock-step; in real time it goes on between clocks
+    hears:  what it hears, by key
     """
 
     name: str
@@ -86,6 +93,11 @@ class Context(Protocol):
     time_ns: int
     log: logging.Logger
     hears: Mapping[str, Input]
+
+    @property
+    def now_ns(self) -> int:
+        """See the class."""
+        ...
 
     def publish(
         self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None
@@ -98,8 +110,25 @@ class Context(Protocol):
         """
         ...
 
-    def relay(self, port: str, received: Received, body: Body | None = None) -> None:
-        """Pass a message on with its header as it was, and its body as it was or changed."""
+    def relay(
+        self,
+        port: str,
+        received: Received,
+        body: Body | None = None,
+        *,
+        payload: bytes | None = None,
+        time_ns: int | None = None,
+        after_s: float = 0.0,
+    ) -> None:
+        """Pass a message on with its header as it was, and its body as it was or changed.
+
+        payload: send exactly these bytes instead, sound or not; excludes `body` and `time_ns`
+        time_ns: the time in its header, ns, 0 or more
+        after_s: it leaves that much later, s: in simulated time in lock-step, where what happens within a frame's
+                 interval is in that frame; on the wall clock in real time. Only for nodes that hear the clock.
+
+        Passing it on again sends it twice, with the same number. Raises ConfigurationError for what cannot be sent.
+        """
         ...
 
     def connected(self, port: str, subject: str | None = None) -> bool:
@@ -121,6 +150,11 @@ class Node:
     #: input ports and output ports: name to message type
     inputs: ClassVar[Mapping[str, str]] = {}
     outputs: ClassVar[Mapping[str, str]] = {}
+    #: input ports whose messages it passes on without looking at them: only their headers are checked, and what is
+    #: malformed behind them is passed on as well. Looking at `body` is possible, and raises MessageError then.
+    unopened: ClassVar[Collection[str]] = ()
+    #: whether its handlers do so little that in real time it is called by the thread that brings a message, at once
+    prompt: ClassVar[bool] = False
 
     def start(self, context: Context) -> None:
         """Called once, before the first frame."""
@@ -132,7 +166,7 @@ class Node:
         """Another node has gone."""
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Called once, after the last frame; what it returns is collected by the launcher."""
+        """Called once, after the last frame; what it returns is collected by the launcher. It can publish no more."""
         return {}
 
 

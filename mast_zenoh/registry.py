@@ -13,11 +13,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import attacks, fusion, metrics, scenes, sensing, tracking
+from mast_zenoh import attacks, faults, fusion, links, metrics, scenes, sensing, tracking
 from mast_zenoh.errors import ConfigurationError, nearest
 
 #: Importing these defines the algorithms that can be named.
-ALGORITHMS = (attacks, fusion, metrics, scenes, sensing, tracking)
+ALGORITHMS = (attacks, faults, fusion, links, metrics, scenes, sensing, tracking)
 
 
 def known_types(base: type) -> dict[str, type]:

@@ -12,7 +12,7 @@ from mast_zenoh.errors import ConfigurationError, nearest
 #: The keys of a scenario; docs/scenarios.md says what they hold.
 KEYS = (
     *("name", "scene", "agents", "broker", "command_center", "evaluator", "adversaries", "coordinator", "nodes"),
-    *("keyexpr", "run"),
+    *("links", "faults", "hosts", "keyexpr", "run"),
 )
 #: Keys as they are also spelt: in the paper's configuration listing.
 ALIASES = {"commandcenter": "command_center"}
@@ -34,6 +34,23 @@ def split(settings: Sequence[str], function: Callable[..., Any], place: str) -> 
         else:
             raise ConfigurationError(f"{place}: --set {key}: no such launch-time parameter{nearest(key, known)}")
     return parameters, dotted
+
+
+def nested(settings: Sequence[str]) -> dict[str, Any]:
+    """A dict of settings; a dotted key reaches into a dict within it, which is made where there is none."""
+    made: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not equals:
+            raise ConfigurationError(f"--set {setting}: expected KEY=VALUE")
+        *steps, last = key.split(".")
+        level = made
+        for step in steps:
+            level = level.setdefault(step, {})
+            if not isinstance(level, dict):
+                raise ConfigurationError(f"--set {setting}: {step} is {level!r}, not a dict")
+        level[last] = _literal(value)
+    return made
 
 
 def reach(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> None:

@@ -28,18 +28,43 @@ class Leg:
 
 
 @dataclass(frozen=True, slots=True)
+class Branch:
+    """What stands before one subscriber of a wire alone: leaves the trunk at `entrance`, and ends at `subscriber`."""
+
+    entrance: Endpoint
+    subscriber: Endpoint
+    legs: tuple[Leg, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Wire:
-    """A logical connection. `subject` is the name in its key (the agent of agent/{agent}/pose), else empty."""
+    """A logical connection. `subject` is the name in its key (the agent of agent/{agent}/pose), else empty.
+
+    legs: the trunk, which all subscribers hear; its last leg has the wire's key, and is heard by those subscribers
+          that have no branch and by the entrances of the branches
+    """
 
     key: str
     subject: str
     message: str
     legs: tuple[Leg, ...]
+    branches: tuple[Branch, ...] = ()
+
+    @property
+    def every_leg(self) -> tuple[Leg, ...]:
+        """The legs of the trunk and then of the branches."""
+        return (*self.legs, *(leg for branch in self.branches for leg in branch.legs))
 
     @property
     def interposers(self) -> tuple[str, ...]:
-        """The nodes on the wire, from its publisher to its subscribers."""
-        return tuple(leg.publisher.node for leg in self.legs[1:])
+        """The nodes on the wire: those of the trunk from the publisher on, then those of each branch."""
+        return tuple(leg.publisher.node for leg in self.every_leg[1:])
+
+    @property
+    def subscribers(self) -> tuple[Endpoint, ...]:
+        """Whom the wire is for, behind branches or not."""
+        behind = {branch.entrance: branch.subscriber for branch in self.branches}
+        return tuple(behind.get(end, end) for end in self.legs[-1].subscribers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +96,9 @@ class Wiring:
     overhearers: tuple[Endpoint, ...] = ()
 
     def legs(self) -> Iterator[tuple[Wire, Leg]]:
-        """Every leg with its wire."""
+        """Every leg, of trunks and branches, with its wire."""
         for wire in self.wires:
-            for leg in wire.legs:
+            for leg in wire.every_leg:
                 yield wire, leg
 
     def flows(self) -> Iterator[tuple[str, str, str]]:
@@ -101,13 +126,14 @@ class Wiring:
     def to_json(self) -> dict[str, Any]:
         """The form of wiring.json; `from_json` reads it back."""
 
-        def leg_json(leg: Leg) -> dict[str, Any]:
+        def leg_json(leg: Leg, before: str = "") -> dict[str, Any]:
             return {
                 "key": leg.key,
                 "from": leg.publisher.node,
                 "from_port": leg.publisher.port,
                 "to": [end.node for end in leg.subscribers],
                 "to_ports": [end.port for end in leg.subscribers],
+                **({"before": before} if before else {}),
             }
 
         return {
@@ -117,9 +143,12 @@ class Wiring:
                     "subject": wire.subject,
                     "message": wire.message,
                     "publisher": wire.legs[0].publisher.node,
-                    "subscribers": [end.node for end in wire.legs[-1].subscribers],
+                    "subscribers": [end.node for end in wire.subscribers],
                     "interposers": list(wire.interposers),
-                    "legs": [leg_json(leg) for leg in wire.legs],
+                    "legs": [
+                        *(leg_json(leg) for leg in wire.legs),
+                        *(leg_json(leg, branch.subscriber.node) for branch in wire.branches for leg in branch.legs),
+                    ],
                 }
                 for wire in self.wires
             ],
@@ -130,24 +159,28 @@ class Wiring:
     def from_json(cls, data: Mapping[str, Any]) -> Wiring:
         """The wiring that `to_json` wrote."""
         return cls(
-            tuple(
-                Wire(
-                    wire["key"],
-                    wire["subject"],
-                    wire["message"],
-                    tuple(
-                        Leg(
-                            leg["key"],
-                            Endpoint(leg["from"], leg["from_port"]),
-                            tuple(map(Endpoint, leg["to"], leg["to_ports"])),
-                        )
-                        for leg in wire["legs"]
-                    ),
-                )
-                for wire in data["wires"]
-            ),
+            tuple(_wire_of(wire) for wire in data["wires"]),
             tuple(Endpoint(end["node"], end["port"]) for end in data.get("overhearers", ())),
         )
+
+
+def _wire_of(data: Mapping[str, Any]) -> Wire:
+    trunk: list[Leg] = []
+    branches: dict[str, list[Leg]] = {}
+    for told in data["legs"]:
+        ends = tuple(map(Endpoint, told["to"], told["to_ports"]))
+        leg = Leg(told["key"], Endpoint(told["from"], told["from_port"]), ends)
+        (branches.setdefault(told["before"], []) if told.get("before") else trunk).append(leg)
+    heard_by = {end.node: end for end in trunk[-1].subscribers}
+    return Wire(
+        data["key"],
+        data["subject"],
+        data["message"],
+        tuple(trunk),
+        tuple(
+            Branch(heard_by[legs[0].publisher.node], legs[-1].subscribers[0], tuple(legs)) for legs in branches.values()
+        ),
+    )
 
 
 def to_text(wiring: Wiring) -> str:
@@ -157,13 +190,15 @@ def to_text(wiring: Wiring) -> str:
         mark = "*" if wire.interposers else " "
         first, *rest = wire.legs
         chain = f"{first.publisher.node} ─▶ " + "".join(f"[{leg.publisher.node}] ─▶ " for leg in rest)
-        lines.append(
-            f"{mark} {wire.key:<34} {chain}{', '.join(end.node for end in wire.legs[-1].subscribers) or '(nobody)'}"
-        )
-        if rest:
+        behind = {
+            branch.subscriber: "".join(f"[{leg.publisher.node}] ─▶ " for leg in branch.legs) for branch in wire.branches
+        }
+        ends = ", ".join(f"({behind[end]}{end.node})" if end in behind else end.node for end in wire.subscribers)
+        lines.append(f"{mark} {wire.key:<34} {chain}{ends or '(nobody)'}")
+        if wire.interposers:
             lines += [
                 f"      {leg.publisher.node} ── {leg.key} ──▶ {', '.join(e.node for e in leg.subscribers)}"
-                for leg in wire.legs
+                for leg in wire.every_leg
             ]
     lines += ["", f"{len(wiring.wires)} wires; * rewritten, [node] inserted"]
     return "\n".join([*lines, *(f"{end.node} hears every key" for end in wiring.overhearers)])

@@ -65,7 +65,8 @@ class Agent(Node):
 
     def on_picture(self, received: Received, context: Context) -> None:
         """The common picture: kept for the frames after the one in which it comes, which may be later than its own."""
-        self.pictures.add(context.frame, (received.time_ns, ObjectStates.from_columns(received.body)))
+        picture = (received.time_ns, ObjectStates.from_columns(received.body))
+        self.pictures.add(context.frame, picture, received.frame)
 
     def sense(self, port: str, received: Received, context: Context) -> None:
         """A frame is perceived when its clock, its pose and its detections are there."""

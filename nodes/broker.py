@@ -24,6 +24,10 @@ class Broker(Node):
     """latency_s: emit what is at least this much older than now; patience: clocks that a missing message is waited
 
     for beyond its own frame's; capacity: messages kept per agent; max_age_s: an agent's last word counts so long.
+
+    Which frame a word belongs to is what its header says, and so is its time: an agent whose clock is wrong completes
+    its batches all the same, and its tracks are brought from the time that it says, forward or back, to the batch's.
+    A time that is off by more than `max_age_s`, either way, counts as too old.
     """
 
     role = "broker"
@@ -42,11 +46,11 @@ class Broker(Node):
         self.latency_ns = round(latency_s * 1e9)
         self.patience = patience
         self.max_age_ns = round(max_age_s * 1e9)
-        self.buffer: CollationBuffer[ObjectStates] = CollationBuffer(capacity)
+        self.buffer: CollationBuffer[tuple[int, ObjectStates]] = CollationBuffer(capacity)
         self.agents: set[str] = set()
         self.gone: set[str] = set()
         self.newcomers: set[str] = set()
-        self.last: dict[str, tuple[int, ObjectStates]] = {}
+        self.last: dict[str, tuple[int, ObjectStates]] = {}  # their times, ns, and tracks
         self.open_frames: dict[int, int] = {}  # frames without a batch yet, and their times
         self.batches = {"complete": 0, "overdue": 0}
         self.absurd = 0
@@ -80,7 +84,7 @@ class Broker(Node):
         if not real.all():
             self.absurd += np.count_nonzero(~real)
             states = states.select(real)
-        self.buffer.push(received.subject, received.time_ns, states)
+        self.buffer.push(received.subject, received.frame, (received.time_ns, states))
         self.emit_complete(context)
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -98,15 +102,15 @@ class Broker(Node):
         """Emit, oldest first, what is old enough and has everyone's word."""
         for frame in sorted(self.open_frames):
             time_ns = self.open_frames[frame]
-            if time_ns > context.time_ns - self.latency_ns or not self.agents <= self.buffer.present(time_ns):
+            if time_ns > context.time_ns - self.latency_ns or not self.agents <= self.buffer.present(frame):
                 return
             self.emit(frame, "complete", context)
 
     def emit(self, frame: int, how: str, context: Context) -> None:
         """Publish the batch of a frame: every agent's newest tracks up to then, brought to its time."""
         time_ns = self.open_frames.pop(frame)
-        self.last |= self.buffer.pop(time_ns)
-        self.last = {a: (t, s) for a, (t, s) in self.last.items() if time_ns - t <= self.max_age_ns}
+        self.last |= self.buffer.pop(frame)
+        self.last = {a: (t, s) for a, (t, s) in self.last.items() if abs(time_ns - t) <= self.max_age_ns}
         self.batches[how] += 1
         names = sorted(self.last)
         parts = [propagate(self.last[name][1], (time_ns - self.last[name][0]) * 1e-9) for name in names]

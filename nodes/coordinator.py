@@ -21,7 +21,7 @@ class Coordinator(Node):
     def __init__(self, coordination: Coordination, adversaries: tuple[str, ...]) -> None:
         self.coordination = coordination
         self.adversaries = frozenset(adversaries)
-        self.observed: Gather[str, Received] = Gather(adversaries)
+        self.observed: Gather[str, Received] = Gather()  # grows and shrinks with those who are there
 
     def start(self, context: Context) -> None:
         """Its draws are its own."""

@@ -24,7 +24,7 @@ class Recorder(Node):
         self.log = log
 
     def start(self, context: Context) -> None:
-        """All keys are known before the first message."""
+        """All keys are known before the first message, but those of who is put on a wire later."""
         self.log.begin(context.hears)
 
     def on_everything(self, overheard: Overheard, context: Context) -> None:

@@ -7,11 +7,14 @@ the next clock arrives, never by a timer.
 from __future__ import annotations
 
 import heapq
+from collections import deque
 from collections.abc import Hashable, Iterable, Iterator
 from typing import Generic, TypeVar
 
 Member = TypeVar("Member", bound=Hashable)
 Item = TypeVar("Item")
+
+_REMEMBERED = 64  #: frames of an agent's words by which a duplicate is known
 
 
 class Gather(Generic[Member, Item]):
@@ -60,29 +63,40 @@ class Gather(Generic[Member, Item]):
 
 
 class LatestBefore(Generic[Item]):
-    """Keeps the newest items by frame, and answers what was the newest of the frames before a given one.
+    """Keeps items by the frame in which they came, and answers which was the newest before a given frame.
 
     Asking for an *earlier* frame makes the answer independent of whether this frame's item has come already.
     """
 
     def __init__(self, keep: int = 8) -> None:
         self._keep = keep
-        self._items: dict[int, Item] = {}
+        self._items: dict[int, tuple[int, Item]] = {}
 
-    def add(self, frame: int, item: Item) -> None:
-        """Take the item of a frame; of two for one frame the first stays."""
-        self._items.setdefault(frame, item)
+    def add(self, frame: int, item: Item, about: int | None = None) -> None:
+        """Take an item that has come in a frame; of two the one about the later frame stays, of equals the first.
+
+        about: the frame that it is about, if that is another: it may have been held up, or overtaken
+        """
+        about = frame if about is None else about
+        if frame in self._items and self._items[frame][0] >= about:
+            return
+        self._items[frame] = about, item
         if len(self._items) > self._keep:
             del self._items[min(self._items)]
 
     def get(self, frame: int) -> tuple[int, Item] | None:
-        """(frame, item) of the newest frame before `frame`, or None."""
-        earlier = [f for f in self._items if f < frame]
-        return (newest := max(earlier), self._items[newest]) if earlier else None
+        """(frame, item): of those that came before `frame` the one about the latest, and when it came; or None."""
+        earlier = [(about, came) for came, (about, _) in self._items.items() if came < frame]
+        if not earlier:
+            return None
+        _, came = max(earlier)
+        return came, self._items[came][1]
 
 
 class CollationBuffer(Generic[Item]):
-    """Per-agent min-heaps by time, bounded: a full one drops its *oldest* item.
+    """Per-agent min-heaps by frame, bounded: a full one drops its *oldest* item.
+
+    An agent has one word a frame: the first. A second one is a duplicate, also when the first has been used already.
 
     capacity: items kept per agent
     """
@@ -91,36 +105,40 @@ class CollationBuffer(Generic[Item]):
         self.capacity = capacity
         self.dropped = 0
         self.late: dict[str, int] = {}
-        self._heaps: dict[str, list[tuple[int, int, Item]]] = {}
-        self._emitted_ns = -1
-        self._count = 0  # breaks ties, so that items are never compared
+        self.duplicates = 0
+        self._heaps: dict[str, list[tuple[int, Item]]] = {}
+        self._spoken: dict[str, deque[int]] = {}  # the frames of the last words of each
+        self._emitted = -1
 
-    def push(self, agent: str, time_ns: int, item: Item) -> bool:
-        """Take an item; False (and counted as late) when the batch of its time has been emitted already."""
-        if time_ns <= self._emitted_ns:
+    def push(self, agent: str, frame: int, item: Item) -> bool:
+        """Take an item; False when it is a duplicate, or (counted as late) the batch of its frame has been emitted."""
+        spoken = self._spoken.setdefault(agent, deque(maxlen=_REMEMBERED))
+        if frame in spoken or agent in self.present(frame):
+            self.duplicates += 1
+            return False
+        spoken.append(frame)
+        if frame <= self._emitted:
             self.late[agent] = self.late.get(agent, 0) + 1
             return False
         heap = self._heaps.setdefault(agent, [])
-        heapq.heappush(heap, (time_ns, self._count, item))
-        self._count += 1
+        heapq.heappush(heap, (frame, item))  # no two are of the same frame, so that items are never compared
         if len(heap) > self.capacity:
             heapq.heappop(heap)
             self.dropped += 1
         return True
 
-    def present(self, time_ns: int) -> set[str]:
-        """The agents that have an item of exactly `time_ns`."""
-        return {agent for agent, heap in self._heaps.items() if any(entry[0] == time_ns for entry in heap)}
+    def present(self, frame: int) -> set[str]:
+        """The agents whose word of this very frame is there."""
+        return {agent for agent, heap in self._heaps.items() if any(entry[0] == frame for entry in heap)}
 
-    def pop(self, time_ns: int) -> dict[str, tuple[int, Item]]:
-        """(time, item) of every agent's newest item up to `time_ns`. They and older ones go; later ones are late."""
-        batch: dict[str, tuple[int, Item]] = {}
+    def pop(self, frame: int) -> dict[str, Item]:
+        """Every agent's newest item up to `frame`. They and older ones go; what comes of those frames now is late."""
+        batch: dict[str, Item] = {}
         for agent in sorted(self._heaps):
             heap = self._heaps[agent]
-            while heap and heap[0][0] <= time_ns:
-                item_ns, _, item = heapq.heappop(heap)
-                batch[agent] = (item_ns, item)
+            while heap and heap[0][0] <= frame:
+                _, batch[agent] = heapq.heappop(heap)
             if not heap:
                 del self._heaps[agent]
-        self._emitted_ns = max(self._emitted_ns, time_ns)
+        self._emitted = max(self._emitted, frame)
         return batch

@@ -75,17 +75,14 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), "platform": platform.platform()} | {p: version(p) for p in packages}
 
 
-def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], latency_ms: Mapping[str, Any] | None) -> None:
+def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> None:
     """metrics.json and the tables, from what the nodes returned (the evaluator's `metrics` and `tables`).
 
-    latency_ms: measured on the wall clock, where that means something; it then takes the place of simulated time.
+    measured: what goes into metrics.json beside the evaluator's metrics, or, being of the wall clock, in their place
     """
     for outcome in results.values():
         if "metrics" in outcome:
-            metrics = dict(outcome["metrics"])
-            if latency_ms is not None:
-                metrics |= latency_ms
-            write_json(folder / "metrics.json", finite(metrics))
+            write_json(folder / "metrics.json", finite({**outcome["metrics"], **measured}))
         for name, table in outcome.get("tables", {}).items():
             write_table(folder / f"{name}.parquet", table)
 

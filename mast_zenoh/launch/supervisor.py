@@ -1,42 +1,37 @@
-"""The processes of a run: start, watch, restart and end them. Ends only what it has started."""
+"""Who starts, watches, restarts and ends the nodes of a run, wherever they live. Ends only what it has started."""
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import IO, Any
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from mast_zenoh.scenario import NodeSpec
 
 MAX_RESTARTS = 5
 
-#: One thread per node: many small arrays gain nothing from more, and the nodes share the machine.
-_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
-
-@dataclass
-class Child:
+class Child(ABC):
     """A node's process and what became of it."""
 
-    name: str
-    spec: NodeSpec
-    command: list[str]
-    log: IO[bytes]
-    process: subprocess.Popen[bytes]
-    restarts: int = 0
-    told: bool = False  # whether its end has been dealt with
-    notes: list[str] = field(default_factory=list)
+    def __init__(self, name: str, spec: NodeSpec) -> None:
+        self.name = name
+        self.spec = spec
+        self.restarts = 0
+        self.told = False  # whether its end has been dealt with
+        self.meant = False  # whether the scenario wants it to end
+        self.paused = False
+        self.notes: list[str] = []
 
     @property
+    @abstractmethod
     def exit(self) -> int | None:
         """Exit code, negative for a signal; None while it runs."""
-        return self.process.poll()
+
+    @abstractmethod
+    def where(self) -> dict[str, Any]:
+        """What run.json says of where it runs, such as its process id."""
 
     @property
     def ended(self) -> str:
@@ -53,97 +48,96 @@ def how_ended(code: int | None) -> str:
     return f"killed by signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
 
 
-class Supervisor:
-    """Starts each node's file as a process of its own, in a session of its own (Ctrl-C is ours, not theirs).
+class Supervisor(ABC):
+    """The nodes of a run, by name. A subclass knows how to reach them: as processes, in containers, on other hosts.
 
-    Each child's standard input is a pipe that we hold: when we end, however that may be, it closes, and they leave.
+    without: by node, who was not up when it was last started, so that it need not wait for them
     """
 
-    def __init__(self, folder: Path, run: str, endpoint: str) -> None:
-        self.folder = folder
-        self.run = run
-        self.endpoint = endpoint
+    def __init__(self) -> None:
         self.children: dict[str, Child] = {}
+        self.without: dict[str, list[str]] = {}
 
-    def start(self, name: str, spec: NodeSpec) -> None:
-        """Start a node."""
-        command = [sys.executable, spec.file, "--run-folder", str(self.folder), "--name", name]
-        command += ["--endpoint", self.endpoint, "--run", self.run]
-        log = (self.folder / "logs" / f"{name}.log").open("ab", buffering=0)
-        self.children[name] = Child(name, spec, command, log, self._spawn(command, log))
+    @abstractmethod
+    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
+        """Start a node; `without` are the nodes that are not up, and so need not be waited for."""
 
-    def restart(self, child: Child) -> bool:
-        """Start a node again after its process has ended; False when it has been restarted too often."""
-        if child.restarts >= MAX_RESTARTS:
+    def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
+        """Start several nodes."""
+        for name, spec in specs.items():
+            self.start(name, spec, without)
+
+    def restart(self, child: Child, without: Iterable[str] = ()) -> bool:
+        """Start a node again after it has ended; False when it has been restarted too often.
+
+        How often the scenario starts it again is the scenario's affair.
+        """
+        if child.restarts >= MAX_RESTARTS and not child.meant:
             return False
         child.notes.append(how_ended(child.exit))
         child.restarts += 1
-        child.told = False
-        _close(child.process)
-        child.process = self._spawn(child.command, child.log)
+        child.told = child.meant = child.paused = False
+        self._start_again(child, without)
         return True
 
+    @abstractmethod
+    def _start_again(self, child: Child, without: Iterable[str]) -> None:
+        """Start a node that has ended."""
+
+    @abstractmethod
+    def end_now(self, child: Child) -> None:
+        """End a node at once, and wait until it has ended."""
+
+    def kill(self, child: Child) -> None:
+        """End a node at once, because the scenario says so."""
+        child.meant = True
+        child.notes.append("killed by the scenario")
+        self.end_now(child)
+
+    @abstractmethod
+    def pause(self, child: Child) -> None:
+        """Have a node stand still until it is resumed."""
+
+    @abstractmethod
+    def resume(self, children: Iterable[Child]) -> None:
+        """Have those go on that stand still."""
+
+    @abstractmethod
+    def wait(self, child: Child, seconds: float) -> bool:
+        """Wait until a node has ended; False when it has not within so many seconds."""
+
+    @abstractmethod
+    def let_go(self, child: Child) -> None:
+        """Give up what belongs to a node that has ended for good: its name may be given again."""
+
+    @abstractmethod
+    def end(self, grace_s: float) -> None:
+        """End all: those that stand still go on; then ask, ask louder, and end at once, with a grace each."""
+
     def newly_ended(self) -> list[Child]:
-        """Children whose processes have ended since the last call."""
+        """Nodes that have ended since the last call."""
         ended = [child for child in self.children.values() if not child.told and child.exit is not None]
         for child in ended:
             child.told = True
         return ended
 
     def running(self) -> list[Child]:
-        """Children whose processes run."""
+        """Nodes that run."""
         return [child for child in self.children.values() if child.exit is None]
-
-    def end(self, grace_s: float) -> None:
-        """End all: close their inputs, wait, SIGTERM, SIGKILL."""
-        for child in self.running():
-            assert child.process.stdin is not None
-            child.process.stdin.close()
-        for action in ("wait", "terminate", "kill"):
-            if action != "wait":
-                for child in self.running():
-                    child.notes.append(f"told to leave by {action}")
-                    getattr(child.process, action)()
-            deadline = time.monotonic() + grace_s
-            for child in self.running():
-                try:
-                    child.process.wait(max(0.0, deadline - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    continue
-        for child in self.children.values():
-            _close(child.process)
-            child.log.close()
 
     def to_json(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """The `nodes` part of run.json; `reports` are what the nodes themselves handed in."""
+        reported = ("last_frame", "cpu_s", "rejected", "foreign", "failures")
         return {
             name: {
                 "role": child.spec.role,
-                "pid": child.process.pid,
+                **child.where(),
                 "exit": child.exit,
                 "ended": child.ended,
                 "restarts": child.restarts,
                 "log": f"logs/{name}.log",
-                **{
-                    key: reports.get(name, {}).get(key)
-                    for key in ("last_frame", "cpu_s", "rejected", "foreign", "failures")
-                },
+                **{key: reports.get(name, {}).get(key) for key in reported},
+                **{key: reports[name][key] for key in ("clock", "versions") if key in reports.get(name, {})},
             }
             for name, child in self.children.items()
         }
-
-    def _spawn(self, command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            cwd=self.folder,
-            env={**os.environ, **_ENVIRONMENT},
-            start_new_session=True,
-        )
-
-
-def _close(process: subprocess.Popen[bytes]) -> None:
-    if process.stdin is not None and not process.stdin.closed:
-        process.stdin.close()

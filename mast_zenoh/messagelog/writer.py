@@ -73,7 +73,10 @@ class MessageLog:
         return self._added - self.messages
 
     def begin(self, hears: Mapping[str, Input]) -> None:
-        """Open the file, with a channel for every key. Raises RunFolderError where there is one or cannot be one."""
+        """Open the file, with a channel for every key; those that are heard later get theirs with their first message.
+
+        Raises RunFolderError where there is a file or cannot be one.
+        """
         from mcap.writer import CompressionType, Writer  # every node knows this module, one writes
 
         try:
@@ -82,14 +85,7 @@ class MessageLog:
             raise RunFolderError(f"{self.path}: cannot be made a recording: {error.strerror or error}") from None
         self._writer: Writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
         self._writer.start(channels.PROFILE)
-        self._schemas = {
-            name: self._writer.register_schema(
-                f"{name}.{SCHEMAS[name].version}",
-                channels.SCHEMA_ENCODING,
-                channels.json_schema(SCHEMAS[name]).encode(),
-            )
-            for name in sorted({heard.message for heard in hears.values()})
-        }
+        self._schemas = {name: self._schema(name) for name in sorted({heard.message for heard in hears.values()})}
         self._hears = hears
         #: The rank of a key among all, by wire and leg: it keeps their order among messages of one time.
         self._ranks = {key: rank for rank, key in enumerate(sorted(hears, key=channels.wire_and_key))}
@@ -98,6 +94,8 @@ class MessageLog:
 
     def add(self, key: str, payload: bytes, header: Header) -> None:
         """A message on a key; lost if there is a problem."""
+        if key not in self._channels:
+            self._channels[key] = self._channel(key)
         self._add(key, self._channels[key], payload, header.frame, header.time_ns, header.seq)
 
     def add_malformed(self, key: str, payload: bytes, frame: int, time_ns: int) -> None:
@@ -124,8 +122,14 @@ class MessageLog:
             self.problem = self.problem or f"{self.path}: cannot be written: {error.strerror or error}"
         self._file = None
 
+    def _schema(self, name: str) -> int:
+        told = channels.json_schema(SCHEMAS[name]).encode()
+        return int(self._writer.register_schema(f"{name}.{SCHEMAS[name].version}", channels.SCHEMA_ENCODING, told))
+
     def _channel(self, key: str, *, malformed: bool = False) -> int:
         heard = self._hears[key]
+        if heard.message not in self._schemas:
+            self._schemas[heard.message] = self._schema(heard.message)
         return int(
             self._writer.register_channel(
                 f"{key}/{channels.MALFORMED}" if malformed else key,
@@ -141,7 +145,7 @@ class MessageLog:
             return
         if not self._chunk:
             self._frame = frame
-        log_time = time_ns + self._ranks[key]
+        log_time = time_ns + self._ranks.setdefault(key, len(self._ranks))
         self._chunk.append(_Entry(log_time, frame, seq, self._added, time_ns, channel, payload))
         self._bytes += len(payload)
         if self._bytes >= CHUNK_BYTES or frame >= self._frame + CHUNK_FRAMES:

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from mast_zenoh.metrics.boxes import Boxes
 from mast_zenoh.metrics.lies import SAME_M, Hidden, Places, nearest, shown
+from mast_zenoh.metrics.lookup import find, occurs
 from mast_zenoh.metrics.record import PICTURE
 from mast_zenoh.metrics.scores import Table
+from mast_zenoh.metrics.severed import Severed
 from mast_zenoh.states import Bools, Floats, Ints
 
-#: Causes of false (FP) and missed (FN) objects, the adversaries' first. "link or fault" is reserved for runs with them.
+#: Causes of false (FP) and missed (FN) objects, the adversaries' first.
 CAUSES = (
     "injected",
     "removed",
@@ -26,8 +28,10 @@ CAUSES = (
     "fusion",
     "link or fault",
 )
-INJECTED, REMOVED, MOVED, DUPLICATE, LAG, SIGHT, CLUTTER, FUSION, _ = range(len(CAUSES))
+INJECTED, REMOVED, MOVED, DUPLICATE, LAG, SIGHT, CLUTTER, FUSION, FAULT = range(len(CAUSES))
 _UNKNOWN = -1
+#: Who is to blame, and for which causes; what neither is to blame for is natural.
+ATTACK_CAUSES, FAULT_CAUSES = CAUSES[INJECTED : MOVED + 1], CAUSES[FAULT:]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +53,9 @@ class Attribution:
     coast_s: float = 4.0
     begin_s: float = 1.0
 
-    def label(self, objects: Table, attacks: Table, truth: Boxes, period_s: float) -> tuple[Texts, Texts]:
+    def label(
+        self, objects: Table, attacks: Table, truth: Boxes, period_s: float, severed: Severed | None = None
+    ) -> tuple[Texts, Texts]:
         """`cause` and `by` of each row of `objects`, both (n,) str: empty unless the row is a false track or a missed
         object of the picture.
 
@@ -57,10 +63,11 @@ class Attribution:
         attacks:  the adversaries' reports, a row per change: adversary, frame, action, target, before_x … after_z, vx …
         truth:    all objects, evaluated or not, world frame; group = frame
         period_s: s from frame to frame
+        severed:  objects that only agents could have told of whose tracks did not get through; None: all got through
 
         `by` names the adversaries, joined by "+" where several told the same lie; empty for other causes.
         """
-        return _Case(self, objects, attacks, truth, period_s).labels()
+        return _Case(self, objects, attacks, truth, period_s, severed or Severed.nothing()).labels()
 
 
 Texts = NDArray[np.str_]
@@ -84,8 +91,11 @@ class _Rows(NamedTuple):
 class _Case:
     """One run under investigation."""
 
-    def __init__(self, how: Attribution, objects: Table, attacks: Table, truth: Boxes, period_s: float) -> None:
+    def __init__(
+        self, how: Attribution, objects: Table, attacks: Table, truth: Boxes, period_s: float, severed: Severed
+    ) -> None:
         self.how, self.objects, self.truth, self.period_s = how, objects, truth, period_s
+        self.severed = severed
         self.coast = round(how.coast_s / period_s)
         self.names = np.unique(np.asarray(attacks["adversary"], str))
         picture = np.flatnonzero(objects["estimator"] == PICTURE)
@@ -202,14 +212,19 @@ class _Case:
             double, _ = nearest(places, u.places(mine[u.outcome[mine] == "matched"]), how.object_m)
             astray, _ = nearest(places, u.places(mine[u.outcome[mine] == "missed"]), how.astray_m)
             # Whether the object that the track was of is still evaluated for this agent in this frame.
-            there = _occurs((t.match[last[lone]], t.frame[lone]), (u.id[mine[seen[mine]]], u.frame[mine[seen[mine]]]))
-            exists = _occurs((t.match[last[lone]], t.frame[lone]), (self.truth.id, self.truth.group))
+            there = occurs((t.match[last[lone]], t.frame[lone]), (u.id[mine[seen[mine]]], u.frame[mine[seen[mine]]]))
+            exists = occurs((t.match[last[lone]], t.frame[lone]), (self.truth.id, self.truth.group))
             coasting = last[lone] >= 0
             cause[lone] = np.select(
                 [astray >= 0, double >= 0, real >= 0, coasting & exists & ~there, coasting],
                 [LAG, DUPLICATE, SIGHT, SIGHT, LAG],
                 CLUTTER,
             )
+            # What no message can correct: the track of an object that only those can tell of who are cut off.
+            missed = np.append(u.id[mine[u.outcome[mine] == "missed"]], -1)
+            of = np.where(astray >= 0, missed[astray], np.where(coasting, t.match[last[lone]], -1))
+            cut = np.isin(cause[lone], (LAG, DUPLICATE)) & self.severed.has(of, t.frame[lone])
+            cause[lone[cut]] = FAULT
 
     def _missed(self, missed: Bools, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the missed objects."""
@@ -222,20 +237,21 @@ class _Case:
         last = self._carried(u, matched, matched)
         lone = rows[(cause[rows] < 0) & (last[rows] >= 0)]
         lured = np.flatnonzero((track_cause >= 0) & (track_cause <= MOVED))
-        at = _find((u.agent[lone], u.match[last[lone]], u.frame[lone]), (t.agent[lured], t.id[lured], t.frame[lured]))
+        at = find((u.agent[lone], u.match[last[lone]], u.frame[lone]), (t.agent[lured], t.id[lured], t.frame[lured]))
         lone, at = lone[at >= 0], lured[at[at >= 0]]
         cause[lone], by[lone] = track_cause[at], track_by[at]
         lone = rows[cause[rows] < 0]
         own = np.flatnonzero((self.objects["estimator"] == "local") & (self.objects["outcome"] == "matched"))
         own = own[self.objects["kind"][own] == "truth"]
-        tracked = _occurs((u.id[lone], u.frame[lone]), (self.objects["id"][own], self.objects["frame"][own]))
+        tracked = occurs((u.id[lone], u.frame[lone]), (self.objects["id"][own], self.objects["frame"][own]))
         fresh = u.frame[lone] - self._begun(u)[lone] < round(self.how.begin_s / self.period_s)
+        cut = self.severed.has(u.id[lone], u.frame[lone], tracked=fresh)
         off = np.zeros(len(lone), bool)
         for agent in range(int(u.agent.max(initial=-1)) + 1):
             here = u.agent[lone] == agent
-            stray = np.flatnonzero((t.agent == agent) & (t.outcome == "false") & (track_cause == LAG))
+            stray = np.flatnonzero((t.agent == agent) & (t.outcome == "false") & np.isin(track_cause, (LAG, FAULT)))
             off[here] = nearest(u.places(lone[here]), t.places(stray), self.how.astray_m)[0] >= 0
-        cause[lone] = np.select([fresh, off, ~tracked], [LAG, LAG, SIGHT], FUSION)
+        cause[lone] = np.select([cut, fresh, off, ~tracked], [FAULT, LAG, LAG, SIGHT], FUSION)
         return cause, by
 
     def _begun(self, rows: _Rows) -> Ints:
@@ -246,19 +262,3 @@ class _Case:
         first[1:] |= seen[1:] != seen[:-1]
         start = np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)) if len(first) else first.astype(int)
         return np.asarray(rows.frame[start])
-
-
-def _find(wanted: tuple[Ints, ...], among: tuple[Ints, ...]) -> Ints:
-    """(n,) for each row of `wanted` columns a row of `among` that equals it, -1: none."""
-    n = len(wanted[0])
-    code = np.zeros(n + len(among[0]), np.int64)
-    for ours, theirs in zip(wanted, among, strict=True):
-        values, column = np.unique(np.concatenate([ours, theirs]), return_inverse=True)
-        _, code = np.unique(code * max(len(values), 1) + column, return_inverse=True)
-    row = np.full(int(code.max(initial=-1)) + 1, -1, np.int64)
-    row[code[n:]] = np.arange(len(among[0]))
-    return np.asarray(row[code[:n]])
-
-
-def _occurs(wanted: tuple[Ints, ...], among: tuple[Ints, ...]) -> Bools:
-    return np.asarray(_find(wanted, among) >= 0)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from mast_zenoh.metrics.attribution import CAUSES
+from mast_zenoh.metrics.attribution import ATTACK_CAUSES, CAUSES, FAULT_CAUSES
 from mast_zenoh.metrics.record import PICTURE
 from mast_zenoh.metrics.scores import Table
 from mast_zenoh.states import Ints
@@ -31,6 +31,17 @@ def cause_counts(objects: Table, agents: Sequence[str], frames: Ints) -> dict[st
         }
         result[name] = {what: {each: n for each, n in counts.items() if n} for what, counts in counted.items()}
     return result
+
+
+def split(counts: Mapping[str, int], frames: int) -> dict[str, float | None]:
+    """{"fault", "attack", "natural"}: objects per frame, mean over `frames`; None without a frame.
+
+    counts: rows by cause, as `cause_counts` has them for "fp" or "fn"
+    """
+    rows = {"fault": sum(counts.get(cause, 0) for cause in FAULT_CAUSES)}
+    rows["attack"] = sum(counts.get(cause, 0) for cause in ATTACK_CAUSES)
+    rows["natural"] = sum(counts.values()) - sum(rows.values())
+    return {who: number / frames if frames else None for who, number in rows.items()}
 
 
 def time_to_first_false(objects: Table, attacks: Table, period_s: float) -> dict[str, float | None]:

@@ -27,15 +27,20 @@ class TruthTable:
     """n rows of truth in f frames with a agents.
 
     boxes:          n boxes, group = row of the frame
-    seen:           (n,) int64, the most lidar points that any agent has on the object
+    points:         (n, a) int32, lidar points of each agent on the object
     agent_position: (f, a, 3) m
     agent_object:   (f, a) int64, id of the object that the agent is, -1: none
     """
 
     boxes: Boxes
-    seen: Ints
+    points: Ints
     agent_position: Floats
     agent_object: Ints
+
+    @property
+    def seen(self) -> Ints:
+        """(n,) the most lidar points that any agent has on the object."""
+        return np.asarray(self.points.max(axis=1, initial=0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +95,7 @@ class Record:
         ):
             if array.shape != expected:
                 raise ValueError(f"truth of frame {frame}, {name}: found shape {array.shape}, expected {expected}")
-        seen = points.max(axis=1, initial=0).astype(np.int64)
-        self._truth[frame] = (_Snapshot.of(objects), seen, agent_position.copy(), agent_object.copy())
+        self._truth[frame] = (_Snapshot.of(objects), points.copy(), agent_position.copy(), agent_object.copy())
 
     def add_tracks(self, frame: int, agent: str, estimator: str, states: ObjectStates) -> None:
         """What an agent's estimator believes in one frame, world frame. Raises ValueError for an unknown agent."""
@@ -121,7 +125,7 @@ class Record:
         parts = [self._truth[int(frame)] for frame in frames]
         return TruthTable(
             boxes=_boxes([part[0] for part in parts]),
-            seen=np.concatenate([np.zeros(0, np.int64), *(part[1] for part in parts)]),
+            points=np.concatenate([np.zeros((0, a), np.int32), *(part[1] for part in parts)]),
             agent_position=np.array([part[2] for part in parts]).reshape(len(parts), a, 3),
             agent_object=np.array([part[3] for part in parts], np.int64).reshape(len(parts), a),
         )

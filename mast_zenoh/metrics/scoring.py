@@ -140,6 +140,8 @@ def _join(parts: Iterable[Boxes], n_frames: int) -> Boxes:
 def _compare(assigner: Assigner, distance: SetDistance, layout: _Layout) -> Scores:
     truth, tracks, excused = layout.truth, layout.tracks, layout.excused
     pairs = assigner.assign(truth, tracks)
+    # Sums of fractions depend on the order of their terms: that of the ids, not that in which the messages came.
+    pairs = pairs[np.lexsort((truth.id[pairs[:, 0]], truth.group[pairs[:, 0]]))]
     of_truth, of_track = np.full(len(truth), -1, np.int64), np.full(len(tracks), -1, np.int64)
     of_truth[pairs[:, 0]] = tracks.id[pairs[:, 1]]
     of_track[pairs[:, 1]] = truth.id[pairs[:, 0]]

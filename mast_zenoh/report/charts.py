@@ -10,9 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from mast_zenoh.report.bands import bands, fault_key, shade
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import ADVERSARY_ON_LIGHT, INK, LOCAL, RUN_COLOURS, light_axes, plain
 from mast_zenoh.report.table import SummaryRow
+from mast_zenoh.report.timeaxis import padded, rows_over_time
 
 _ROWS = (("fn", "missed objects"), ("fp", "false objects"), ("tp", "matched objects"))
 _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)), "-", (0, (6, 1.5)))
@@ -37,13 +39,15 @@ def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None) -> Figure
         seconds = run.seconds(frames) if timed else None
         return frames.astype(np.float64) if seconds is None else seconds
 
-    figure = Figure(figsize=(11.5, 6.0), facecolor="white")
-    axes: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
-    figure.subplots_adjust(left=0.065, right=0.985, top=0.93, bottom=0.085, hspace=0.16)
+    marked = bands(runs.values(), timed=timed)
+    shown = [times(runs[label], table["frame"]) for label, table in told.items()]
+    extent = min(at[0] for at in shown), max(at[-1] for at in shown)
+    figure, axes = rows_over_time(len(_ROWS), 1.66, marked, *extent)
     attacked = [times(run, np.array(run.attack_frames)) for run in runs.values() if run.attack_frames]
     local = first.counts_of("local")
     for axis, (column, label) in zip(axes, _ROWS, strict=True):
         light_axes(axis)
+        shade(axis, marked, *extent)
         if attacked:
             start, end = min(band[0] for band in attacked), max(band[1] for band in attacked)
             axis.axvspan(start, end, color=ADVERSARY_ON_LIGHT, alpha=0.07, linewidth=0, label="attack")
@@ -59,10 +63,12 @@ def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None) -> Figure
             axis.axvline(float(times(first, np.array([frame]))[0]), color=INK, linewidth=0.9, label="frame shown")
         axis.set_ylabel(f"{label}\nper frame", fontsize=10, color=INK)
         axis.set_ylim(bottom=0)
-        axis.margins(x=0.01)
+        axis.set_xlim(*padded(*extent))
         axis.yaxis.set_major_locator(MaxNLocator(4, integer=True))
     axes[-1].set_xlabel("time (s)" if timed else "frame", fontsize=10, color=INK)
     handles, labels = axes[0].get_legend_handles_labels()
+    if marked:
+        handles, labels = [fault_key(), *handles], ["fault", *labels]
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.055, 1.0), ncols=7, frameon=False, fontsize=10)
     return figure
 

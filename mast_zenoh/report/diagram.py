@@ -1,4 +1,4 @@
-"""The wiring diagram: nodes as boxes, data as lines, intercepted wires bold and in the adversary's colour."""
+"""The wiring diagram: nodes as boxes, data as lines; intercepted wires in the adversary's colour, links in theirs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path as Curve
 
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.style import ADVERSARY_ON_LIGHT, FAINT, INK, LOCAL, RUN_COLOURS, plain
+from mast_zenoh.report.style import ADVERSARY_ON_LIGHT, FAINT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS, plain
 from mast_zenoh.report.wiring import FLOW, GAP, HIGH, ROW, WIDE, Layout, Spot, layout
 
 _HALF = WIDE / 2
@@ -29,10 +29,11 @@ def draw_wiring(run: RunFolder) -> Figure | None:
     axes.set_xlim(low, high)
     axes.set_ylim(plan.floor + 0.15, top)
     axes.set_axis_off()
-    for (source, target), line in sorted(plan.lines.items(), key=lambda item: item[1].intercepted):
+    for (source, target), line in sorted(plan.lines.items(), key=lambda item: (item[1].intercepted, item[1].linked)):
         hostile = line.intercepted or _hostile(run, source.node) or _hostile(run, target.node)
-        colour = ADVERSARY_ON_LIGHT if hostile else FAINT
-        _draw_line(axes, _route(run, plan, source, target), colour, 1.9 if line.intercepted else 1.0)
+        colour = ADVERSARY_ON_LIGHT if hostile else FAULT_ON_LIGHT if line.linked else FAINT
+        width = 1.9 if line.intercepted else 1.3 if line.linked else 1.0
+        _draw_line(axes, _route(run, plan, source, target), colour, width)
     for spot, (x, y) in plan.places.items():
         _draw_node(axes, run, spot.node, x, y)
     _name_lines(axes, run, plan)
@@ -85,8 +86,9 @@ def _draw_line(axes: Axes, route: Curve, colour: str, width: float) -> None:
 
 def _draw_node(axes: Axes, run: RunFolder, node: str, x: float, y: float) -> None:
     role, hostile = run.role(node), _hostile(run, node)
-    edge = ADVERSARY_ON_LIGHT if hostile else (RUN_COLOURS[0] if role == "agent" else INK)
-    face = "#fdeef9" if hostile else ("#eef5fb" if role == "agent" else "#f6f7f9")
+    edges, faces = {"agent": RUN_COLOURS[0], "link": FAULT_ON_LIGHT}, {"agent": "#eef5fb", "link": "#fbf6ea"}
+    edge = ADVERSARY_ON_LIGHT if hostile else edges.get(role, INK)
+    face = "#fdeef9" if hostile else faces.get(role, "#f6f7f9")
     box = (x - _HALF, y - HIGH / 2), WIDE, HIGH
     rounded = "round,pad=0,rounding_size=0.07"
     axes.add_patch(FancyBboxPatch(*box, boxstyle=rounded, facecolor=face, edgecolor=edge, linewidth=1.2, zorder=2))
@@ -110,7 +112,7 @@ def _name_lines(axes: Axes, run: RunFolder, plan: Layout) -> None:
             right = min((x for x in columns if x >= bx), default=bx)
             if any(left < x < right for x in columns):  # passes a whole column: named in the gap that it starts in
                 continue
-            place = (left + right) / 2 + 0.45, plan.floor - 0.42, "center", "center"
+            place = (left + right) / 2 + 0.5, plan.floor - 0.42, "center", "center"
         told = labels.setdefault(place, [])
         told += [message for message in line.messages if message not in told]
     for (x, y, horizontal, vertical), messages in labels.items():

@@ -14,6 +14,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mast_zenoh import __version__
+from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
 from mast_zenoh.report.illustrations import run_figures, study_figures
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import HEADINGS, Figures, SummaryRow, cells, summary_table
@@ -104,6 +105,12 @@ def _write_run(run: RunFolder, view: FrameView | None, *, chosen: bool) -> tuple
         "figures": made,
         "rows": _table_rows([row], _ONE_RUN) if run.metrics else [],
         "headings": [HEADINGS[group] for group in _ONE_RUN],
+        "blamed": BLAMED,
+        "blame": blame_rows(run.metrics) if run.faulted else [],
+        "checks": check_rows(run.checks),
+        "healed": _healed(run),
+        "latency": latency_rows(run.metrics),
+        "late": late_rows(run.metrics),
         "wires": wire_rows(run),
         "nodes": [(name, _node(run, name)) for name in run.run.get("nodes", {})],
         "command": _command(run),
@@ -144,6 +151,15 @@ def _facts(run: RunFolder) -> list[str]:
     latency = run.metrics.get("latency_ms", {}).get("sim_to_picture", {})
     if latency.get("p50") is not None and latency.get("p99"):  # lock-step has no latency: scene time stands still
         told.append(f"simulator to picture {latency['p50']:.1f} ms (99 %: {latency['p99']:.1f} ms)")
+    return told
+
+
+def _healed(run: RunFolder) -> list[str]:
+    """When the last fault was over, and how soon after that the picture was as if there had been none."""
+    heals, converged = run.checks.get("heals_s") or [], run.checks.get("converged_after_s")
+    told = [f"healed at {', '.join(f'{each:g}' for each in heals)} s"] if heals else []
+    if isinstance(converged, (int, float)):
+        told.append(f"the picture converged to the unfaulted one {converged:.1f} s after the heal")
     return told
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from mast_zenoh.report.causes import causes_over_time
 from mast_zenoh.report.charts import SMOOTH, counts_over_time, means
 from mast_zenoh.report.diagram import draw_wiring
 from mast_zenoh.report.figures import Picture, birdseye_figure, camera_figure, picture, side_by_side_figure
@@ -19,6 +20,11 @@ _HOW_CHOSEN_CLEAN = "The frame is the one in which the picture spares the ego th
 _COUNTS_CAPTION = (
     f"Bold: mean over the last {SMOOTH} frames; pale: the counts themselves. Shaded: from the first to the last change "
     "that an adversary made. The vertical line is the frame shown."
+)
+_BANDS_CAPTION = " Above: what was planned, each from its beginning to its end. Hatched: while any fault was on."
+_CAUSES_CAPTION = (
+    "The common picture as the ego gets it, in every frame, stacked by cause: grey what happens anyway, hatched what "
+    "links and faults have done, magenta what adversaries have. The axes fit the scored frames; more is cut."
 )
 
 
@@ -50,7 +56,11 @@ def run_figures(run: RunFolder, view: FrameView | None, *, chosen: bool) -> dict
     over_time = counts_over_time({"run": run}, view.frame if view else None)
     if over_time is not None:
         alt = "Missed, false and matched objects per frame over time, for the ego alone and for the common picture."
-        made.append(picture("counts", over_time, alt, _COUNTS_CAPTION))
+        made.append(picture("counts", over_time, alt, _counts_caption([run])))
+    causes = causes_over_time(run, view.frame if view else None)
+    if causes is not None:
+        alt = "Missed and false objects of the common picture over time, stacked by their causes."
+        made.append(picture("causes", causes, alt, _CAUSES_CAPTION))
     wires = draw_wiring(run)
     if wires is not None:
         told = [f"{', '.join(nodes)} on a wire of {agent}" for agent, nodes in run.adversaries.items()]
@@ -58,6 +68,10 @@ def run_figures(run: RunFolder, view: FrameView | None, *, chosen: bool) -> dict
         caption = "Not drawn: the clock, which every node gets, and the wires of nodes that only listen."
         if told:
             caption = f"Bold: intercepted wires. {caption}"
+        if any(
+            run.role(node) == "link" for wire in run.wiring.get("wires", ()) for node in wire.get("interposers", ())
+        ):
+            caption = f"Brown: wires with a link on them. {caption}"
         made.append(picture("wiring", wires, alt, caption, vector=True))
     return {each.name: each for each in made}
 
@@ -84,7 +98,7 @@ def study_figures(
         alt = (
             "Missed, false and matched objects per frame over time, for the ego alone and for the picture of every run."
         )
-        made.append(picture("counts", over_time, alt, _COUNTS_CAPTION))
+        made.append(picture("counts", over_time, alt, _counts_caption(list(runs.values()))))
     if any(row.picture != Scores() for row in rows):
         alt = "; ".join(
             f"{row.run}: {row.picture.fn} missed, {row.picture.fp} false, {row.picture.tp} matched" for row in rows
@@ -92,6 +106,10 @@ def study_figures(
         caption = "Means per frame; whiskers: ± one standard deviation over frames."
         made.append(picture("means", means(rows, f"ego alone, {rows[0].run}"), f"Bar chart. {alt}.", caption))
     return {each.name: each for each in made}
+
+
+def _counts_caption(runs: Sequence[RunFolder]) -> str:
+    return _COUNTS_CAPTION + (_BANDS_CAPTION if any(run.faulted and run.timeline for run in runs) else "")
 
 
 def _tally(view: FrameView, estimator: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from mast_zenoh.errors import MastError, RunFolderError
+from mast_zenoh.report.faulted import with_faults
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.states import Bools, Floats
 
@@ -41,9 +42,10 @@ class RunFolder:
     wiring:    wiring.json
     metrics:   metrics.json
     counts:    metrics.parquet: a row per frame, agent and estimator
-    objects:   objects.parquet: a row per box; only those of the ego
+    objects:   objects.parquet: a row per box; only those of the ego. `cause` where the run has told causes
     attacks:   attacks.parquet: a row per change that an adversary made
     recording: scene.npz
+    checks:    checks.json, of runs with links or faults
     missing:   one sentence for each file that is absent or unreadable, saying what the report lacks for it
     """
 
@@ -57,6 +59,7 @@ class RunFolder:
     attacks: Table | None
     recording: Recording | None
     missing: tuple[str, ...]
+    checks: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: Path) -> RunFolder:
@@ -84,13 +87,19 @@ class RunFolder:
         recording = read("scene.npz", _scene, "no buildings, agents and camera view in the pictures", None)
         ego = _ego(metrics, counts, recording)
         mine = [("agent", "==", ego)]
-        objects = read("objects.parquet", _table(_OBJECTS, mine), "no bird's-eye and camera views", None)
+        objects = read(
+            "objects.parquet", _table(_OBJECTS, mine, optional=("cause",)), "no bird's-eye and camera views", None
+        )
         attacks = None
         if (path / "attacks.parquet").is_file():
             attacks = read("attacks.parquet", _table(_ATTACKS), "what the adversaries changed is not marked", None)
         elif any(_role(run, wiring, name) == "adversary" for name in _interposers(wiring)):
             missing.append("attacks.parquet is absent: what the adversaries changed is not marked.")
-        return cls(path, run, scenario, wiring, metrics, counts, objects, attacks, recording, tuple(missing))
+        checks: dict[str, Any] = {}
+        if (path / "checks.json").is_file():
+            checks = read("checks.json", _json, "what was checked is not known", {})
+        found = run, scenario, wiring, metrics, counts, objects, attacks, recording
+        return cls(path, *found, tuple(missing), checks)
 
     @cached_property
     def ego(self) -> str | None:
@@ -118,6 +127,21 @@ class RunFolder:
         if self.attacks is None or not len(self.attacks["frame"]):
             return None
         return int(self.attacks["frame"].min()), int(self.attacks["frame"].max())
+
+    @cached_property
+    def timeline(self) -> tuple[dict[str, Any], ...]:
+        """Faults and attacks as they were planned: label, kind, type, at_s, until_s (None: to the end), nodes, backend.
+
+        Links that are as they are from beginning to end are not among them.
+        """
+        told = [each for each in self.scenario.get("timeline", ()) if {"label", "kind", "at_s"} <= each.keys()]
+        always = [e["kind"] == "link" and e["at_s"] <= 0.0 and e.get("until_s") is None for e in told]
+        return tuple(each for each, whole in zip(told, always, strict=True) if not whole)
+
+    @property
+    def faulted(self) -> bool:
+        """Whether links or faults are part of the run."""
+        return with_faults(self.scenario, self.checks)
 
     def counts_of(self, estimator: str) -> Table | None:
         """The ego's counts of one estimator, by ascending frame; None: there are none."""
@@ -148,13 +172,14 @@ def _scene(path: Path) -> Recording:
     return Recording.load(path)
 
 
-def _table(columns: tuple[str, ...], filters: Any = None) -> Callable[[Path], Table]:
+def _table(columns: tuple[str, ...], filters: Any = None, *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
     def read(path: Path) -> Table:
         table = pyarrow.parquet.read_table(path, filters=filters)
         absent = sorted(set(columns) - set(table.column_names))
         if absent:
             raise ValueError(f"found no column {', '.join(absent)}")
-        return {name: table.column(name).to_numpy() for name in columns}
+        there = (*columns, *(name for name in optional if name in table.column_names))
+        return {name: table.column(name).to_numpy() for name in there}
 
     return read
 

@@ -33,6 +33,8 @@ OUTCOME_LABELS = {
 #: Whatever an adversary does or sits on, in every figure.
 ADVERSARY = "#ff4fd8"
 ADVERSARY_ON_LIGHT = "#b5128f"
+#: Whatever links and faults do.
+FAULT_ON_LIGHT = "#8a6100"
 
 #: Dark panels.
 GROUND, BUILDING, BUILDING_EDGE, GRID, FAINT, AGENT = "#10141b", "#2a313d", "#465062", "#222934", "#9aa7b8", "#7fe3ff"

@@ -23,7 +23,9 @@ WIDE, HIGH, GAP, ROW = 1.5, 0.34, 0.75, 0.72
 class WireRow:
     """One wire in the table.
 
-    taps: key expressions of the hidden legs that the rewrite made
+    taps:     key expressions of the hidden legs that the rewrite made
+    links:    those of the interposers that are links, which do what a network does
+    branches: the subscribers that have interposers of their own before them
     """
 
     key: str
@@ -32,15 +34,17 @@ class WireRow:
     interposers: tuple[str, ...]
     subscribers: tuple[str, ...]
     taps: tuple[str, ...]
+    links: tuple[str, ...] = ()
+    branches: tuple[str, ...] = ()
 
     @property
     def intercepted(self) -> bool:
-        """Whether a node sits on the wire."""
-        return bool(self.interposers)
+        """Whether a node sits on the wire that is no link."""
+        return len(self.links) < len(self.interposers)
 
 
 def wire_rows(run: RunFolder) -> list[WireRow]:
-    """All wires: the intercepted ones first, then by key."""
+    """All wires: the intercepted ones first, then those with links, then by key."""
     found = [
         WireRow(
             wire["key"],
@@ -49,10 +53,12 @@ def wire_rows(run: RunFolder) -> list[WireRow]:
             tuple(wire.get("interposers", ())),
             tuple(wire.get("subscribers", ())),
             tuple(leg["key"] for leg in wire.get("legs", ()) if leg["key"] != wire["key"]),
+            tuple(node for node in wire.get("interposers", ()) if run.role(node) == "link"),
+            tuple(dict.fromkeys(leg["before"] for leg in wire.get("legs", ()) if leg.get("before"))),
         )
         for wire in run.wiring.get("wires", [])
     ]
-    return sorted(found, key=lambda row: (not row.intercepted, row.key))
+    return sorted(found, key=lambda row: (not row.intercepted, not row.interposers, row.key))
 
 
 class Spot(NamedTuple):
@@ -67,10 +73,14 @@ class Spot(NamedTuple):
 
 @dataclass(slots=True)
 class Line:
-    """What runs from one node to another: the message types, and whether one of their wires is intercepted."""
+    """What runs from one node to another: the message types, and whether one of their wires is intercepted or has a
+
+    link on it.
+    """
 
     messages: list[str] = field(default_factory=list)
     intercepted: bool = False
+    linked: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +115,12 @@ def layout(run: RunFolder) -> Layout | None:
     seats: dict[Spot, tuple[int, float]] = {}  # of nodes on wires: how far along the chain, which row
     room: dict[int, int] = defaultdict(int)
     for wire in wires:
-        after, chain = _gap(run, wire), wire.get("interposers", ())
-        beside = next((row[end] for end in (wire["publisher"], *wire["subscribers"][:1]) if end in row), middle)
-        for order, node in enumerate(chain):
+        after = _gap(run, wire)
+        ends = (wire["publisher"], *wire["subscribers"][:1])
+        for node, (order, before) in _orders(wire).items():
+            beside = next((row[end] for end in (before, *ends) if end in row), middle)
             seats.setdefault(Spot(node, after), (order, beside - 0.5))
-        room[after] = max(room[after], len(chain))
+            room[after] = max(room[after], order + 1)
     left = [0.0]
     for index in range(len(FLOW)):
         left.append(left[-1] + (WIDE + GAP) * (1 + room[index]))
@@ -135,6 +146,23 @@ def layout(run: RunFolder) -> Layout | None:
     return Layout(places, lines, max(y for _, y in places.values()) + 0.8)
 
 
+def _orders(wire: Mapping[str, Any]) -> dict[str, tuple[int, str]]:
+    """Of each node on a wire how many stand before it, and whom alone it stands before; "": before all subscribers."""
+    legs = wire.get("legs", ())
+    if not any(leg.get("before") for leg in legs):
+        return {node: (order, "") for order, node in enumerate(wire.get("interposers", ()))}
+    trunk = [leg["from"] for leg in legs if not leg.get("before")][1:]
+    found = {node: (order, "") for order, node in enumerate(trunk)}
+    passed: dict[str, int] = {}
+    for leg in legs:
+        before = leg.get("before")
+        if before:
+            order = passed.get(before, len(trunk))
+            passed[before] = order + 1
+            found[leg["from"]] = order, before
+    return found
+
+
 def _gap(run: RunFolder, wire: Mapping[str, Any]) -> int:
     """The column after which nodes on a wire stand."""
     ends = [run.role(end) for end in (wire["publisher"], *wire["subscribers"][:1])]
@@ -149,6 +177,7 @@ def _lines(run: RunFolder, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spo
     lines: dict[tuple[Spot, Spot], Line] = defaultdict(Line)
     for wire in wires:
         chain = wire.get("interposers", ())
+        branched = any(leg.get("before") for leg in wire.get("legs", ()))
 
         def spot(node: str, wire: Mapping[str, Any] = wire, chain: Sequence[str] = chain) -> Spot:
             return Spot(node, _gap(run, wire) if node in chain else seated.get(node, -1))
@@ -158,7 +187,9 @@ def _lines(run: RunFolder, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spo
                 if run.role(to) in _LISTENERS:
                     continue
                 line = lines[spot(leg["from"]), spot(to)]
-                line.intercepted |= bool(chain)
+                touched = chain if not branched else [node for node in (leg["from"], to) if node in chain]
+                line.intercepted |= any(run.role(node) != "link" for node in touched)
+                line.linked |= any(run.role(node) == "link" for node in touched)
                 if wire["message"] not in line.messages:
                     line.messages.append(wire["message"])
     return dict(lines)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from mast_zenoh.report.faulted import check_rows
 from mast_zenoh.report.runfolder import RunFolder, Table
 from mast_zenoh.report.table import SummaryRow
 
@@ -93,6 +94,7 @@ def reading(run: RunFolder, row: SummaryRow) -> list[str]:
             f"The common picture that the command centre sends back misses {told.fn.mean:.1f}, has "
             f"{_objects(told.fp.mean, 'false')} a frame, and places what it matches with an RMSE of {told.rmse} m."
         )
+    sentences += _blame(run)
     if run.attack_frames is not None:
         since = run.seconds(np.array(run.attack_frames[:1]))
         when = f"frame {run.attack_frames[0]}" if since is None else f"t = {since[0]:.1f} s"
@@ -100,11 +102,26 @@ def reading(run: RunFolder, row: SummaryRow) -> list[str]:
         who = listed([name for nodes in run.adversaries.values() for name in nodes]) or "An adversary"
         tail = f"; from then on the picture has {_objects(during, 'false')} a frame" if during is not None else ""
         sentences.append(f"{who} changed messages from {when} on{tail}.")
+    failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
+    if failed:
+        sentences.append(f"Not everything that was checked holds: {listed(failed)}.")
     if run.run.get("status") == "running":
         sentences.append("The run was cut off: its launcher did not live to write down how it ended.")
     elif run.run.get("status", "ok") != "ok":
         sentences.append(f"The run did not end well ({run.run['status']}): read the numbers with that in mind.")
     return sentences
+
+
+def _blame(run: RunFolder) -> list[str]:
+    """How much of what the ego's picture misses and has too many is whose doing; nothing without links and faults."""
+    told = run.metrics.get("agents", {}).get(run.ego or "", {}).get("picture", {}).get("fn_split") or {}
+    if not run.faulted or told.get("fault") is None or told.get("attack") is None:
+        return []
+    attack = f", {told['attack']:.2f} because of attacks" if told["attack"] > 0.0 else ""
+    return [
+        f"Of the objects that it misses, {told['fault']:.2f} a frame are missed because of links and faults{attack}, "
+        f"and {told['natural']:.2f} would be missed anyway."
+    ]
 
 
 def study_headline(runs: Mapping[str, RunFolder], rows: Sequence[SummaryRow]) -> str:

@@ -9,15 +9,19 @@ from __future__ import annotations
 import queue
 import time
 from collections import Counter
+from collections.abc import Collection
 from typing import Any
 
 import msgpack
 import zenoh
 
+from mast_zenoh.faults.steps import ProcessStep
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.host import Outgoing
-from mast_zenoh.runtime.mesh import MeshNode
+from mast_zenoh.runtime.mesh import NOTED_FRAMES, MeshNode
 from mast_zenoh.runtime.pacer import Pacer
+from mast_zenoh.runtime.rewiring import Rewirer, Told, counted, packed
+from mast_zenoh.runtime.timetable import Timetable
 from mast_zenoh.wiring import Wiring
 
 #: How long the last messages of a real-time run may be under way before everyone is told to stop.
@@ -30,7 +34,8 @@ SETTLE_EVERY = 50
 class Driver(MeshNode):
     """A MeshNode whose node is a Source, which hears nothing and says what it says in `advance`.
 
-    expected: name to role of all nodes that must be there before the first frame
+    expected: name to role of all nodes
+    timetable: what happens to their processes; who is not there at the beginning is not waited for
     start_timeout_s, stall_timeout_s: how long to wait for them, and for the mesh to become quiet
     """
 
@@ -44,17 +49,23 @@ class Driver(MeshNode):
         session: zenoh.Session,
         *,
         expected: dict[str, str],
-        mode: str,
+        period_ns: int,
+        lockstep: bool,
         rate: float,
+        timetable: Timetable,
+        without: Collection[str] = (),
         start_timeout_s: float = 60.0,
         stall_timeout_s: float = 30.0,
     ) -> None:
-        super().__init__(run, name, node, wiring, seed, session)
+        super().__init__(
+            run, name, node, wiring, seed, session, period_ns=period_ns, lockstep=lockstep, without=without
+        )
         self.source = node
         self.pacer = Pacer(wiring)
         self.expected = expected
-        self.lockstep = mode == "lockstep"
-        self.period_s = node.period_ns * 1e-9 / rate
+        self.timetable = timetable
+        self.lockstep = lockstep
+        self.period_s = period_ns * 1e-9 / rate
         self.start_timeout_s = start_timeout_s
         self.stall_timeout_s = stall_timeout_s
         self.alive: set[str] = {name}
@@ -63,12 +74,15 @@ class Driver(MeshNode):
         self.sent_ns: dict[int, int] = {}
         self._ready: list[Outgoing] | None = None
         self._sent: Counter[str] = Counter()
-        self._epoch = session.declare_publisher(
-            f"{self._prefix}/@control/epoch", congestion_control=zenoh.CongestionControl.BLOCK, express=True
-        )
-        self._stop = session.declare_publisher(
-            f"{self._prefix}/@control/stop", congestion_control=zenoh.CongestionControl.BLOCK, express=True
-        )
+        # A queue of their own: in that of the data they would wait for one whom nothing reaches any more.
+        urgent: Any = {
+            "congestion_control": zenoh.CongestionControl.BLOCK,
+            "priority": zenoh.Priority.INTERACTIVE_HIGH,
+            "express": True,
+        }
+        self._epoch = session.declare_publisher(f"{self._prefix}/@control/epoch", **urgent)
+        self._act = session.declare_publisher(f"{self._prefix}/@control/act", **urgent)
+        self._stop = session.declare_publisher(f"{self._prefix}/@control/stop", **urgent)
         put = self.inbox.put
         self._subscribers.append(
             self.subscribe(
@@ -76,6 +90,9 @@ class Driver(MeshNode):
                 lambda s: put(("counts", str(s.key_expr).rpartition("/")[2], s.payload.to_bytes())),
             )
         )
+        self.rewirer = Rewirer(self)
+        rewire: Any = zenoh.handlers.Callback(lambda query: put(("rewire", query)), indirect=False)
+        self._subscribers.append(session.declare_queryable(f"{self._prefix}/@control/rewire", rewire))
         presence: Any = zenoh.handlers.Callback(
             lambda s: put(("alive", str(s.key_expr).rpartition("/")[2], s.kind == zenoh.SampleKind.PUT)),
             indirect=False,
@@ -101,9 +118,9 @@ class Driver(MeshNode):
     # -- phases: each returns why to stop, or "" -----------------------------------------------------------------
 
     def _gather(self) -> str:
-        """Wait until all expected nodes are there, and have entered the first epoch."""
+        """Wait until all are there who are to be there from the beginning, and have entered the first epoch."""
         deadline = time.monotonic() + self.start_timeout_s
-        while missing := self.expected.keys() - self.alive:
+        while missing := self.expected.keys() - self.timetable.absent - self.alive:
             if not self._wait(deadline):
                 return self._or_stopped(
                     f"start: not there after {self.start_timeout_s:.0f} s: {', '.join(sorted(missing))}"
@@ -129,18 +146,52 @@ class Driver(MeshNode):
                 self._begin_epoch()
                 if self.lockstep and (reason := self._await_quiet()):
                     return reason
+            if self.lockstep and (reason := self._rewire()):
+                return reason
             if not self.lockstep:
                 due = begun + self.frames * self.period_s
                 while self._wait(due):
                     if self._membership_changed():
                         self._begin_epoch()
-            if self.stop_reason is not None:
-                return self.stop_reason
+                    self.rewirer.turn()
+            if reason := self.stop_reason or self._carry_out():
+                return reason
             if not self._send_frame():
                 return "end"
             self.frames += 1
             if self.lockstep and (reason := self._await_quiet(everyone=self.frames % SETTLE_EVERY == 0)):
                 return reason
+
+    def _rewire(self) -> str:
+        """Change the wiring between two frames, if that has been asked for."""
+        while self.rewirer.turn():
+            if reason := self._await_quiet(everyone=True):
+                return reason
+        return ""
+
+    def _carry_out(self) -> str:
+        """Have the launcher do what the scenario does to processes before the next frame.
+
+        In lock-step everybody has settled before, waits until it is done, and enters a new epoch after each group.
+        """
+        ahead = self.lockstep and any(self.timetable.before(self.frames, self.alive))
+        if ahead and (reason := self._await_quiet(everyone=True)):
+            return reason
+        for group in self.timetable.before(self.frames, self.alive if self.lockstep else None):
+            self._act.put(msgpack.packb([self.frames, [[step.action, step.node] for step in group]]))
+            if self.lockstep and (reason := self._await_done(group)):
+                return reason
+        return ""
+
+    def _await_done(self, group: list[ProcessStep]) -> str:
+        """Wait until those of a group have gone or come, and all others know."""
+        deadline = time.monotonic() + self.start_timeout_s
+        while undone := [step for step in group if (step.node in self.alive) != (step.action == "start")]:
+            if not self._wait(deadline):
+                said = ", ".join(f"{step.action} {step.node}" for step in undone)
+                return self._or_stopped(f"stall: not done before frame {self.frames}: {said}")
+        self._begin_epoch()
+        return self._await_quiet(everyone=True)
 
     def _send_frame(self) -> bool:
         """Send the frame that was made ready while the mesh was busy with the one before; False if there is none.
@@ -152,6 +203,7 @@ class Driver(MeshNode):
         if not self._ready:
             return False
         self.sent_ns[self.frames] = time.time_ns()
+        self.sent_ns.pop(self.frames - NOTED_FRAMES, None)
         for message in self._ready:
             super()._put(message)
             self._sent[message.key] += 1
@@ -195,7 +247,11 @@ class Driver(MeshNode):
         if kind == "counts":
             self.pacer.report(rest[0], *msgpack.unpackb(rest[1]))
         elif kind == "alive":
-            (self.alive.add if rest[1] else self.alive.discard)(rest[0])
+            name, there = rest
+            if there or name == self.name:  # our own token may be late; we are here
+                self.alive.add(name)
+            else:
+                self.alive.discard(name)
         else:
             self.handle(event)
             self._report_self()
@@ -211,9 +267,22 @@ class Driver(MeshNode):
             self.host.log.info("frame %d: gone: %s; come: %s", self.frames, sorted(gone), sorted(come))
         epoch = self.pacer.begin_epoch(members)
         self._sent.clear()
-        self._epoch.put(msgpack.packb([epoch, members]))
-        self._enter_epoch(epoch, members)
+        told = packed(self.rewirer.told)
+        self._epoch.put(msgpack.packb([epoch, members, told]))
+        self._enter_epoch(epoch, members, told)
         self._report_self()
 
+    def begin_epoch_of(self, told: Told) -> None:
+        """A new epoch, in which the wiring changes."""
+        self.pacer.rewire(told.wiring)
+        self._begin_epoch()
+
+    def handle(self, event: tuple[Any, ...]) -> None:
+        """One event from the inbox; a change of the wiring is taken up at the next frame boundary, or in real time."""
+        if event[0] == "rewire":
+            self.rewirer.ask(event[1])
+        else:
+            super().handle(event)
+
     def _report_self(self) -> None:
-        self.pacer.report(self.name, self.epoch, dict(self._sent), dict(self.host.handled))
+        self.pacer.report(self.name, self.epoch, counted(self._sent, self.outlets), dict(self.host.handled))

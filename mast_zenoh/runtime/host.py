@@ -17,11 +17,15 @@ import numpy as np
 from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import Body, Header, Message
-from mast_zenoh.node import Node, Overheard, Received, handler_names
+from mast_zenoh.node import Node, Overheard, Received, Source, handler_names
+from mast_zenoh.runtime.delayed import Delayed
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring import ANY, Input, Ports
 
 MAX_HELD = 10_000  #: messages held back for a clock that has not come; more are dropped and counted
+MAX_DELAYED = 10_000  #: messages that are to leave later; more are refused
+MAX_DELAY_S = 3600.0  #: no message leaves later than that
+_FOREVER = 1 << 62  # ns, or steps
 
 
 class Outgoing(NamedTuple):
@@ -39,6 +43,8 @@ class Outgoing(NamedTuple):
 class Host:
     """One node with its ports connected; see the module's docstring.
 
+    period_ns: of the scene's frames: in lock-step a delay is counted in them
+    now:  a monotonic clock, ns, for real time; without it time goes by frames, as in lock-step
     emit: called at once with every message that the node publishes; without it they are kept in `outbox`
     frame, time_ns: of the newest clock; observe: called with the key and header of every sound message;
     sent, handled: messages by key; rejected: malformed messages by (key, reason); failures: handler errors by port.
@@ -52,6 +58,8 @@ class Host:
         seed: int,
         *,
         encode: bool,
+        period_ns: int = Source.period_ns,
+        now: Callable[[], int] | None = None,
         emit: Callable[[Outgoing], None] | None = None,
     ) -> None:
         self.name = name
@@ -66,13 +74,19 @@ class Host:
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.failures: Counter[str] = Counter()
         self.observe: Callable[[str, Header], None] | None = None
-        self.hears = ports.inputs
+        self._hears = dict(ports.inputs)
+        self.hears: Mapping[str, Input] = self._hears
         self._ports = ports
         self.seed = seed
         self._encode = encode
         self._seq: Counter[str] = Counter()
         self._held: dict[int, list[tuple[str, Input, Received, bool]]] = {}
         self._n_held = 0
+        self._period_ns = period_ns
+        self._now = now
+        self._began_ns: int | None = None  # when the first clock came
+        self._moment_ns = 0  # when the handler that runs was called: for it no time goes by, so that nothing overtakes
+        self._delayed: Delayed[Outgoing] = Delayed()
         self._keys_of_port: dict[str, list[str]] = {}
         for (port, _), key in ports.outputs.items():
             self._keys_of_port.setdefault(port, []).append(key)
@@ -98,7 +112,8 @@ class Host:
         self._guard("left", self.node.left, peer, role, self)
 
     def finish(self) -> dict[str, Any]:
-        """End: the node's results."""
+        """End: the node's results. What it publishes now goes nowhere: it is not there any more."""
+        self._emit = lambda out: None
         results = self._guard("finish", self.node.finish, self)
         return results if isinstance(results, dict) else {}
 
@@ -107,16 +122,22 @@ class Host:
 
         `counted`: it was sent by a node of this run, so that lock-step waits until it is handled.
         """
-        hears = self._ports.inputs.get(key)
+        hears = self._hears.get(key)
         if hears is None:
             return
         if self._overhears:
             self._overhear(key, hears, payload, counted)
             return
         try:
-            if flaw:
+            unopened = hears.port in self.node.unopened
+            if flaw and not unopened:
                 raise MessageError(flaw)
-            message = codec.decode(payload, hears.message) if isinstance(payload, bytes) else payload
+            if flaw and isinstance(payload, Message):
+                payload = codec.encode(payload)  # as bytes, so that it is passed on as it is
+            if isinstance(payload, Message):
+                message = payload
+            else:
+                message = (codec.decode_unopened if unopened else codec.decode)(payload, hears.message)
             if message.header.source != hears.source:
                 raise MessageError(f"{hears.message}: source {message.header.source[:40]!r}, expected {hears.source!r}")
         except MessageError as error:
@@ -133,6 +154,33 @@ class Host:
             if not self._clocked:  # who has no clock goes by the messages: what it says on them is of their step
                 self._step = max(self._step, step)
             self._handle(key, hears, received, counted)
+
+    def release(self) -> float | None:
+        """In real time: let go what is due by now. How long it is until the next will be, s; None: nothing waits."""
+        if self._now is None or not self._delayed:
+            return None
+        self._let_go(self._now())
+        due = self._delayed.due
+        return None if due is None else max(0.0, (due - self._now()) * 1e-9)
+
+    def hear(self, key: str, heard: Input) -> None:
+        """From now on another key is heard."""
+        self._hears[key] = heard
+
+    def flush(self) -> None:
+        """Let go at once what was to leave later, in the order in which it would have left."""
+        if self._delayed:
+            self._let_go(_FOREVER)
+
+    @property
+    def waiting(self) -> int:
+        """How many messages wait here: for the clock of their step, or to leave."""
+        return self._n_held + len(self._delayed)
+
+    @property
+    def clocked(self) -> bool:
+        """Whether it hears the clock."""
+        return self._clocked
 
     def reset_counts(self) -> None:
         """Start counting anew (a node has died or joined; done at a frame boundary)."""
@@ -158,20 +206,42 @@ class Host:
         self._seq[key] += 1
         self._send(key, message)
 
-    def relay(self, port: str, received: Received, body: Body | None = None) -> None:
+    @property
+    def now_ns(self) -> int:
         """See node.Context."""
-        schema, found = self._output(port), received.message.header.schema
-        if schema != found:
-            raise ConfigurationError(f"{self.name}: port {port!r} carries {schema!r} messages, not {found!r}")
+        if self._now is None:
+            return self.time_ns
+        return 0 if self._began_ns is None else self._moment_ns - self._began_ns
+
+    def relay(
+        self,
+        port: str,
+        received: Received,
+        body: Body | None = None,
+        *,
+        payload: bytes | None = None,
+        time_ns: int | None = None,
+        after_s: float = 0.0,
+    ) -> None:
+        """See node.Context."""
+        schema, header = self._output(port), received.message.header
+        if schema != header.schema:
+            raise ConfigurationError(f"{self.name}: port {port!r} carries {schema!r} messages, not {header.schema!r}")
+        if payload is not None and (body is not None or time_ns is not None):
+            raise ConfigurationError(
+                f"{self.name}: port {port!r}: a payload is sent as it is: no body or time_ns with it"
+            )
         key = self._ports.outputs.get((port, received.subject))
         if key is None:
             return
-        if body is None:
-            payload = received.payload or codec.encode(received.message) if self._encode else received.message
-            self._emit(Outgoing(key, payload, self._step))
-            self.sent[key] += 1
+        if payload is not None:
+            self._out(key, payload, after_s=after_s)
+        elif body is not None or time_ns is not None:
+            header = header if time_ns is None else header._replace(time_ns=time_ns)
+            message = Message(header, received.body) if body is None else codec.conform(header, body)
+            self._send(key, message, after_s)
         else:
-            self._send(key, codec.conform(received.message.header, body))
+            self._out(key, received.encoded if self._encode else received.payload or received.message, after_s=after_s)
 
     def connected(self, port: str, subject: str | None = None) -> bool:
         """See node.Context."""
@@ -197,24 +267,59 @@ class Host:
             raise ConfigurationError(f"{self.name}: port {port!r} has {len(keys)} wires: say which by subject=…")
         return keys[0] if keys else None
 
-    def _send(self, key: str, message: Message) -> None:
+    def _send(self, key: str, message: Message, after_s: float = 0.0) -> None:
         if self._encode:
-            self._emit(Outgoing(key, codec.encode(message), self._step))
+            self._out(key, codec.encode(message), after_s=after_s)
+            return
+        flaw = ""
+        try:
+            codec.check_values(message)
+        except MessageError as error:
+            flaw = str(error)
+        self._out(key, message, flaw, after_s)
+
+    def _out(self, key: str, payload: bytes | Message, flaw: str = "", after_s: float = 0.0) -> None:
+        """Send a message, or keep it until it is due."""
+        out = Outgoing(key, payload, self._step, flaw)
+        if after_s == 0.0 and (self._now is None or not self._delayed):
+            self._emit(out)
+            self.sent[key] += 1
+            return
+        if not 0.0 <= after_s <= MAX_DELAY_S:
+            raise ConfigurationError(f"{self.name}: after_s: found {after_s}, expected 0 to {MAX_DELAY_S:.0f}")
+        if not self._clocked:
+            raise ConfigurationError(
+                f"{self.name}: after_s: a node that does not hear the clock cannot delay a message"
+            )
+        if len(self._delayed) >= MAX_DELAYED:
+            raise ConfigurationError(f"{self.name}: more than {MAX_DELAYED} messages are to leave later")
+        delay_ns = round(after_s * 1e9)
+        if self._now is not None:
+            due = self._moment_ns + delay_ns
+            self._delayed.push(due, due, out)
+            self._let_go(self._moment_ns)  # what was due before this one leaves before it
+        elif delay_ns < self._period_ns:
+            self._emit(out)
+            self.sent[key] += 1
         else:
-            flaw = ""
-            try:
-                codec.check_values(message)
-            except MessageError as error:
-                flaw = str(error)
-            self._emit(Outgoing(key, message, self._step, flaw))
-        self.sent[key] += 1
+            self._delayed.push(self._step + delay_ns // self._period_ns, self.time_ns + delay_ns, out)
+
+    def _let_go(self, now: int) -> None:
+        """Send what is due by now (a step in lock-step, else ns), in the step in which it leaves."""
+        for out in self._delayed.pop(now):
+            self._emit(out._replace(step=self._step))
+            self.sent[out.key] += 1
 
     def _clock(self, key: str, hears: Input, received: Received, counted: bool) -> None:
         if received.frame <= self.frame:
             self._reject(key, f"clock: frame {received.frame} after frame {self.frame}", counted)
             return
         self.frame, self.time_ns, self._step = received.frame, received.time_ns, received.frame
+        if self._now is not None and self._began_ns is None:
+            self._began_ns = self._now()
         self._handle(key, hears, received, counted)
+        if self._now is None:
+            self._let_go(self._step)
         for step in sorted(step for step in self._held if step <= self.frame):
             for held_key, held_hears, held, held_counted in self._held.pop(step):
                 self._n_held -= 1
@@ -259,6 +364,8 @@ class Host:
 
     def _guard(self, what: str, call: Any, *arguments: Any) -> Any:
         """Call a handler; its error costs this one message, is logged once per port, and counted."""
+        if self._now is not None:
+            self._moment_ns = self._now()
         try:
             return call(*arguments)
         except Exception:

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.errors import RunError
+from mast_zenoh.faults.steps import ProcessStep
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime.timetable import LEAVING, Timetable
 from mast_zenoh.scenario import Resolved, build_node
 from mast_zenoh.wiring import Wiring
 
@@ -39,47 +41,86 @@ class InProcess:
         tap: Callable[[Outgoing], None] | None = None,
         progress: Callable[[int], bool | None] | None = None,
     ) -> None:
-        wiring = Wiring.from_json(resolved.wiring)
+        self._resolved = resolved
+        self._wiring = Wiring.from_json(resolved.wiring)
+        self._encode = encode
         self._roles = {name: spec.role for name, spec in resolved.nodes.items()}
-        self.hosts = {
-            name: Host(name, build_node(spec, name), wiring.ports(name), resolved.seed, encode=encode)
-            for name, spec in resolved.nodes.items()
-        }
+        #: those who are up
+        self.hosts = {name: self._built(name) for name in resolved.nodes}
         sources = [host for host in self.hosts.values() if isinstance(host.node, Source)]
         if len(sources) != 1:
             raise RunError(f"{len(sources)} nodes drive the scene, expected one simulator")
         self._source = sources[0]
-        self._hears: dict[str, list[Host]] = defaultdict(list)
-        for key, _, subscriber in wiring.flows():
-            self._hears[key].append(self.hosts[subscriber])
+        self.timetable = Timetable(resolved, lockstep=True)
+        #: what has been done to whom; those who were up and are not any more
+        self.steps: list[ProcessStep] = []
+        self.gone: dict[str, Host] = {}
+        for name in self.timetable.absent:
+            del self.hosts[name]
+        self._hears: dict[str, list[str]] = defaultdict(list)
+        for key, _, subscriber in self._wiring.flows():
+            self._hears[key].append(subscriber)
         self._tap = tap
         self._progress = progress
         self._pending: _Fifo | _Shuffled = _Fifo() if shuffle is None else _Shuffled(shuffle)
+        self._results: dict[str, dict[str, Any]] = {}
 
     def run(self) -> dict[str, dict[str, Any]]:
         """Run to the end of the scene; the results of every node's `finish`, and wall-clock timings under ""."""
-        for name, host in self.hosts.items():
-            host.start({peer: role for peer, role in self._roles.items() if peer != name})
+        for name in list(self.hosts):
+            self.hosts[name].start(self._peers(name))
         self._drain()
         begun = time.perf_counter()
         source, frames = self._source, 0
         assert isinstance(source.node, Source)
+        self._carry_out(0)
         while source.node.advance(source):
             self._drain()
             frames += 1
             if self._progress and self._progress(frames) is False:
                 break
+            self._carry_out(frames)
         self._drain()
         elapsed = time.perf_counter() - begun
-        results = {name: host.finish() for name, host in self.hosts.items()}
-        return {"": {"frames": frames, "wall_s": elapsed}, **results}
+        self._results |= {name: host.finish() for name, host in self.hosts.items()}
+        in_order = {name: self._results[name] for name in self._roles if name in self._results}
+        return {"": {"frames": frames, "wall_s": elapsed}, **in_order}
+
+    def _built(self, name: str) -> Host:
+        """A host of a node that is newly made."""
+        node, ports = build_node(self._resolved.nodes[name], name), self._wiring.ports(name)
+        period_ns = self._resolved.period_ns
+        return Host(name, node, ports, self._resolved.seed, encode=self._encode, period_ns=period_ns)
+
+    def _peers(self, name: str) -> dict[str, str]:
+        return {peer: self._roles[peer] for peer in self.hosts if peer != name}
+
+    def _carry_out(self, frame: int) -> None:
+        """What the scenario does to processes before a frame, when all is quiet; as `Driver` does it on a mesh."""
+        for group in self.timetable.before(frame, self.hosts):
+            come = {step.node: self._built(step.node) for step in group if step.action not in LEAVING}
+            for step in group:
+                if step.action in LEAVING:
+                    self.gone[step.node] = self.hosts.pop(step.node)
+                if step.action == "leave":
+                    self._results[step.node] = self.gone[step.node].finish()
+            for host in self.hosts.values():
+                for step in group:
+                    (host.joined if step.node in come else host.left)(step.node, self._roles[step.node])
+            self.hosts |= come
+            for name, host in come.items():
+                self.gone.pop(name, None)
+                host.start(self._peers(name))
+            self.steps += group
+            self._drain()
 
     def _drain(self) -> None:
         """Deliver until nothing is under way: the frame is over."""
         for host in self.hosts.values():
             self._collect(host)
         while self._pending:
-            host, message = self._pending.pop()
+            name, message = self._pending.pop()
+            host = self.hosts[name]
             host.deliver(message.key, message.payload, message.step, flaw=message.flaw)
             self._collect(host)
 
@@ -90,7 +131,8 @@ class InProcess:
             if self._tap:
                 self._tap(message)
             for subscriber in self._hears[message.key]:
-                self._pending.push(subscriber, message)
+                if subscriber in self.hosts:
+                    self._pending.push(subscriber, message)
         host.outbox.clear()
 
 
@@ -98,8 +140,8 @@ class _Fifo:
     """Deliveries in the order in which they were sent."""
 
     def __init__(self) -> None:
-        self._queue: deque[tuple[Host, Outgoing]] = deque()
-        self.push = lambda host, message: self._queue.append((host, message))
+        self._queue: deque[tuple[str, Outgoing]] = deque()
+        self.push = lambda subscriber, message: self._queue.append((subscriber, message))
         self.pop = self._queue.popleft
 
     def __bool__(self) -> bool:
@@ -111,12 +153,12 @@ class _Shuffled:
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
-        self._queues: dict[tuple[str, str], deque[tuple[Host, Outgoing]]] = {}
+        self._queues: dict[tuple[str, str], deque[tuple[str, Outgoing]]] = {}
 
-    def push(self, host: Host, message: Outgoing) -> None:
-        self._queues.setdefault((host.name, message.key), deque()).append((host, message))
+    def push(self, subscriber: str, message: Outgoing) -> None:
+        self._queues.setdefault((subscriber, message.key), deque()).append((subscriber, message))
 
-    def pop(self) -> tuple[Host, Outgoing]:
+    def pop(self) -> tuple[str, Outgoing]:
         names = list(self._queues)
         name = names[int(self._rng.integers(len(names)))]
         queue = self._queues[name]

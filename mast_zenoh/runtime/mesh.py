@@ -1,13 +1,20 @@
 """Hosts one node as a process on a Zenoh mesh.
 
 A Zenoh thread only puts samples on this process's inbox; the main thread takes them out, lets the host handle them,
-and sends what the node has published. Control traffic lies under mast/{run}/@control/, a verbatim chunk, where no
+and sends what the node has published. A node that is `prompt` handles what comes in real time in Zenoh's thread at
+once, if nothing waits before it: from thread to thread costs more time than passing a message on. Control traffic lies under mast/{run}/@control/, a verbatim chunk, where no
 wildcard sees it:
 
     epoch            driver → all      who takes part from now on; counters start anew
     counts/{node}    node → driver     messages sent and handled by key, whenever the inbox is empty
     stop             anyone → all      finish, hand in results, leave
+    leave/{node}     launcher → node   the same, for one of them
+    act              driver → launcher what the scenario does to processes before this frame
     result/{node}    node → launcher   a query: the results, acknowledged by the reply
+    fetch/{node}     node → launcher   a query, and
+    file/{node}      node → launcher   another: see mast_zenoh.runtime.elsewhere
+    launcher         launcher          its liveliness token
+    drain/{node}     node → node       see mast_zenoh.runtime.rewiring
 """
 
 from __future__ import annotations
@@ -16,7 +23,7 @@ import queue
 import struct
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import msgpack
@@ -26,6 +33,7 @@ from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.node import Node
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime.rewiring import Outlet, Rewiring, Told, counted
 from mast_zenoh.wiring import Leg, Wiring
 
 #: What a message carries beside its payload: a mark of this testbed's nodes, the epoch, and the step that it was sent
@@ -34,6 +42,8 @@ ATTACHMENT = struct.Struct("<4sIq")
 MARK = b"MAST"
 
 _MATCH_TIMEOUT_S = 10.0
+NOTED_FRAMES = 4096  #: of which a node knows when their messages came, by key
+
 _RESULT_TIMEOUT_S = 20.0
 _LINGER_S = 0.01
 
@@ -44,13 +54,30 @@ def prefix(run: str) -> str:
 
 
 class MeshNode:
-    """One node on the mesh; `run_until_stopped` is its life. See the module's docstring."""
+    """One node on the mesh; `run_until_stopped` is its life. See the module's docstring.
 
-    def __init__(self, run: str, name: str, node: Node, wiring: Wiring, seed: int, session: zenoh.Session) -> None:
+    period_ns: of the scene's frames; lockstep: whether time goes by frames; without: nodes that are not up now
+    """
+
+    def __init__(
+        self,
+        run: str,
+        name: str,
+        node: Node,
+        wiring: Wiring,
+        seed: int,
+        session: zenoh.Session,
+        *,
+        period_ns: int,
+        lockstep: bool,
+        without: Collection[str] = (),
+    ) -> None:
         self.name = name
         self.wiring = wiring
+        self.without = frozenset(without)
         self.ports = wiring.ports(name)
-        self.host = Host(name, node, self.ports, seed, encode=True, emit=self._put)
+        now = None if lockstep else time.monotonic_ns
+        self.host = Host(name, node, self.ports, seed, encode=True, period_ns=period_ns, now=now, emit=self._put)
         self.session = session
         self.inbox: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
         self.members: dict[str, str] = {}
@@ -58,13 +85,21 @@ class MeshNode:
         self.stop_reason: str | None = None
         self.foreign = 0  # messages that no node of this run has sent
         self.arrived_ns: dict[str, dict[int, int]] = {}
+        self.of_host: dict[str, Any] = {}  # what is known of where it runs, for run.json
         self._prefix = prefix(run)
         self._started = False
         self._cpu_begun = time.process_time()
         self._early: list[tuple[str, bytes, int, int]] = []
         self._in_frame = 0  # messages that have come in this frame
         self._in_frames = (0, 0)  # and in the two before
-        self._publishers: dict[str, zenoh.Publisher] = {}
+        self.lockstep = lockstep
+        self.outlets: dict[str, Outlet] = {}  # by the key of now, when the process begins
+        self.newest: dict[str, bytes] = {}  # the last message of each key
+        self.rewiring = Rewiring(self, self._prefix)
+        self._inside = threading.RLock()  # one thread at a time is inside the node
+        self._prompt = node.prompt and not lockstep
+        self._queued = 0  # samples put into the inbox, counted by Zenoh's thread
+        self._taken = 0  # samples handled from there, counted by the main thread
         self._subscribers: list[Any] = []
         self._declare()
 
@@ -76,30 +111,42 @@ class MeshNode:
         alive = self.session.liveliness().declare_token(f"{self._prefix}/alive/{self.name}")
         while self.stop_reason is None:
             self.turn()
-        self.hand_in()
+        self._prompt = False
+        with self._inside:
+            self.hand_in()
         alive.undeclare()
 
     def turn(self) -> None:
-        """Handle one event, or report when there is none."""
+        """Send what is due, handle one event, or report when there is none."""
+        with self._inside:
+            due_s = self.host.release()
         try:
-            event = self.inbox.get_nowait()
+            event: tuple[Any, ...] | None = self.inbox.get_nowait()
         except queue.Empty:
-            event = self.idle()
-        self.handle(event)
+            event = self.idle(due_s)
+        if event is None:
+            return
+        with self._inside:
+            self.handle(event)
+        if event[0] == "sample":
+            self._taken += 1
 
-    def idle(self) -> tuple[Any, ...]:
-        """Nothing to do: say so, and wait for the next event.
+    def idle(self, due_s: float | None = None) -> tuple[Any, ...] | None:
+        """Nothing to do: say so, and wait for the next event; None when a delayed message is due after `due_s`.
 
         While less has come than in the frames before, more is likely to be on its way: linger a little, because a
         report too many costs the driver more than the wait costs us. It is sent in any case.
         """
-        if self._in_frame < min(self._in_frames):
+        if due_s is None and self._in_frame < min(self._in_frames):
             try:
                 return self.inbox.get(timeout=_LINGER_S)
             except queue.Empty:
                 pass
         self.report()
-        return self.inbox.get()
+        try:
+            return self.inbox.get(timeout=due_s)
+        except queue.Empty:
+            return None
 
     def handle(self, event: tuple[Any, ...]) -> None:
         """One event from the inbox."""
@@ -115,11 +162,16 @@ class MeshNode:
             self._enter_epoch(*msgpack.unpackb(rest[0]))
         elif kind == "stop":
             self.stop_reason = rest[0]
+        elif kind in ("drain", "drained"):
+            self.rewiring.handle(event)
+        self.rewiring.answer()
 
     def report(self) -> None:
         """Tell the driver what has been sent and handled."""
-        if self.epoch:
-            self._counts.put(msgpack.packb([self.epoch, dict(self.host.sent), dict(self.host.handled)]))
+        with self._inside:
+            if self.epoch and not self.rewiring.busy:
+                sent = counted(self.host.sent, self.outlets)
+                self._counts.put(msgpack.packb([self.epoch, sent, dict(self.host.handled)]))
 
     def hand_in(self) -> None:
         """Finish the node and give its results to the launcher; keep trying until it says that it has them."""
@@ -133,6 +185,7 @@ class MeshNode:
             "cpu_s": round(cpu_s, 4),
             "arrived_ns": self.arrived_ns,
         } | self.extra_results()
+        outcome |= self.of_host
         payload = results.pack(outcome)
         deadline = time.monotonic() + _RESULT_TIMEOUT_S
         while time.monotonic() < deadline:
@@ -146,10 +199,16 @@ class MeshNode:
         return {}
 
     def note_arrivals(self) -> None:
-        """From now on note when the message of each frame came on each key (wall clock): for measuring latency."""
+        """From now on note when the first message of each frame came on each key, on the wall clock.
+
+        For measuring latency; of the newest frames only, so that no run is long enough to fill the memory.
+        """
 
         def note(key: str, header: Header) -> None:
-            self.arrived_ns.setdefault(key, {}).setdefault(header.frame, time.time_ns())
+            came = self.arrived_ns.setdefault(key, {})
+            came.setdefault(header.frame, time.time_ns())
+            if len(came) > NOTED_FRAMES:
+                del came[next(iter(came))]
 
         self.host.observe = note
 
@@ -159,7 +218,7 @@ class MeshNode:
         """Send what the node publishes, at once: whoever waits for it can begin while this node goes on."""
         assert isinstance(message.payload, bytes)
         attachment = ATTACHMENT.pack(MARK, self.epoch, message.step)
-        self._publishers[message.key].put(message.payload, attachment=attachment)
+        self.outlets[message.key].put(message.payload, attachment)
 
     def _sample(self, key: str, payload: bytes, attachment: bytes | None) -> None:
         mark, epoch, step = (
@@ -169,12 +228,13 @@ class MeshNode:
             self.foreign += 1
             if self._started:
                 self.host.deliver(key, payload, -1, counted=False)
-        elif epoch > self.epoch:
+        elif epoch > self.epoch and not self.rewiring.leaving:
             self._early.append((key, payload, epoch, step))
         elif self._started:
+            self.newest[key] = payload
             self.host.deliver(key, payload, step, counted=epoch == self.epoch)
 
-    def _enter_epoch(self, epoch: int, members: dict[str, str]) -> None:
+    def _enter_epoch(self, epoch: int, members: dict[str, str], told: list[Any] | None = None) -> None:
         if epoch <= self.epoch or self.name not in members:
             return
         before, self.members, self.epoch = self.members, members, epoch
@@ -188,27 +248,28 @@ class MeshNode:
                 self.host.left(name, before[name])
             for name in sorted(members.keys() - before.keys()):
                 self.host.joined(name, members[name])
+        if told is not None:
+            self.rewiring.follow(Told.of(told))
         early, self._early = self._early, []
         for key, payload, its_epoch, step in early:
             self._sample(key, payload, ATTACHMENT.pack(MARK, its_epoch, step))
+        if told is not None:
+            self.report()  # the change goes on when all have: do not linger
 
     # -- declarations --------------------------------------------------------------------------------------------
 
     def _declare(self) -> None:
         for key in self.ports.inputs:
-            self._subscribers.append(self.subscribe(key, self._on_sample(key)))
+            self.hear(key)
         put = self.inbox.put
+        drain: Any = zenoh.handlers.Callback(lambda query: put(("drain", query)), indirect=False)
+        self._subscribers.append(self.session.declare_queryable(f"{self._prefix}/@control/drain/{self.name}", drain))
         self._subscribers.append(self.subscribe("@control/epoch", lambda s: put(("epoch", s.payload.to_bytes()))))
-        self._subscribers.append(self.subscribe("@control/stop", lambda s: put(("stop", s.payload.to_string()))))
+        for key in ("@control/stop", f"@control/leave/{self.name}"):
+            self._subscribers.append(self.subscribe(key, lambda s: put(("stop", s.payload.to_string()))))
         for wire, leg in self.wiring.legs():
             if leg.publisher.node == self.name:
-                schema = SCHEMAS[wire.message]
-                self._publishers[leg.key] = self.session.declare_publisher(
-                    f"{self._prefix}/{leg.key}",
-                    encoding=f"application/msgpack;schema={schema.name}.{schema.version}",
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                    express=True,
-                )
+                self.outlets[leg.key] = Outlet(leg.key, self.declare_publisher(leg.key, wire.message))
         self._counts = self.session.declare_publisher(
             f"{self._prefix}/@control/counts/{self.name}",
             congestion_control=zenoh.CongestionControl.BLOCK,
@@ -216,14 +277,47 @@ class MeshNode:
             express=True,
         )
 
+    def declare_publisher(self, key: str, message: str) -> zenoh.Publisher:
+        """A publisher of a wire's messages on one of its keys: all legs alike, so that none can be told by it."""
+        schema = SCHEMAS[message]
+        # Lock-step waits for every message. In real time nobody waits: in a router, one whom nothing reaches any more
+        # would hold up all others.
+        congestion = zenoh.CongestionControl.BLOCK if self.lockstep else zenoh.CongestionControl.DROP
+        return self.session.declare_publisher(
+            f"{self._prefix}/{key}",
+            encoding=f"application/msgpack;schema={schema.name}.{schema.version}",
+            congestion_control=congestion,
+            express=True,
+        )
+
+    def hear(self, key: str) -> None:
+        """Have what comes on a wire's key come to the inbox."""
+        self._subscribers.append(self.subscribe(key, self._on_sample(key)))
+
     def _on_sample(self, key: str) -> Callable[[zenoh.Sample], None]:
         put = self.inbox.put
 
         def on_sample(sample: zenoh.Sample) -> None:
             attachment = sample.attachment
-            put(("sample", key, sample.payload.to_bytes(), attachment.to_bytes() if attachment else None))
+            event = ("sample", key, sample.payload.to_bytes(), attachment.to_bytes() if attachment else None)
+            if not (self._prompt and self._handled_at_once(event)):
+                self._queued += 1
+                put(event)
 
         return on_sample
+
+    def _handled_at_once(self, event: tuple[Any, ...]) -> bool:
+        """Handle a sample in the thread that brings it, unless another waits before it or the node is busy."""
+        if self._queued != self._taken or not self._started or not self._inside.acquire(blocking=False):
+            return False
+        try:
+            self.handle(event)
+            due_s = self.host.release()
+        finally:
+            self._inside.release()
+        if due_s is not None:
+            self.inbox.put(("due",))  # the main thread is to see when
+        return True
 
     def subscribe(self, key: str, callback: Callable[[zenoh.Sample], None]) -> Any:
         """A subscriber below the run's prefix whose callback runs in Zenoh's own thread: it must return at once."""
@@ -232,7 +326,11 @@ class MeshNode:
 
     def await_matching(self) -> None:
         """Wait until every wire that somebody listens to has its listener, so that no first message is lost."""
-        awaited = [self._publishers[leg.key] for _, leg in self.wiring.legs() if self._is_mine(leg)] + [self._counts]
+        heard = [self.outlets[leg.key].publisher for _, leg in self.wiring.legs() if self._is_heard(leg)]
+        self.await_listeners([*heard, self._counts])
+
+    def await_listeners(self, awaited: Sequence[zenoh.Publisher]) -> None:
+        """Wait until each of these publishers has somebody who listens; go on without after a while."""
         pending = threading.Semaphore(0)
         direct: Any = zenoh.handlers.Callback(lambda status: pending.release(), indirect=False)
         listeners = [publisher.declare_matching_listener(direct) for publisher in awaited]
@@ -247,5 +345,7 @@ class MeshNode:
         for listener in listeners:
             listener.undeclare()
 
-    def _is_mine(self, leg: Leg) -> bool:
-        return leg.publisher.node == self.name and bool(leg.subscribers or self.wiring.overhearers)
+    def _is_heard(self, leg: Leg) -> bool:
+        """Whether it is a leg that this node speaks on and another that is up listens to."""
+        hearers = {end.node for end in (*leg.subscribers, *self.wiring.overhearers)}
+        return leg.publisher.node == self.name and bool(hearers - self.without)

@@ -28,10 +28,14 @@ class Pacer:
     def __init__(self, wiring: Wiring) -> None:
         self.epoch = 0
         self.members: dict[str, str] = {}
+        self._reports: dict[str, tuple[Mapping[str, int], Mapping[str, int]]] = {}
+        self.rewire(wiring)
+
+    def rewire(self, wiring: Wiring) -> None:
+        """From the next epoch on messages flow like this."""
         self._flows = list(wiring.flows())
         self._publishers = {leg.publisher.node for _, leg in wiring.legs()}
         self._causes = [flow for flow in self._flows if flow[2] in self._publishers]
-        self._reports: dict[str, tuple[Mapping[str, int], Mapping[str, int]]] = {}
 
     def begin_epoch(self, members: Mapping[str, str]) -> int:
         """A new epoch with these members; nobody has reported in it yet. Returns its number."""

@@ -10,6 +10,7 @@ from typing import Any
 
 from mast_zenoh import loading
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.security.levels import LEVELS
 from mast_zenoh.settings import split
 
 #: The keys of a study, and of one of its `runs`.
@@ -22,6 +23,7 @@ KEYS = {
     "seed": "the first seed",
     "frames": "how many to play, None for all",
     "runtime": "mesh or inproc",
+    "security": "levels at which the outsider of each run's scenario file is let loose on it",
 }
 RUN_KEYS = ("scenario", "parameters", "grid")
 RUNTIMES = ("mesh", "inproc")
@@ -66,6 +68,7 @@ class Study:
     seed: int
     frames: int | None
     runtime: str | None
+    security: tuple[str, ...] = ()
 
 
 def load(name: str, settings: Sequence[str] = ()) -> Study:
@@ -115,7 +118,18 @@ def _checked(path: Path, content: Any) -> Study:
         seed=_whole(path, content, "seed", 0) or 0,
         frames=_whole(path, content, "frames", 1),
         runtime=content.get("runtime"),
+        security=_levels(path, content.get("security", ())),
     )
+
+
+def _levels(path: Path, content: Any) -> tuple[str, ...]:
+    """Levels of security, each once."""
+    if not isinstance(content, (list, tuple)):
+        raise ConfigurationError(f"{path}: security: found {content!r}, expected a list of {', '.join(LEVELS)}")
+    for level in content:
+        if level not in LEVELS:
+            raise ConfigurationError(f"{path}: security: found {level!r}{nearest(str(level), LEVELS)}")
+    return tuple(dict.fromkeys(content))
 
 
 def _spread(path: Path, label: Any, run: Any) -> list[Configuration]:

@@ -1,5 +1,8 @@
 """What is gathered depends on the set of messages, never on their order."""
 
+import itertools
+
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -63,8 +66,8 @@ def test_the_latest_before_a_frame_does_not_depend_on_order_nor_on_the_frame_its
 def test_a_batch_does_not_depend_on_the_order_of_arrival(items: list, at: int, capacity: int, random) -> None:
     def batch(order: list) -> tuple:
         buffer: CollationBuffer[tuple] = CollationBuffer(capacity)
-        for agent, time_ns in order:
-            buffer.push(agent, time_ns, (agent, time_ns))
+        for agent, frame in order:
+            buffer.push(agent, frame, (agent, frame))
         return buffer.present(at), buffer.pop(at), buffer.dropped
 
     shuffled = list(items)
@@ -74,18 +77,58 @@ def test_a_batch_does_not_depend_on_the_order_of_arrival(items: list, at: int, c
 
 def test_a_full_buffer_drops_the_oldest() -> None:
     buffer: CollationBuffer[str] = CollationBuffer(capacity=3)
-    for time_ns in (4, 1, 2, 3):
-        buffer.push("ego", time_ns, f"at {time_ns}")
+    for frame in (4, 1, 2, 3):
+        buffer.push("ego", frame, f"of {frame}")
     assert buffer.dropped == 1
     assert buffer.pop(1) == {}
-    assert buffer.pop(3) == {"ego": (3, "at 3")}
-    assert buffer.pop(9) == {"ego": (4, "at 4")}
+    assert buffer.pop(3) == {"ego": "of 3"}
+    assert buffer.pop(9) == {"ego": "of 4"}
 
 
 def test_what_comes_after_its_batch_is_counted_as_late() -> None:
     buffer: CollationBuffer[str] = CollationBuffer()
     buffer.push("ego", 10, "in time")
-    assert buffer.pop(10) == {"ego": (10, "in time")}
+    assert buffer.pop(10) == {"ego": "in time"}
     assert not buffer.push("infra_1", 10, "late")
     assert buffer.late == {"infra_1": 1}
     assert buffer.pop(20) == {}
+
+
+def test_a_duplicate_changes_nothing_and_is_not_late_whenever_it_comes() -> None:
+    buffer: CollationBuffer[str] = CollationBuffer()
+    assert buffer.push("ego", 10, "first")
+    assert not buffer.push("ego", 10, "second")
+    assert buffer.pop(10) == {"ego": "first"}
+    assert not buffer.push("ego", 10, "third")
+    assert not buffer.push("infra_1", 9, "late")
+    assert not buffer.push("infra_1", 9, "late twice")
+    assert (buffer.duplicates, buffer.late, buffer.pop(20)) == (3, {"infra_1": 1}, {})
+
+
+def test_a_duplicate_of_what_still_waits_is_known_however_much_came_between() -> None:
+    buffer: CollationBuffer[object] = CollationBuffer(capacity=2)
+    incomparable = object()
+    assert buffer.push("ego", 10**9, incomparable)
+    for frame in range(200):
+        buffer.push("ego", frame, object())
+    assert not buffer.push("ego", 10**9, object())
+    assert buffer.pop(10**9) == {"ego": incomparable}
+
+
+def test_of_what_came_earlier_the_newest_is_the_one_about_the_latest_frame() -> None:
+    latest: LatestBefore[str] = LatestBefore()
+    latest.add(5, "of 5")
+    latest.add(6, "of 3, held up", about=3)
+    assert latest.get(7) == (5, "of 5")
+    latest.add(7, "of 6", about=6)
+    assert latest.get(7) == (5, "of 5"), "what comes in this frame counts from the next"
+    assert latest.get(8) == (7, "of 6")
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations([(1, "a"), (3, "b"), (2, "c")])))
+def test_of_several_that_come_in_one_frame_the_one_about_the_latest_stays(order: tuple) -> None:
+    latest: LatestBefore[str] = LatestBefore()
+    for about, item in order:
+        latest.add(4, item, about=about)
+    latest.add(4, "a duplicate", about=3)
+    assert latest.get(5) == (4, "b")

@@ -13,14 +13,26 @@ LAYERS = (
     ("__main__", "cli", "documentation"),
     ("study",),
     ("report",),
+    ("deploy",),
     ("launch",),
     ("checks",),
     ("runtime",),
     ("loading", "scenario"),
     ("node",),
-    ("registry", "settings", "keyexpr", "wiring", "messagelog", "codec", "messages", "bundle"),
+    (
+        "registry",
+        "settings",
+        "keyexpr",
+        "interposition",
+        "wiring",
+        "messagelog",
+        "security",
+        "codec",
+        "messages",
+        "bundle",
+    ),
     ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics", "links", "faults"),
-    ("geometry", "states", "streams", "errors", "__init__"),
+    ("geometry", "states", "streams", "errors", "release", "__init__"),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mast_zenoh import bundle, loading
+from mast_zenoh import bundle, links, loading
 from mast_zenoh.attacks import ACTIONS
 from mast_zenoh.codec import _INDEX_LIMITS
 from mast_zenoh.messages import SCHEMAS, text
@@ -33,7 +33,8 @@ def test_every_message_type_says_what_its_columns_are(name: str) -> None:
 
 
 def test_indices_are_limited_to_what_they_index() -> None:
-    assert {"class_id": len(CLASSES), "action": len(ACTIONS)} == _INDEX_LIMITS
+    limits = {"class_id": CLASSES, "action": ACTIONS, "port": links.WIRES, "fate": links.FATES}
+    assert {name: len(known) for name, known in limits.items()} == _INDEX_LIMITS
 
 
 @pytest.mark.parametrize("node", OURS, ids=lambda node: node.__name__)

@@ -1,5 +1,6 @@
 """A scenario is a Python file of plain dicts; what is wrong in it is told before anything starts."""
 
+import inspect
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -186,11 +187,13 @@ def test_both_spellings_at_once_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", sorted(Path(name).stem for name in bundle.names("scenarios")))
 def test_our_scenarios_resolve(name: str) -> None:
-    path, content = load(name, ["n_infrastructure=2"])
+    _, function = loading.function("scenarios", name, "scenario")
+    wanted = {"n_infrastructure": 2, "n_mobile": 0}
+    path, content = load(name, [f"{k}={v}" for k, v in wanted.items() if k in inspect.signature(function).parameters])
     found = resolve(path, content, frames=1)
     roles = [spec.role for spec in found.nodes.values()]
     assert roles[0] == "simulator"
-    assert roles.count("agent") == 3
+    assert roles.count("agent") == (3 if "n_infrastructure" in inspect.signature(function).parameters else 5)
     for role in ("broker", "command_center", "evaluator"):
         assert roles.count(role) == 1
     assert found.nodes.keys() == {name for wire in found.wiring["wires"] for name in touched(wire)}, "none left out"

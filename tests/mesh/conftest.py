@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -30,11 +31,9 @@ def launch(tmp_path: Path) -> Iterator[Callable[..., Launched]]:
 
 
 @pytest.fixture(autouse=True)
-def nothing_is_left_behind(tmp_path: Path) -> Iterator[None]:
+def nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Fails the test that leaves a process, a thread or a socket file."""
     threads = set(threading.enumerate())
-    sockets = set(Path("/tmp").glob("**/*.sock"))
-    yield
 
     def processes() -> list[psutil.Process]:
         mine = []
@@ -43,12 +42,18 @@ def nothing_is_left_behind(tmp_path: Path) -> Iterator[None]:
                 mine.append(process)
         return mine
 
-    deadline = time.monotonic() + 5.0
-    while processes() and time.monotonic() < deadline:
-        threading.Event().wait(0.05)
+    with tempfile.TemporaryDirectory(prefix="mast_", dir="/tmp") as own:  # short: a socket's path may not be long
+        monkeypatch.setenv("TMPDIR", own)
+        monkeypatch.setattr(tempfile, "tempdir", None)
+        yield
+        monkeypatch.undo()
+        deadline = time.monotonic() + 5.0
+        while processes() and time.monotonic() < deadline:
+            threading.Event().wait(0.05)
+        files = list(Path(own).glob("**/*.sock"))
     left = processes()
     for process in left:
         process.kill()
     assert not left, f"processes left behind: {left}"
     assert not (new := set(threading.enumerate()) - threads), f"threads left behind: {new}"
-    assert not (files := set(Path("/tmp").glob("**/*.sock")) - sockets), f"sockets left: {files}"
+    assert not files, f"sockets left: {files}"

@@ -112,6 +112,10 @@ def test_real_time_keeps_its_pace_and_measures_its_latency(launch) -> None:
     assert found["frames"] == 40
     assert found["frames_per_second"] == pytest.approx(20, rel=0.2), "twice 10 Hz"
     assert 0 < found["latency_ms"]["sim_to_picture"]["p50"] <= found["latency_ms"]["sim_to_picture"]["p99"]
+    wires = found["latency_ms"]["by_wire"]
+    assert {"clock", "agent/ego/detections", "agent/infra_1/tracks", "cc/picture"} <= wires.keys()
+    assert all(0 < wire["p50"] <= wire["p95"] <= wire["p99"] and 0 < wire["n"] <= 40 for wire in wires.values())
+    assert wires["agent/ego/pose"]["p50"] < wires["agent/ego/tracks"]["p50"] < wires["cc/picture"]["p50"]
     assert found["agents"]["ego"]["picture"]["tp"]["mean"] > 5
 
 

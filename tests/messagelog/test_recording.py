@@ -45,6 +45,21 @@ def test_many_messages_of_a_frame_on_a_wire_keep_the_order_of_their_numbers(tmp_
     assert [message.seq for message in read(write(tmp_path / "run.mcap", sent))] == [0, 2, 7, 2**40]
 
 
+def test_a_key_that_is_heard_only_later_is_recorded_as_if_it_had_been_known(tmp_path: Path) -> None:
+    hears = {key: heard for key, heard in HEARS.items() if key == "clock"}
+    log = MessageLog(tmp_path / "run.mcap")
+    log.begin(hears)
+    hears |= HEARS
+    sent = small_run()
+    for key, sound in random.Random(1).sample(sent, len(sent)):
+        log.add(key, sound, codec.decode_header(sound, HEARS[key].message))
+    log.add_malformed(TAP, b"nonsense", 0, 0)
+    log.close()
+    found = list(read(tmp_path / "run.mcap"))
+    assert [(message.key, message.payload) for message in found if not message.malformed] == sent
+    assert sum(message.malformed for message in found) == 1
+
+
 def test_doubles_are_kept_in_the_order_in_which_they_came(tmp_path: Path) -> None:
     sent = [("clock", payload("clock", 0)), ("agent/a/status", payload("agent/a/status", 0))]
     twice = payload("agent/a/status", 0, {name: [9] for name in ("mobile", "detections", "tracks")})

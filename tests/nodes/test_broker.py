@@ -252,6 +252,77 @@ def test_an_absurd_track_does_not_spoil_the_batch_of_all(resolved, column: str) 
     assert broker.host.finish()["collation"]["absurd"] == 2 * (3 - kept)
 
 
+def say_at(broker: Bench, agent: str, frame: int, offset_s: float, **more: Any):
+    """A word of an agent whose clock is off."""
+    key = broker.key("tracks", agent)
+    time_ns = frame * PERIOD_NS + round(offset_s * 1e9)
+    return broker.deliver(key, broker.message(key, tracks((0.0, 0.0), **more), frame, time_ns=time_ns))
+
+
+@pytest.mark.parametrize("offset_s", [-0.2, -0.03, 0.03, 0.2])
+def test_an_agent_whose_clock_is_off_completes_its_batch_and_counts_at_the_time_it_says(
+    resolved, offset_s: float
+) -> None:
+    broker = bench(resolved, max_age_s=0.25)
+    for frame in range(4, 8):
+        broker.clock(frame)
+        say(broker, "ego", frame)
+        say(broker, "infra_1", frame)
+        ((_, batch),) = say_at(broker, "infra_2", frame, offset_s, velocity=(10.0, 0.0))
+        assert batch.header.frame == frame
+        assert batch.body["age_ns"].tolist() == [0, 0, round(-offset_s * 1e9)]
+        assert batch.body["position"][2, 0] == pytest.approx(-10.0 * offset_s), "brought to the batch's time"
+        assert (np.linalg.eigvalsh(batch.body["covariance"][2]) > 0.0).all()
+    assert broker.host.finish()["collation"]["complete"] == 4
+
+
+@pytest.mark.parametrize("offset_s", [-0.3, 0.3, 1e6])
+def test_a_clock_that_is_off_by_more_than_a_word_may_be_old_costs_the_agent_its_say_and_nobody_else(
+    resolved, offset_s: float
+) -> None:
+    broker = bench(resolved, max_age_s=0.25)
+    for frame in range(4, 7):
+        broker.clock(frame)
+        say(broker, "ego", frame)
+        say(broker, "infra_1", frame)
+        assert summary(say_at(broker, "infra_2", frame, offset_s)) == [(frame, {"ego": 0.0, "infra_1": 0.0})]
+    broker.clock(7)
+    for agent in AGENTS:
+        said = say(broker, agent, 7)
+    assert summary(said) == [(7, dict.fromkeys(AGENTS, 0.0))], "when it is right again, it is heard again"
+
+
+def test_a_doubled_message_changes_nothing(resolved) -> None:
+    outcomes = []
+    for copies in (1, 3):
+        broker = bench(resolved, patience=1)
+        for frame in range(5):
+            broker.clock(frame)
+            for agent in AGENTS:
+                key = broker.key("tracks", agent)
+                message = broker.message(key, tracks((float(frame), 0.0)), frame)
+                for _ in range(copies if agent == "infra_1" else 1):
+                    broker.deliver(key, message)
+                if agent == "infra_1" and copies > 1 and frame:
+                    broker.deliver(key, broker.message(key, tracks((9.0, 0.0)), frame - 1), step=frame)
+        outcomes.append((broker.payloads, broker.host.finish()))
+    assert outcomes[0] == outcomes[1], "nor is any of them late"
+
+
+def test_what_a_dead_agent_said_last_goes_by_time_not_at_once_and_not_never(resolved) -> None:
+    broker = bench(resolved, max_age_s=0.25)
+    ages = []
+    for frame in range(6):
+        if frame == 2:
+            broker.left("infra_2", "agent")
+        broker.clock(frame)
+        for agent in AGENTS if frame < 2 else AGENTS[:2]:
+            said = say(broker, agent, frame)
+        ((_, found),) = summary(said)
+        ages.append(found.get("infra_2"))
+    assert ages == [0.0, 0.0, 100.0, 200.0, None, None]
+
+
 @given(st.data())
 @settings(max_examples=60, deadline=None)
 def test_every_order_of_delivery_gives_the_same_batches(resolved, data: st.DataObject) -> None:

@@ -1,5 +1,7 @@
 """The coordinator gives all its adversaries one plan, and goes on without those that have gone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tiny_world import Bench, Run, states, tiny
@@ -63,6 +65,18 @@ def test_a_dead_adversary_is_waited_for_no_longer_until_it_comes_back(resolved) 
     coordinator = Bench(resolved, "coordinator")
     coordinator.clock(0)
     coordinator.left("adversary_2", "adversary")
+    assert [key for key, _ in observe(coordinator, 1, 0)] == [DIRECTIVES[0]]
+    coordinator.host.joined("adversary_2", "adversary")
+    coordinator.clock(1)
+    assert observe(coordinator, 1, 1) == []
+    assert len(observe(coordinator, 2, 1)) == 2
+
+
+def test_an_adversary_that_is_not_there_yet_is_not_waited_for(resolved) -> None:
+    without = replace(resolved, nodes={name: spec for name, spec in resolved.nodes.items() if name != "adversary_2"})
+    coordinator = Bench(without, "coordinator")
+    assert coordinator.node.adversaries == {"adversary_1", "adversary_2"}
+    coordinator.clock(0)
     assert [key for key, _ in observe(coordinator, 1, 0)] == [DIRECTIVES[0]]
     coordinator.host.joined("adversary_2", "adversary")
     coordinator.clock(1)

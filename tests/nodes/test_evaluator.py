@@ -9,6 +9,7 @@ from tiny_world import Bench, Run, picture, states, tiny, tracks
 from mast_zenoh.attacks import ACTIONS
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw
+from mast_zenoh.links import FATES, WIRES
 from mast_zenoh.messages import text
 from mast_zenoh.wiring import Wiring
 
@@ -141,6 +142,109 @@ def test_reports_become_a_table_with_a_row_for_each_change_whatever_order_they_c
     assert table["vz"].tolist() == [1.0] * 5
     again = said([("adversary_1", 0), ("adversary_1", 1), ("adversary_2", 0)])
     assert {name: column.tolist() for name, column in table.items()} == {n: c.tolist() for n, c in again.items()}
+
+
+@pytest.fixture(scope="module")
+def linked():
+    def cut(content: dict[str, Any]) -> None:
+        content["faults"] = [{"type": "Partition", "at": 0.2, "until": 0.8, "nodes": ["infra_1"]}]
+
+    return tiny(edit=cut)
+
+
+def report(*rows: tuple[str, int, str]) -> dict[str, np.ndarray]:
+    """A link's report: port, frame, fate."""
+    n = len(rows)
+    return {
+        "port": np.array([WIRES.index(port) for port, _, _ in rows], np.uint8),
+        "frame": np.array([frame for _, frame, _ in rows], np.int64),
+        "seq": np.array([frame for _, frame, _ in rows], np.int64),
+        "fate": np.array([FATES.index(fate) for _, _, fate in rows], np.uint8),
+        "rule": np.zeros(n, np.int64),
+        "delay_s": np.zeros(n),
+    }
+
+
+def blamed(linked, *, at: Any = None, frames: int = 30) -> dict[str, Any]:
+    """The ego's picture of a run in which infra_1 alone sees a car that the picture has from frame 15 to 19 not."""
+    evaluator = Bench(linked, "evaluator")
+    for frame in range(frames):
+        evaluator.clock(frame)
+        everything = truth(*PLACES, (40.0, 0.0))
+        everything["points"][2] = [0, 50, 0]
+        evaluator.send("truth", everything, frame)
+        for agent in AGENTS:
+            if not at or at(frame, agent, evaluator) is not False:
+                evaluator.send("tracks", tracks(*PLACES, *[(40.0, 0.0)] * (agent == "infra_1")), frame, subject=agent)
+        evaluator.send("picture", picture(*PLACES, *[(40.0, 0.0)] * (not 15 <= frame < 20)), frame)
+    return metrics(evaluator)["agents"]["ego"]["picture"]
+
+
+def test_what_is_missed_while_all_get_through_is_natural(linked) -> None:
+    found = blamed(linked)
+    assert found["causes"]["fn"] == {"fusion": 5}
+    assert found["fn_split"] == {"fault": 0.0, "attack": 0.0, "natural": pytest.approx(5 / 30)}
+    assert found["fp_split"] == {"fault": 0.0, "attack": 0.0, "natural": 0.0}
+
+
+def test_what_a_link_has_dropped_is_the_faults(linked) -> None:
+    """Its report of a frame comes with the next one."""
+
+    def dropped(frame: int, agent: str, evaluator: Bench) -> None:
+        if agent == "infra_1" and 15 < frame <= 18:
+            evaluator.send("link_reports", report(("tracks", frame - 1, "dropped")), frame, subject="link_infra_1")
+
+    assert blamed(linked, at=dropped)["causes"]["fn"] == {"link or fault": 5}
+
+
+def test_what_a_killed_agent_would_have_seen_is_the_faults_and_until_it_is_back_in_the_picture(linked) -> None:
+    def killed(frame: int, agent: str, evaluator: Bench) -> bool | None:
+        if agent == "ego" and frame == 12:
+            evaluator.left("infra_1", "agent")
+        if agent == "ego" and frame == 17:
+            evaluator.host.joined("infra_1", "agent")
+        return False if agent == "infra_1" and 13 <= frame < 18 else None
+
+    assert blamed(linked, at=killed)["causes"]["fn"] == {"link or fault": 5}
+
+
+def test_whom_nobody_hears_for_long_is_cut_off_and_for_a_moment_is_late_at_most(linked) -> None:
+    def unheard(first: int, last: int) -> Any:
+        return lambda frame, agent, evaluator: agent != "infra_1" or not first <= frame <= last
+
+    assert blamed(linked, at=unheard(16, 19))["causes"]["fn"] == {"fusion": 1, "link or fault": 4}
+    assert blamed(linked, at=unheard(16, 17))["causes"]["fn"]["occlusion or range"] == 2
+
+
+def test_reports_of_links_become_a_table_whatever_order_they_came_in(linked) -> None:
+    def said(order: list[int]) -> dict[str, list[Any]]:
+        evaluator = Bench(linked, "evaluator")
+        evaluator.clock(0)
+        for frame in order:
+            body = report(("tracks", frame - 1, "dropped"), ("picture", frame - 1, "delayed"))
+            evaluator.deliver(
+                evaluator.key("link_reports", "link_infra_1"),
+                evaluator.message(evaluator.key("link_reports", "link_infra_1"), body, frame, seq=frame),
+                step=0,
+            )
+        return {name: column.tolist() for name, column in evaluator.host.finish()["tables"]["links"].items()}
+
+    table = said([1, 2])
+    assert table == said([2, 1])
+    assert table["agent"] == ["infra_1"] * 4
+    assert table["port"] == ["tracks", "picture"] * 2
+    assert table["fate"] == ["dropped", "delayed"] * 2
+    assert table["frame"] == [0, 0, 1, 1]
+
+
+def test_a_run_without_links_has_no_such_table_and_nothing_to_blame_on_them(resolved) -> None:
+    assert "links" not in heard(resolved, 3).host.finish()["tables"]
+    found = Run(tiny()).results["evaluator"]
+    assert "link or fault" not in found["tables"]["objects"]["cause"]
+    for of_agent in found["metrics"]["agents"].values():
+        split = of_agent["picture"]["fn_split"]
+        assert split["fault"] == split["attack"] == 0.0
+        assert split["natural"] == pytest.approx(of_agent["picture"]["fn"]["mean"])
 
 
 def test_without_attacks_the_table_is_empty_but_has_its_columns(resolved) -> None:

@@ -13,7 +13,7 @@ import pytest
 from mast_zenoh.report.diagram import draw_wiring
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import svg
-from mast_zenoh.report.wiring import HIGH, WIDE, Spot, layout, wire_rows
+from mast_zenoh.report.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
 
 
 def a_run(wires: list[dict[str, Any]], roles: dict[str, str] | None = None) -> RunFolder:
@@ -60,8 +60,48 @@ def test_nodes_on_a_wire_stand_between_its_ends_in_order() -> None:
     infra, links = Spot("infra_1"), [Spot(f"infra_1_link_{k}", after=1) for k in (0, 1)]
     xs = [plan.places[spot][0] for spot in (infra, *links, Spot("broker"))]
     assert xs == sorted(xs)
-    assert plan.lines[infra, links[0]].intercepted
+    assert plan.lines[infra, links[0]].linked
     assert (infra, Spot("broker")) not in plan.lines
+
+
+def branched(trunk: tuple[str, ...] = ()) -> RunFolder:
+    """The picture, on which each of two agents has a link of its own, and who sits on the trunk before them."""
+    agents = ["ego", "infra_1", "infra_2"]
+    wire = a_wire("cc/picture", "picture", "command_center", [*agents, "evaluator"], trunk)
+    wire["legs"][-1]["to"] = ["ego", "link_infra_1", "link_infra_2", "evaluator"]
+    for agent in agents[1:]:
+        key = f"cc/picture/@tap/{agent}/0"
+        wire["legs"].append({"key": key, "from": f"link_{agent}", "to": [agent], "before": agent})
+    wire["interposers"] += ["link_infra_1", "link_infra_2"]
+    roles = dict.fromkeys(agents, "agent") | {"link_infra_1": "link", "link_infra_2": "link", "mallory": "adversary"}
+    return a_run([wire], roles | {"command_center": "command_center", "evaluator": "evaluator"})
+
+
+def test_a_link_before_one_subscriber_stands_beside_it_and_leaves_the_others_alone() -> None:
+    plan = layout(branched())
+    assert plan is not None
+    link, agent, centre = Spot("link_infra_2", after=1), Spot("infra_2"), Spot("command_center")
+    assert plan.places[link][1] == pytest.approx(plan.places[agent][1] - 0.5 * ROW)
+    assert plan.places[link][0] == plan.places[Spot("link_infra_1", after=1)][0]
+    assert plan.lines[link, agent].linked
+    assert plan.lines[centre, link].linked
+    assert not plan.lines[centre, Spot("ego")].linked
+    assert not any(line.intercepted for line in plan.lines.values())
+
+
+def test_who_sits_on_the_trunk_intercepts_the_wire_for_all() -> None:
+    run = branched(("mallory",))
+    plan = layout(run)
+    assert plan is not None
+    mallory = Spot("mallory", after=1)
+    assert plan.places[mallory][0] < plan.places[Spot("link_infra_1", after=1)][0]
+    assert plan.lines[Spot("command_center"), mallory].intercepted
+    assert plan.lines[mallory, Spot("ego")].intercepted
+    (row,) = wire_rows(run)
+    assert row.intercepted
+    assert row.links == ("link_infra_1", "link_infra_2")
+    assert row.branches == ("infra_1", "infra_2")
+    assert wire_rows(branched())[0].intercepted is False
 
 
 def test_a_coordinator_stands_above_its_adversaries(run_folder: Callable[..., Path]) -> None:

@@ -6,7 +6,7 @@ from mast_zenoh.node import Context, Node, Received
 class LossyLink(Node):
     """agent: whose poses and detections it carries; doubles: whether some detections come twice as well."""
 
-    role = "link"
+    role = "lossy"
     inputs = {"pose": "pose", "detections": "detections"}
     outputs = {"pose_out": "pose", "detections_out": "detections"}
 

@@ -18,9 +18,9 @@ ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")
 
 def with_loss(scenario: dict[str, Any], doubles: bool = False) -> None:
     """Put the lossy link before infra_1, and let the broker wait a little."""
-    scenario["nodes"] = {"link": dict(role="link", file=str(LINK), agent="infra_1", doubles=doubles)}
+    scenario["nodes"] = {"link": dict(role="lossy", file=str(LINK), agent="infra_1", doubles=doubles)}
     insert = [
-        dict(wire=f"agent/{{agent}}/{port}", role="link", input=port, output=f"{port}_out")
+        dict(wire=f"agent/{{agent}}/{port}", role="lossy", input=port, output=f"{port}_out")
         for port in ("pose", "detections")
     ]
     scenario["keyexpr"]["rewrites"] = [{"insert": insert}, *scenario["keyexpr"]["rewrites"]]

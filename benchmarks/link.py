@@ -1,0 +1,244 @@
+"""What a link node adds to the way of a message through a router, beside what a bare Python relay adds, in one run.
+
+The same message, real tracks of 20 objects, goes from a publisher to a subscriber in this process
+
+    direct      through the router
+    callback    through the router, a process that puts what it gets from within Zenoh's thread, and the router again:
+                the floor, which no program reaches that is to do anything else meanwhile
+    relay       the same as one writes it: `for sample in subscriber: publisher.put(sample.payload)`
+    link        the same with a link node as in a run in real time, without rules
+    wired       and with those of the profile `wired`; its delays, as the rules draw them, are taken off
+
+one message after the other, all ways in turn. Given are medians of one-way times, of blocks of messages, and what a way
+adds to the direct one as a multiple of what the relay adds.
+
+    python benchmarks/link.py [--messages 200] [--repeats 10] [--objects 20]
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import queue
+import statistics
+import subprocess
+import sys
+import time
+
+import msgpack
+import numpy as np
+import zenoh
+
+from mast_zenoh import bundle, codec, keyexpr, links, loading, registry
+from mast_zenoh.links import Chain, Passage, Rule
+from mast_zenoh.messages import Header
+from mast_zenoh.runtime.mesh import ATTACHMENT, MARK, MeshNode, prefix
+from mast_zenoh.runtime.session import open_client, open_router
+from mast_zenoh.states import ObjectStates
+from mast_zenoh.streams import stream
+from mast_zenoh.wiring import Wiring
+
+WAYS = ("direct", "callback", "relay", "link", "wired")
+BARE = ("callback", "relay")
+KEY = "agent/ego/tracks"
+PERIOD_NS = 100_000_000
+ROLES = {"simulator": "simulator", "ego": "agent", "broker": "broker", "link_ego": "link"}
+ATTACHED = ATTACHMENT.pack(MARK, 1, 0)
+
+
+MAP = {
+    "wire": [
+        {"key": "clock", "message": "clock", "from": "simulator.clock", "to": ["link.clock"]},
+        {"key": "agent/{agent}/tracks", "message": "tracks", "from": "agent.tracks", "to": ["broker.tracks"]},
+    ],
+    "insert": [
+        {"wire": "agent/{agent}/tracks", "role": "link", "input": "tracks", "output": "tracks_out", "to": "broker"}
+    ],
+}
+
+
+def wiring() -> Wiring:
+    """A link before the broker, and nothing else."""
+    link = link_class()
+    nodes = {
+        "simulator": keyexpr.NodeOptions("simulator", {}, {}, {"clock": "clock"}),
+        "ego": keyexpr.NodeOptions("agent", {}, {}, {"tracks": "tracks"}),
+        "broker": keyexpr.NodeOptions("broker", {}, {"tracks": "tracks"}, {}),
+        "link_ego": keyexpr.NodeOptions("link", {"agent": "ego"}, link.inputs, link.outputs),
+    }
+    return keyexpr.resolve([("benchmark", MAP)], nodes)
+
+
+def link_class() -> type:
+    """The link node's class, from its file."""
+    return loading.node_class(bundle.ROOT / "nodes" / "link.py")
+
+
+def rules(way: str) -> list[dict]:
+    """The rules of the link."""
+    return links.profile("wired")["up"] if way == "wired" else []
+
+
+def message(objects: int) -> bytes:
+    """Tracks as an agent sends them."""
+    rng = np.random.default_rng(0)
+    square = rng.normal(size=(objects, 9, 9))
+    states = ObjectStates.of(
+        rng.normal(0.0, 30.0, (objects, 3)),
+        velocity=rng.normal(0.0, 5.0, (objects, 3)),
+        size=np.full((objects, 3), 2.0),
+        yaw=rng.uniform(-3.0, 3.0, objects),
+        covariance=square @ square.transpose(0, 2, 1),
+        score=np.full(objects, 0.9),
+        id=np.arange(objects),
+    )
+    reference = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+    return codec.encode(codec.conform(Header("tracks", "ego", 0, 0, 0), states.columns() | reference))
+
+
+def relay(endpoint: str, way: str) -> None:
+    """The main of a bare relay."""
+    with open_client(endpoint) as session:
+        out = session.declare_publisher(
+            f"{prefix(way)}/out", congestion_control=zenoh.CongestionControl.BLOCK, express=True
+        )
+
+        def pass_on(sample: zenoh.Sample) -> None:
+            out.put(sample.payload, attachment=sample.attachment)
+
+        if way == "callback":
+            session.declare_subscriber(f"{prefix(way)}/in", zenoh.handlers.Callback(pass_on, indirect=False))
+            sys.stdin.read()
+        else:
+            subscriber = session.declare_subscriber(f"{prefix(way)}/in")
+            for sample in subscriber:
+                pass_on(sample)
+
+
+def link(endpoint: str, way: str) -> None:
+    """The main of the link node's process."""
+    with open_client(endpoint) as session:
+        built = tuple(registry.build(rule, Rule, way) for rule in rules(way))
+        node = link_class()("ego", built)
+        hosted = MeshNode(way, "link_ego", node, wiring(), 0, session, period_ns=PERIOD_NS, lockstep=False)
+        hosted.note_arrivals()
+        gc.freeze()  # as runtime/process.py does
+        gc.set_threshold(50_000, 20, 20)
+        hosted.run_until_stopped()
+
+
+def drawn_delay_us(sizes: int, count: int) -> float:
+    """The median delay of the profile's rules themselves, µs."""
+    built = [registry.build(rule, Rule, "wired") for rule in rules("wired")]
+    chain = Chain(built, lambda *purpose: stream(0, "link_ego", "link", "tracks", "ego", *purpose))
+    found = [chain.carry(Passage(0, 10**8 * number, sizes)) for number in range(count)]
+    return statistics.median(outcome.delay_s for outcome in found if outcome.leaving) * 1e6
+
+
+class Bench:
+    """The publisher and the subscriber of every way."""
+
+    def __init__(self, session: zenoh.Session, hearing: zenoh.Session, payload: bytes) -> None:
+        self.session = session  # what one session puts and hears itself does not go through the router
+        self.payload = payload
+        self.came: queue.SimpleQueue[int] = queue.SimpleQueue()
+        (branch,) = next(wire for wire in wiring().wires if wire.key == KEY).branches
+        ends = {way: (f"{prefix(way)}/{KEY}", f"{prefix(way)}/{branch.legs[-1].key}") for way in WAYS}
+        ends |= {way: (f"{prefix(way)}/in", f"{prefix(way)}/out") for way in BARE}
+        ends["direct"] = ("direct/key", "direct/key")
+        self.out = {way: self.publisher(key) for way, (key, _) in ends.items()}
+        for _, key in ends.values():
+            hearing.declare_subscriber(key, zenoh.handlers.Callback(self.take, indirect=False))
+
+    def publisher(self, key: str) -> zenoh.Publisher:
+        """As the testbed's nodes publish."""
+        block = zenoh.CongestionControl.BLOCK
+        return self.session.declare_publisher(key, congestion_control=block, express=True)
+
+    def take(self, sample: zenoh.Sample) -> None:
+        """A message has come."""
+        self.came.put(time.perf_counter_ns())
+
+    def begin(self, way: str) -> None:
+        """The node takes part, and its first frame begins: what a driver and a simulator do."""
+        epoch = msgpack.packb([1, ROLES])
+        clock = codec.encode(codec.conform(Header("clock", "simulator", 0, 0, 0), {}))
+        self.session.put(f"{prefix(way)}/@control/epoch", epoch)
+        self.session.put(f"{prefix(way)}/clock", clock, attachment=ATTACHED)
+
+    def once(self, way: str, seconds: float = 1.0) -> float | None:
+        """One-way time of one message, µs; None where it was lost."""
+        begun = time.perf_counter_ns()
+        self.out[way].put(self.payload, attachment=ATTACHED)
+        try:
+            return (self.came.get(timeout=seconds) - begun) * 1e-3
+        except queue.Empty:
+            return None
+
+    def until_through(self, way: str) -> None:
+        """Wait until messages come through."""
+        deadline = time.monotonic() + 30.0
+        while self.once(way, 0.2) is None:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"{way}: nothing comes through")
+            if way not in ("direct", *BARE):
+                self.begin(way)
+        try:
+            while True:  # what had to wait for the node to begin
+                self.came.get(timeout=0.5)
+        except queue.Empty:
+            return
+
+
+def main() -> None:
+    """Measure all, alternating, and print them side by side."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--messages", type=int, default=200)
+    parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--objects", type=int, default=20)
+    parser.add_argument("--node", nargs=2, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.node:
+        endpoint, way = arguments.node
+        relay(endpoint, way) if way in BARE else link(endpoint, way)
+        return
+    payload = message(arguments.objects)
+    router, endpoint = open_router()
+    processes = {
+        way: subprocess.Popen([sys.executable, __file__, "--node", endpoint, way], stdin=subprocess.PIPE)
+        for way in WAYS[1:]
+    }
+    try:
+        with router, open_client(endpoint) as session, open_client(endpoint) as hearing:
+            bench = Bench(session, hearing, payload)
+            for way in WAYS:
+                bench.until_through(way)
+            medians: dict[str, list[float]] = {way: [] for way in WAYS}
+            for _ in range(arguments.repeats):
+                times: dict[str, list[float]] = {way: [] for way in WAYS}
+                for _ in range(arguments.messages):
+                    for way in WAYS:
+                        if (took := bench.once(way)) is not None:
+                            times[way].append(took)
+                for way in WAYS:
+                    medians[way].append(statistics.median(times[way]))
+            for way in WAYS[3:]:
+                session.put(f"{prefix(way)}/@control/stop", b"done")
+    finally:
+        for process in processes.values():
+            process.kill()
+            process.wait()
+    medians["wired"] = [found - drawn_delay_us(len(payload), 10_000) for found in medians["wired"]]
+    p50 = {way: statistics.median(found) for way, found in medians.items()}
+    added = {way: p50[way] - p50["direct"] for way in WAYS[1:]}
+    size = f"{arguments.objects} objects, {len(payload)} bytes"
+    print(f"one way through a router, {size}, p50 of {arguments.messages} messages in each block")
+    print(f"{'':8}{'µs (median)':>12}{'added':>8}{'of relay':>10}{'of callback':>13}   blocks")
+    for way in WAYS:
+        ratios = [added[way] / added[bare] for bare in ("relay", "callback")] if way in added else []
+        beside = f"{added[way]:8.0f}{ratios[0]:10.2f}{ratios[1]:13.2f}" if ratios else " " * 31
+        print(f"{way:8}{p50[way]:12.0f}{beside}   {', '.join(f'{found:.0f}' for found in medians[way])}")
+
+
+if __name__ == "__main__":
+    main()

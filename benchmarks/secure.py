@@ -1,0 +1,63 @@
+"""What security costs: the same run on an open and on a secured mesh, alternating, side by side.
+
+    lock-step    frames/s, as fast as it goes
+    real time    ms from the moment a frame is sent to that at which its picture is heard, at 10 frames/s of scene time
+
+The goal is 0.7 of the open rate. Both run without a recorder.
+
+    python benchmarks/secure.py [--frames 150] [--repeats 3] [--level acl]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import tempfile
+from collections import defaultdict
+from pathlib import Path
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import local
+from mast_zenoh.security.levels import LEVELS, SECURE
+
+GOAL = 0.7
+
+
+def played(mode: str, level: str, frames: int) -> dict[str, float]:
+    """What one run gives: frames/s in lock-step, latencies in real time."""
+    path, loaded = scenario.load("baseline")
+    resolved = scenario.resolve(path, loaded, frames=frames, mode=mode)
+    with tempfile.TemporaryDirectory() as out:
+        ended = local.run(resolved, Path(out) / "run", secure=level)
+        if ended.error:
+            raise ended.error
+        if mode == "lockstep":
+            return {"lock-step, frames/s": float(ended.record["timings"]["frames_per_second"])}
+        latency = json.loads((ended.folder / "metrics.json").read_text())["latency_ms"]["sim_to_picture"]
+        return {f"real time, ms to the picture, {name}": float(latency[name]) for name in ("p50", "p99")}
+
+
+def main() -> None:
+    """Measure both, alternating, and print them side by side."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--level", choices=LEVELS[1:], default=SECURE)
+    arguments = parser.parse_args()
+    found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for repeat in range(arguments.repeats):
+        for level in ("open", arguments.level) if repeat % 2 == 0 else (arguments.level, "open"):
+            for mode in ("lockstep", "realtime"):
+                for what, value in played(mode, level, arguments.frames).items():
+                    found[what][level].append(value)
+    print(f"baseline, {arguments.frames} frames, {arguments.repeats} repeats, medians; goal: {GOAL} of the open rate")
+    print(f"{'':36}{'open':>8}{arguments.level:>8}{'ratio':>8}   all runs")
+    for what, by_level in found.items():
+        plain, secure = (statistics.median(by_level[level]) for level in ("open", arguments.level))
+        runs = " | ".join(", ".join(f"{value:.1f}" for value in by_level[level]) for level in ("open", arguments.level))
+        print(f"{what:36}{plain:8.1f}{secure:8.1f}{secure / plain:8.2f}   {runs}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""After the last fault is healed, the picture becomes what it would have been without any."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.checks import reference
+from mast_zenoh.checks.base import Check
+from mast_zenoh.checks.evidence import Evidence
+from mast_zenoh.metrics import Boxes, SetDistance
+from mast_zenoh.states import Floats, Ints
+
+NAME = "convergence"
+
+#: OSPA with c = 5 m and p = 1: of n objects, one that is missing costs 5 / n m, one that is 1 m astray 1 / n m.
+DISTANCE = SetDistance(c=5.0, p=1.0)
+#: m; below it two pictures are the same to whoever uses them: at most one object of ten is missing or false.
+THRESHOLD_M = 0.5
+#: s; a run that ends sooner after its last heal says nothing about where it would have got to.
+ENOUGH_S = 2.0
+
+
+def check_convergence(evidence: Evidence) -> Check:
+    """The distance to the picture of the same scenario without links and faults is below a threshold in the end.
+
+    converged_after_s is the time from the last heal until it stays below. It is not asked for where nothing was healed,
+    where a fault or a link with rules of its own lasts to the end, and where an adversary or a coordinator has been
+    restarted: it chooses its targets anew.
+    """
+    heals = evidence.heals_s()
+    reason = _undefined(evidence)
+    if not heals and not reason:
+        return Check.skipped(NAME, "no fault was healed")
+    expected = reference.pictures(evidence.resolved, evidence.folder)
+    found = {message.frame: message.content for message in evidence.said.get(reference.PICTURE, ())}
+    frames = np.array([frame for frame in sorted(expected) if frame in evidence.times_ns], np.int64)
+    if not evidence.lockstep and found:
+        frames = frames[frames <= max(found)]  # the end of the run cuts off what was under way
+    if len(frames) == 0:
+        return Check.skipped(NAME, "there is no picture to compare")
+    distance = between(expected, found, frames)
+    times_s = np.array([evidence.times_ns[int(frame)] for frame in frames]) * 1e-9
+    values = {
+        "checked": not reason,
+        "threshold_m": THRESHOLD_M,
+        "greatest_m": round(float(distance.max()), 4),
+        "last_m": round(float(distance[-1]), 4),
+        "converged_after_s": None,
+    }
+    if reason:
+        return Check(NAME, True, f"not asked for: {reason}; the distance was {distance[-1]:.2f} m in the end", values)
+    after_s = converged_after(distance, times_s, heals[-1])
+    left_s = float(times_s[-1]) - heals[-1]
+    if after_s is not None:
+        values["converged_after_s"] = round(after_s, 4)
+        return Check(NAME, True, f"{after_s:.1f} s after the last heal the picture is what it would have been", values)
+    told = f"the distance is {distance[-1]:.2f} m at the end, {left_s:.1f} s after the last heal"
+    if left_s < ENOUGH_S:
+        return Check(NAME, True, f"no time to converge: {told}; {ENOUGH_S:g} s would be enough to ask", values)
+    return Check(NAME, False, f"the picture has not converged: {told}, expected less than {THRESHOLD_M:g} m", values)
+
+
+def _undefined(evidence: Evidence) -> str | None:
+    """Why the pictures need not become equal."""
+    if opened := evidence.open_faults():
+        return f"{', '.join(opened)} lasts to the end"
+    resolved = evidence.resolved
+    for name, spec in resolved.nodes.items():
+        rules = [*spec.config.get("rules_up", ()), *spec.config.get("rules_down", ())] if spec.role == "link" else []
+        if any(rule.get("until") is None for rule in rules):
+            return f"{name} has rules that last to the end"
+    for step in resolved.steps:
+        if resolved.nodes[step.node].role in ("adversary", "coordinator"):
+            return f"{step.node} chose its targets anew"
+    return None
+
+
+def between(expected: dict[int, Floats], found: dict[int, Floats], frames: Ints) -> Floats:
+    """(frames,) m, OSPA between two pictures frame by frame; one that is missing counts as empty."""
+    ospa, _ = DISTANCE.of(_boxes(expected, frames), _boxes(found, frames), len(frames))
+    return ospa
+
+
+def converged_after(distance: Floats, times_s: Floats, heal_s: float) -> float | None:
+    """s from the heal until the distance stays below the threshold; None: it does not at the end."""
+    above = np.flatnonzero(distance >= THRESHOLD_M)
+    if len(above) == 0:
+        return 0.0
+    first = int(above[-1]) + 1
+    return None if first == len(distance) else max(0.0, float(times_s[first]) - heal_s)
+
+
+def _boxes(positions: dict[int, Floats], frames: Ints) -> Boxes:
+    parts = [positions.get(int(frame), np.zeros((0, 3))) for frame in frames]
+    position = np.concatenate([np.zeros((0, 3)), *parts])
+    n = len(position)
+    group = np.repeat(np.arange(len(frames)), [len(part) for part in parts])
+    return Boxes(group, np.arange(n), position, np.ones((n, 3)), np.zeros(n))

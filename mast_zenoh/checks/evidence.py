@@ -1,0 +1,219 @@
+"""What a run has left behind, read once: its messages by key, its links' reports, and who was down when."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mast_zenoh import codec
+from mast_zenoh.errors import MessageError, RunFolderError
+from mast_zenoh.links import FATES, WIRES
+from mast_zenoh.messagelog import channels, reader
+from mast_zenoh.messages import Body
+from mast_zenoh.scenario import Resolved
+from mast_zenoh.wiring import Wiring
+
+#: In real time things happen about when they should; s of scene time.
+REALTIME_SLACK_S = 1.5
+#: After a network has healed, what it held back still comes, or is given up.
+NETWORK_SLACK_S = 5.0
+
+
+class Tracks(NamedTuple):
+    """What is kept of an agent's tracks: how many, and the greatest figure among them, SI units."""
+
+    rows: int
+    most: float
+
+
+class Said(NamedTuple):
+    """A sound message on one leg.
+
+    content: of tracks, Tracks; of a collation, the rows of each agent whose tracks are of its own frame; of a picture,
+             (n, 3) m, positions; else None
+    """
+
+    frame: int
+    seq: int
+    time_ns: int
+    content: Any = None
+
+
+class Fate(NamedTuple):
+    """What a link says it did to a message: one of links.FATES, and by how much it is late."""
+
+    name: str
+    delay_s: float
+
+
+#: (frame, sequence number) of a message
+Id = tuple[int, int]
+
+
+@dataclass
+class Evidence:
+    """The record of a run.
+
+    run, metrics: run.json and metrics.json
+    said:      sound messages by key, in the order (frame, publisher, sequence)
+    malformed: how many of the messages of a key are not sound
+    fates:     by (link, message type): what became of which message
+    times_ns:  by frame, of the frames that were played
+    """
+
+    folder: Path
+    resolved: Resolved
+    wiring: Wiring
+    run: Mapping[str, Any]
+    metrics: Mapping[str, Any]
+    said: dict[str, list[Said]] = field(default_factory=lambda: defaultdict(list))
+    malformed: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    fates: dict[tuple[str, str], dict[Id, list[Fate]]] = field(default_factory=lambda: defaultdict(dict))
+    times_ns: dict[int, int] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, folder: Path, resolved: Resolved) -> Evidence:
+        """The evidence in a run folder; raises RunFolderError where the run, or its recording, is not complete."""
+        run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        if run["status"] != "ok":
+            raise RunFolderError(f"the run has not come to its end: {run['status']}")
+        metrics = folder / "metrics.json"
+        scores = json.loads(metrics.read_text(encoding="utf-8")) if metrics.is_file() else {}
+        found = cls(folder, resolved, Wiring.from_json(resolved.wiring), run, scores)
+        for message in reader.read(folder):
+            key = message.key.removesuffix(f"/{channels.MALFORMED}")
+            if message.malformed:
+                found.malformed[key] += 1
+                continue
+            content = None
+            if message.message in _KEPT:
+                try:
+                    body = codec.decode(message.payload, message.message).body
+                except MessageError:  # its header is sound, the rest is not: nobody takes it
+                    found.malformed[key] += 1
+                    continue
+                content = _KEPT[message.message](body)
+                if message.message == "link_report":
+                    found._take_report(message.publisher, body)
+            found.said[key].append(Said(message.frame, message.seq, message.time_ns, content))
+            if message.message == "clock":
+                found.times_ns[message.frame] = message.time_ns
+        lost = run.get("recorded", {}).get("lost", 0)
+        if lost or not found.times_ns:
+            raise RunFolderError(f"the recording lacks {lost or 'all'} messages")
+        return found
+
+    def _take_report(self, link: str, body: Body) -> None:
+        for port, frame, seq, fate, delay_s in zip(
+            *(body[name].tolist() for name in ("port", "frame", "seq", "fate", "delay_s")), strict=True
+        ):
+            of_wire = self.fates[link, WIRES[port]]
+            of_wire.setdefault((frame, seq), []).append(Fate(FATES[fate], delay_s))
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether the run was exact."""
+        return self.resolved.mode == "lockstep"
+
+    @cached_property
+    def last(self) -> int:
+        """The last frame."""
+        return max(self.times_ns)
+
+    @cached_property
+    def end_s(self) -> float:
+        """s of scene time, of the last frame."""
+        return self.times_ns[self.last] * 1e-9
+
+    def frames_in(self, seconds: float) -> int:
+        """How many frames last so long."""
+        return math.ceil(seconds * 1e9 / self.resolved.period_ns)
+
+    @property
+    def slack(self) -> int:
+        """Frames by which something may be early or late: none in lock-step."""
+        return 0 if self.lockstep else self.frames_in(REALTIME_SLACK_S)
+
+    def role(self, role: str) -> list[str]:
+        """The nodes of a role."""
+        return [name for name, spec in self.resolved.nodes.items() if spec.role == role]
+
+    def restarts(self, node: str) -> list[int]:
+        """The frames before which a node is started again."""
+        steps = [step for step in self.resolved.steps if step.node == node]
+        return [step.frame for step in steps[1:] if step.action == "start"]
+
+    @cached_property
+    def broker_lag(self) -> int:
+        """Frames that the broker waits before it gives up on those of whom it has heard nothing."""
+        configs = [self.resolved.nodes[name].config for name in self.role("broker")]
+        return max(
+            (self.frames_in(float(c.get("latency_s", 0.0))) + int(c.get("patience", 0)) for c in configs), default=0
+        )
+
+    def down(self, node: str, first: int, last: int) -> bool:
+        """Whether a node is not there, or stands still, in any of the frames from `first` to `last`."""
+        slack = self.slack
+        return any(begin - slack <= last and first < end + slack for begin, end in self._absences.get(node, ()))
+
+    @cached_property
+    def _absences(self) -> dict[str, list[tuple[int, int]]]:
+        found: dict[str, list[tuple[int, int]]] = {}
+        since: dict[str, int] = {}
+        for step in self.resolved.steps:  # ordered by frame
+            if step.action in ("start", "resume"):
+                found.setdefault(step.node, []).append((since.pop(step.node, -1), step.frame))
+            else:
+                since[step.node] = step.frame
+        for node, begin in since.items():
+            found.setdefault(node, []).append((begin, self.last + 1))
+        return found
+
+    def by_network(self, frame: int) -> bool:
+        """Whether a fault of the hosts' network may have touched a message of this frame."""
+        at_s = self.times_ns.get(frame, 0) * 1e-9
+        return any(
+            band["at_s"] - REALTIME_SLACK_S <= at_s
+            and (band["until_s"] is None or at_s <= band["until_s"] + NETWORK_SLACK_S)
+            for band in self.resolved.timeline
+            if band["backend"] == "network"
+        )
+
+    def heals_s(self) -> list[float]:
+        """When faults were healed, s of scene time, those that are open at the end of the run left out."""
+        return sorted({float(band["until_s"]) for band in self._faults() if band["until_s"] is not None})
+
+    def open_faults(self) -> list[str]:
+        """The labels of faults that are not healed before the end."""
+        return [band["label"] for band in self._faults() if band["until_s"] is None]
+
+    def _faults(self) -> list[dict[str, Any]]:
+        return [band for band in self.resolved.timeline if band["kind"] == "fault"]
+
+
+def _tracks(body: Body) -> Tracks:
+    figures = [np.abs(body[name]).max(initial=0.0) for name in ("position", "velocity", "size", "covariance")]
+    return Tracks(len(body["id"]), float(max(figures)))
+
+
+def _fresh(body: Body) -> dict[str, int]:
+    counts = np.bincount(body["agent"], minlength=len(body["agents"])).tolist()
+    told = zip(body["agents"], body["age_ns"].tolist(), counts, strict=True)
+    return {str(name): count for name, age_ns, count in told if age_ns == 0}
+
+
+#: What is kept of the messages of which a check wants more than the header; a recording may be larger than the memory.
+_KEPT: dict[str, Callable[[Body], Any]] = {
+    "tracks": _tracks,
+    "collated": _fresh,
+    "picture": lambda body: body["position"].copy(),
+    "link_report": lambda body: None,
+}

@@ -1,0 +1,129 @@
+"""Faults that act on processes: nodes die, leave, join, stand still and come back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mast_zenoh.faults.base import LATEST_S, Event, Fault, Rule, check_after
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessFault(Fault):
+    """A fault that happens to the processes of its targets; never before the first frame."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.at == 0.0:
+            raise ValueError("at: found 0.0, expected a time after the first frame; who is to come later has a Join")
+
+
+def _wait(name: str, value: float | None) -> None:
+    if value is not None and not 0.0 < value <= LATEST_S:
+        raise ValueError(f"{name}: found {value}, expected more than 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kill(ProcessFault):
+    """Its targets die at once and hand in nothing. restart_after: s until they are started again; None: never."""
+
+    restart_after: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _wait("restart_after", self.restart_after)
+
+    @property
+    def over(self) -> float | None:
+        """See Fault."""
+        return None if self.restart_after is None else self.at + self.restart_after
+
+    def events(self) -> Sequence[Event]:
+        """See Fault."""
+        return [(self.at, "kill"), *_again(self.over)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leave(ProcessFault):
+    """Its targets finish as at the end of a run. return_after: s until they come again; None: never."""
+
+    return_after: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _wait("return_after", self.return_after)
+
+    @property
+    def over(self) -> float | None:
+        """See Fault."""
+        return None if self.return_after is None else self.at + self.return_after
+
+    def events(self) -> Sequence[Event]:
+        """See Fault."""
+        return [(self.at, "leave"), *_again(self.over)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Restart(ProcessFault):
+    """Its targets are ended in good order and started again. down_s: s in between, at least a frame."""
+
+    down_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _wait("down_s", self.down_s)
+
+    @property
+    def over(self) -> float | None:
+        """See Fault."""
+        return self.at + self.down_s
+
+    def events(self) -> Sequence[Event]:
+        """See Fault."""
+        return [(self.at, "leave"), *_again(self.over)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Join(ProcessFault):
+    """Its targets are not there from the beginning: they come at this time."""
+
+    @property
+    def over(self) -> float | None:
+        """See Fault."""
+        return self.at
+
+    def events(self) -> Sequence[Event]:
+        """See Fault."""
+        return [(self.at, "start")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pause(ProcessFault):
+    """Its targets stand still until `until`, and then go on with all that has come for them.
+
+    In real time their processes are stopped and continued. In lock-step everyone would wait for them; there a pause is
+    what others see of it: links hold back what they say and hear, and then let it go in order.
+    """
+
+    until: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_after(self.at, self.until)
+
+    @property
+    def over(self) -> float | None:
+        """See Fault."""
+        return self.until
+
+    def rules(self, lockstep: bool) -> Sequence[Rule]:
+        """See Fault."""
+        return ({"type": "Hold"},) if lockstep else ()
+
+    def events(self) -> Sequence[Event]:
+        """See Fault."""
+        return [(self.at, "pause"), (self.until, "resume")]
+
+
+def _again(at_s: float | None) -> list[Event]:
+    return [] if at_s is None else [(at_s, "start")]

@@ -1,0 +1,122 @@
+"""A resolved wiring with one node more or less on a wire. Pure functions: what a running mesh is rewired to.
+
+Inserting works as in a key-expression map: who published the wire's key gets a tap key, on which only the new node
+listens, and the new node publishes the wire's key. Subscribers keep theirs. The new node stands at the end of the
+trunk: behind all that are on it, before the subscribers and their branches.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+
+from mast_zenoh.errors import WiringError, nearest
+from mast_zenoh.keyexpr import TAP
+from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+
+_NAME = re.compile(r"[A-Za-z0-9_.\-]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a node is put into a running mesh.
+
+    wire:  key of the wire that it sits on;  input, output: the ports by which it does
+    hears: what else it hears, port by key of the wire
+    says:  wires of its own, each with one leg
+    """
+
+    wire: str
+    input: str
+    output: str
+    hears: Mapping[str, str] = field(default_factory=dict)
+    says: tuple[Wire, ...] = ()
+
+
+def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
+    """The wiring with `node` on a wire.
+
+    Raises WiringError for a wire that there is not, a node that has a part in it already, a key that has a publisher
+    already, and a name that cannot be part of a key.
+    """
+    if not _NAME.fullmatch(node):
+        raise WiringError(f"node {node!r}: a node's name is one chunk of a key expression: letters, digits, _ . -")
+    wires = {wire.key: wire for wire in wiring.wires}
+    for key in (place.wire, *place.hears):
+        if key not in wires:
+            raise WiringError(f"no wire {key!r}{nearest(key, wires)}")
+    target = wires[place.wire]
+    if node in parties(target):
+        raise WiringError(f"{node} is on the wire {target.key!r} already: that would be a loop")
+    *before, last = target.legs
+    taken = {leg.key for leg in target.every_leg}
+    tap = next(key for i in range(len(taken) + 1) if (key := f"{target.key}/{TAP}/{i}") not in taken)
+    into = Leg(tap, last.publisher, (Endpoint(node, place.input),))
+    out = replace(last, publisher=Endpoint(node, place.output))
+    wires[target.key] = replace(target, legs=(*before, into, out))
+    for key, port in place.hears.items():
+        *before, last = wires[key].legs
+        heard = replace(last, subscribers=(*last.subscribers, Endpoint(node, port)))
+        wires[key] = replace(wires[key], legs=(*before, heard))
+    for wire in place.says:
+        if wire.key in wires:
+            raise WiringError(f"the key {wire.key!r} has a publisher already")
+        wires[wire.key] = wire
+    return replace(wiring, wires=tuple(wires.values()))
+
+
+def remove(wiring: Wiring, node: str) -> Wiring:
+    """The wiring without `node`: whoever spoke to it on a wire speaks to those that it spoke to, on their key.
+
+    Raises WiringError for a node that sits on no wire, and for one that stands before a single subscriber.
+    """
+    sitting = {wire.key: wire.interposers for wire in wiring.wires if wire.interposers}
+    if not any(node in interposers for interposers in sitting.values()):
+        known = {name for interposers in sitting.values() for name in interposers}
+        raise WiringError(f"no node {node!r} sits on a wire{nearest(node, known) if known else ''}")
+    return replace(
+        wiring, wires=tuple(_without(wire, node) for wire in wiring.wires if wire.legs[0].publisher.node != node)
+    )
+
+
+def interposer_of(wiring: Wiring, wire: str) -> str:
+    """The one node that sits on a wire; raises WiringError where there is none, or more than one."""
+    wires = {found.key: found for found in wiring.wires}
+    if wire not in wires:
+        raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
+    found = wires[wire].interposers
+    if len(found) != 1:
+        raise WiringError(f"{', '.join(found) or 'nobody'} on the wire {wire!r}: say whom by name")
+    return found[0]
+
+
+def taps_into(wiring: Wiring, nodes: Collection[str]) -> dict[str, str]:
+    """The keys on which these nodes get what they pass on, each with the node."""
+    return {
+        leg.key: end.node
+        for wire in wiring.wires
+        for leg, onward in zip(wire.legs, wire.legs[1:], strict=False)
+        for end in leg.subscribers
+        if end.node in nodes and end.node == onward.publisher.node
+    }
+
+
+def parties(wire: Wire) -> set[str]:
+    """Whoever speaks or hears on any leg of a wire."""
+    legs = wire.every_leg
+    return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in leg.subscribers}
+
+
+def _without(wire: Wire, node: str) -> Wire:
+    if any(node == leg.publisher.node for branch in wire.branches for leg in branch.legs):
+        raise WiringError(f"{node} stands before one subscriber of {wire.key!r} alone: it cannot be released")
+    legs: list[Leg] = []
+    for leg in wire.legs:
+        if leg.publisher.node == node:  # the leg before leads to it, and to nobody else
+            leg = replace(leg, publisher=legs.pop().publisher)
+        legs.append(leg)
+    return replace(
+        wire,
+        legs=tuple(replace(leg, subscribers=tuple(end for end in leg.subscribers if end.node != node)) for leg in legs),
+    )

@@ -1,0 +1,180 @@
+"""What the launcher keeps for nodes that live elsewhere, and takes from them: the other end of runtime.elsewhere.
+
+A node gets scenario.json and wiring.json, the scene if it drives it, and the user's Python files that it is made of:
+its own and those that define algorithms, with what they import from beside them. It may give the files that its
+own parameters name, and no others.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import zenoh
+
+from mast_zenoh import release
+from mast_zenoh.errors import MastError, MessageError, VersionMismatch
+from mast_zenoh.runtime.elsewhere import PIECE_BYTES, refused, written_by
+from mast_zenoh.runtime.mesh import prefix
+from mast_zenoh.scenario import Resolved
+from mast_zenoh.scenario.resolved import RECORDING
+from mast_zenoh.scenes.recording import Recording
+
+
+class Depot:
+    """Serves all nodes of one run, in a thread of its own, from when it is made until it is closed.
+
+    resolved: what is run now; without: nodes that are not up now, by whom it matters to
+    mismatch: told of a node of another version, which has been refused
+    taken_at: when the last piece of a file was taken, on the monotonic clock
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        run: str,
+        folder: Path,
+        resolved: Callable[[], Resolved],
+        without: Callable[[str], list[str]],
+        mismatch: Callable[[VersionMismatch], None],
+    ) -> None:
+        self.taken_at = float("-inf")
+        self._folder = folder
+        self._resolved = resolved
+        self._without = without
+        self._mismatch = mismatch
+        self._kept: dict[str, dict[str, bytes | Path]] = {}
+        self._asked: queue.SimpleQueue[tuple[zenoh.Query, int] | None] = queue.SimpleQueue()
+        handler: Any = zenoh.handlers.Callback(lambda query: self._asked.put((query, time.time_ns())), indirect=False)
+        base = f"{prefix(run)}/@control"
+        self._declared = [session.declare_queryable(f"{base}/{what}/*", handler) for what in ("fetch", "file")]
+        self._thread = threading.Thread(target=self._serve, name="depot")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Serve nobody any more."""
+        for queryable in self._declared:
+            queryable.undeclare()
+        self._asked.put(None)
+        self._thread.join()
+
+    def _serve(self) -> None:
+        while (asked := self._asked.get()) is not None:
+            query, came_ns = asked
+            what, _, node = str(query.key_expr).rpartition("/@control/")[2].partition("/")
+            try:
+                request = msgpack.unpackb(query.payload.to_bytes()) if query.payload else {}
+                answer = self._take(node, request) if what == "file" else self._give(node, request, came_ns)
+            except (MastError, OSError, KeyError, TypeError, ValueError, msgpack.UnpackException) as error:
+                told = error if isinstance(error, MastError) else MessageError(f"{type(error).__name__}: {error}")
+                query.reply_err(refused(told))
+            else:
+                query.reply(query.key_expr, msgpack.packb(answer))
+            query.drop()
+            del query
+
+    def _give(self, node: str, request: dict[str, Any], came_ns: int) -> dict[str, Any]:
+        if request["do"] == "clock":
+            return {"now_ns": came_ns}
+        if request["do"] == "join":
+            return self._let_in(node, request)
+        content, offset = self._kept[node][request["path"]], int(request["offset"])
+        if isinstance(content, bytes):
+            return {"piece": content[offset : offset + PIECE_BYTES]}
+        with content.open("rb") as file:
+            file.seek(offset)
+            return {"piece": file.read(PIECE_BYTES)}
+
+    def _let_in(self, node: str, request: dict[str, Any]) -> dict[str, Any]:
+        ours, theirs = release.named(), str(request.get("version"))
+        if theirs != ours:
+            error = VersionMismatch(f"{node} runs mast-zenoh {theirs}, the launcher {ours}: install the same on both")
+            self._mismatch(error)
+            raise error
+        resolved = self._resolved()
+        if node not in resolved.nodes:
+            raise MessageError(f"there is no node {node!r} in this run")
+        self._kept[node] = kept = dict(belongings(resolved, node, self._folder))
+        sizes = {path: len(c) if isinstance(c, bytes) else c.stat().st_size for path, c in kept.items()}
+        written = [path for path in written_by(resolved, node) if (self._folder / path).exists()]
+        return {"files": sizes, "without": self._without(node), "written": written}
+
+    def _take(self, node: str, request: dict[str, Any]) -> dict[str, Any]:
+        path, offset = request["path"], int(request["offset"])
+        if path not in written_by(self._resolved(), node):
+            raise MessageError(f"{node} has no file {path!r} to give")
+        target = self._folder / path
+        with target.open("r+b" if target.exists() else "xb") as file:
+            if offset > file.seek(0, 2):
+                raise MessageError(f"{path}: there are {file.tell()} bytes, found a piece that begins at {offset}")
+            file.seek(offset)
+            file.write(request["piece"])
+        self.taken_at = time.monotonic()
+        return {}
+
+
+def belongings(resolved: Resolved, node: str, folder: Path) -> Iterator[tuple[str, bytes | Path]]:
+    """What a node needs: name and content, or the file with it. Paths inside are those that it will find there."""
+    spec = resolved.nodes[node]
+    places: dict[Path, str] = {}
+
+    def placed(file: str) -> str:
+        path = Path(file)
+        return f"{places.setdefault(path.parent, f'files/{len(places)}')}/{path.name}"
+
+    own = [spec.file, *resolved.modules]
+    told = replace(
+        resolved,
+        modules=tuple(placed(file) for file in resolved.modules),
+        nodes={
+            name: replace(other, file=placed(other.file) if name == node else "")
+            for name, other in resolved.nodes.items()
+        },
+    )
+    yield "scenario.json", json.dumps(told.to_json()).encode()
+    yield "wiring.json", json.dumps(resolved.wiring).encode()
+    sent: set[Path] = set()
+    for file in own:
+        for path in sorted(with_neighbours(Path(file)) - sent):
+            sent.add(path)
+            root = next(parent for parent in path.parents if parent in places)
+            yield f"{places[root]}/{path.relative_to(root).as_posix()}", path.read_bytes()
+    if any(isinstance(value, Recording) for value in spec.config.values()):
+        yield RECORDING, folder / RECORDING
+
+
+def with_neighbours(file: Path) -> set[Path]:
+    """A Python file, and all files and packages beside it that it imports by name, and those import."""
+    found: set[Path] = set()
+    waiting = [file]
+    while waiting:
+        path = waiting.pop()
+        if path in found:
+            continue
+        found.add(path)
+        for name in _imported(path):
+            beside, package = file.parent / f"{name}.py", file.parent / name
+            if beside.is_file():
+                waiting.append(beside)
+            elif (package / "__init__.py").is_file():
+                waiting += package.rglob("*.py")
+    return found
+
+
+def _imported(path: Path) -> set[str]:
+    """First names of the modules that a file imports, anywhere in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.partition(".")[0])
+    return names

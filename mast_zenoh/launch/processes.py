@@ -1,0 +1,149 @@
+"""The nodes of a run as processes of this machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import IO, Any
+
+from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.scenario import NodeSpec
+
+#: One thread per node: many small arrays gain nothing from more, and the nodes share the machine.
+ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class Process(Child):
+    """A node's process; see Child."""
+
+    def __init__(self, name: str, spec: NodeSpec, log: IO[bytes], process: subprocess.Popen[bytes]) -> None:
+        super().__init__(name, spec)
+        self.log = log
+        self.process = process
+
+    @property
+    def exit(self) -> int | None:
+        """See Child."""
+        return self.process.poll()
+
+    def where(self) -> dict[str, Any]:
+        """See Child."""
+        return {"pid": self.process.pid}
+
+
+class Processes(Supervisor):
+    """Starts each node's file as a process of its own, in a session of its own (Ctrl-C is ours, not theirs).
+
+    Each child's standard input is a pipe that we hold: when we end, however that may be, it closes, and they leave.
+
+    inside: what to put before the command of a node; it must become that command, in the same process
+    told:   what a node's command is told besides
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        run: str,
+        endpoint: str,
+        inside: Callable[[str], list[str]] = lambda name: [],
+        told: Callable[[str], list[str]] = lambda name: [],
+    ) -> None:
+        super().__init__()
+        self.folder = folder
+        self.run = run
+        self.endpoint = endpoint
+        self.inside = inside
+        self.told = told
+
+    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
+        """See Supervisor."""
+        self.without[name] = sorted(without)
+        log = (self.folder / "logs" / f"{name}.log").open("ab", buffering=0)
+        self.children[name] = Process(name, spec, log, self._spawn(self.command(name, spec), log))
+
+    def command(self, name: str, spec: NodeSpec) -> list[str]:
+        """What starts a node now."""
+        command = [*self.inside(name), sys.executable, spec.file, "--run-folder", str(self.folder), "--name", name]
+        command += ["--endpoint", self.endpoint, "--run", self.run, *self.told(name)]
+        without = ",".join(self.without[name])
+        return [*command, "--without", without] if without else command
+
+    def _start_again(self, child: Child, without: Iterable[str]) -> None:
+        assert isinstance(child, Process)
+        _close(child.process)
+        self.without[child.name] = sorted(without)
+        child.process = self._spawn(self.command(child.name, child.spec), child.log)
+
+    def end_now(self, child: Child) -> None:
+        """See Supervisor."""
+        assert isinstance(child, Process)
+        child.process.kill()
+        child.process.wait()
+
+    def pause(self, child: Child) -> None:
+        """See Supervisor."""
+        assert isinstance(child, Process)
+        child.paused = True
+        child.process.send_signal(signal.SIGSTOP)
+
+    def resume(self, children: Iterable[Child]) -> None:
+        """See Supervisor."""
+        for child in children:
+            assert isinstance(child, Process)
+            if child.paused:
+                child.paused = False
+                child.process.send_signal(signal.SIGCONT)
+
+    def wait(self, child: Child, seconds: float) -> bool:
+        """See Supervisor."""
+        assert isinstance(child, Process)
+        try:
+            child.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def let_go(self, child: Child) -> None:
+        """See Supervisor."""
+        assert isinstance(child, Process)
+        _close(child.process)
+        child.log.close()
+
+    def end(self, grace_s: float) -> None:
+        """End all: those that stand still go on, then close their inputs, wait, SIGTERM, SIGKILL."""
+        self.resume(self.running())
+        for child in self.running():
+            assert isinstance(child, Process)
+            _close(child.process)
+        for action in ("wait", "terminate", "kill"):
+            if action != "wait":
+                for child in self.running():
+                    assert isinstance(child, Process)
+                    child.notes.append(f"told to leave by {action}")
+                    getattr(child.process, action)()
+            deadline = time.monotonic() + grace_s
+            for child in self.running():
+                self.wait(child, max(0.0, deadline - time.monotonic()))
+        for child in self.children.values():
+            self.let_go(child)
+
+    def _spawn(self, command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            cwd=self.folder,
+            env={**os.environ, **ENVIRONMENT},
+            start_new_session=True,
+        )
+
+
+def _close(process: subprocess.Popen[bytes]) -> None:
+    if process.stdin is not None and not process.stdin.closed:
+        process.stdin.close()

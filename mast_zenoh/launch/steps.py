@@ -1,0 +1,83 @@
+"""Does to the processes of a run what its scenario says, when the driver asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgpack
+
+from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.scenario import NodeSpec
+
+_LEAVE_GRACE_S = 5.0  # for a node that was asked to leave, before it is started again
+
+
+class Steps:
+    """Carries out process steps. Who runs already is not started, who does not run is not killed.
+
+    leave: asks a node to leave; done: what has been done so far: frame, action, node
+    """
+
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        nodes: Mapping[str, NodeSpec],
+        absent: frozenset[str],
+        leave: Callable[[str], None],
+    ) -> None:
+        self._supervisor = supervisor
+        self._nodes = nodes
+        self._absent = absent
+        self._leave = leave
+        self.done: list[dict[str, Any]] = []
+
+    def start_all(self) -> None:
+        """Start those who are there from the beginning."""
+        there = {name: spec for name, spec in self._nodes.items() if name not in self._absent}
+        self._supervisor.start_all(there, self._absent)
+
+    def carry_out(self, asked: bytes) -> None:
+        """What the driver asks for: (frame, [(action, node), …])."""
+        frame, group = msgpack.unpackb(asked)
+        coming = {node for action, node in group if action == "start"}
+        for action, node in group:
+            if self._do(action, node, coming):
+                self.done.append({"frame": frame, "action": action, "node": node})
+
+    def restart(self, child: Child) -> bool:
+        """Start a node again that has ended by itself; False when that has been done too often."""
+        return self._supervisor.restart(child, self._down({child.name}))
+
+    def _do(self, action: str, node: str, coming: set[str]) -> bool:
+        child = self._supervisor.children.get(node)
+        if action == "start":
+            return self._start(node, child, coming)
+        if child is None or child.exit is not None:
+            return False
+        if action == "kill":
+            self._supervisor.kill(child)
+        elif action == "leave":
+            child.meant = True
+            child.notes.append("told to leave by the scenario")
+            self._supervisor.resume([child])
+            self._leave(node)
+        elif action == "pause":
+            self._supervisor.pause(child)
+        else:
+            self._supervisor.resume([child])
+        return True
+
+    def _start(self, node: str, child: Child | None, coming: set[str]) -> bool:
+        if child is None:
+            self._supervisor.start(node, self._nodes[node], self._down(coming))
+            return True
+        if child.exit is None and not child.meant:
+            return False
+        if not self._supervisor.wait(child, _LEAVE_GRACE_S):
+            self._supervisor.kill(child)
+        child.meant = True  # that it comes again is the scenario's doing, however it went
+        return self._supervisor.restart(child, self._down(coming))
+
+    def _down(self, coming: Sequence[str] | set[str]) -> set[str]:
+        return self._nodes.keys() - {child.name for child in self._supervisor.running()} - set(coming)

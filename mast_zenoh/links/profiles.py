@@ -1,0 +1,37 @@
+"""Links as they are found on a road: rules by name. Where each figure comes from is in docs/links.md."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+from mast_zenoh.errors import ConfigurationError, nearest
+
+#: Rules up (what an agent says) and down (what it hears), as a scenario writes them.
+PROFILES: dict[str, dict[str, list[dict[str, Any]]]] = {
+    "perfect": {"up": [], "down": []},
+    "wired": {
+        way: [
+            dict(type="Bandwidth", bits_per_s=1e9, queue_s=0.05),
+            dict(type="Delay", mean_s=0.002, jitter_s=0.0005, distribution="gamma"),
+            dict(type="Loss", probability=1e-5),
+        ]
+        for way in ("up", "down")
+    },
+    "wireless_v2x": {
+        way: [
+            dict(type="RangeLimit", range_m=320.0),
+            dict(type="Bandwidth", bits_per_s=6e6, queue_s=0.1),
+            dict(type="GilbertElliott", good_to_bad=0.02, bad_to_good=0.4, loss_good=0.01, loss_bad=1.0),
+            dict(type="Delay", mean_s=0.02, jitter_s=0.01, distribution="gamma"),
+        ]
+        for way in ("up", "down")
+    },
+}
+
+
+def profile(name: str) -> dict[str, list[dict[str, Any]]]:
+    """The rules of a profile, up and down, the caller's own; raises ConfigurationError for an unknown name."""
+    if name not in PROFILES:
+        raise ConfigurationError(f"no profile of a link named {name!r}{nearest(name, PROFILES)}")
+    return copy.deepcopy(PROFILES[name])

@@ -1,0 +1,136 @@
+"""Rules by which messages come later: delay, bandwidth, reordering, holding back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from mast_zenoh.links.base import LONGEST_S, NANOSECONDS, Passage, Rule, expect, expect_duration, expect_part
+from mast_zenoh.states import Floats
+
+Distribution = Literal["constant", "normal", "gamma", "lognormal"]
+
+
+class Delay(Rule):
+    """Messages take time.
+
+    mean_s, jitter_s: s, mean and standard deviation of the delay
+    distribution:     "constant" (no jitter), "gamma", "lognormal", or "normal", whose mean and deviation are those
+                      before it is cut off below 0
+    """
+
+    fate = "delayed"
+    draws = True
+
+    def __init__(
+        self,
+        mean_s: float,
+        jitter_s: float = 0.0,
+        distribution: Distribution = "gamma",
+        at: float = 0.0,
+        until: float | None = None,
+    ) -> None:
+        super().__init__(at, until)
+        expect_duration("mean_s", mean_s)
+        expect_duration("jitter_s", jitter_s)
+        if distribution == "constant":
+            expect("jitter_s", jitter_s, jitter_s == 0.0, "0 s for a constant delay")
+        elif distribution != "normal":
+            expect("mean_s", mean_s, mean_s > 0.0 or jitter_s == 0.0, f"more than 0 s for {distribution} jitter")
+        self.mean_s, self.jitter_s, self.distribution = mean_s, jitter_s, distribution
+
+    def sample(self, rng: np.random.Generator, count: int) -> Floats:
+        """(count, 1) s."""
+        mean, std = self.mean_s, self.jitter_s
+        if std == 0.0:
+            delay: Floats = np.full(count, mean)
+        elif self.distribution == "gamma":
+            delay = rng.gamma((mean / std) ** 2, std**2 / mean, count)
+        elif self.distribution == "lognormal":
+            variance = math.log1p((std / mean) ** 2)
+            delay = rng.lognormal(math.log(mean) - variance / 2.0, math.sqrt(variance), count)
+        else:  # normal, by the inverse of its distribution above 0
+            below = ndtr(-mean / std)
+            delay = mean + std * ndtri(below + rng.random(count) * (1.0 - below))
+        return np.clip(delay, 0.0, LONGEST_S).reshape(count, 1)
+
+    def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
+        """See `Rule.apply`."""
+        return (passage._replace(delay_ns=passage.delay_ns + round(row[0] * NANOSECONDS)),)
+
+
+class Bandwidth(Rule):
+    """Messages are sent one after the other, bit by bit; who would have to wait too long is dropped (tail drop).
+
+    bits_per_s: of the wire; queue_s: s, how long a message may wait for its turn.
+
+    Only the payload is counted, without the headers of any protocol.
+    """
+
+    fate = "delayed"
+    weighs = True
+
+    def __init__(self, bits_per_s: float, queue_s: float = 0.1, at: float = 0.0, until: float | None = None) -> None:
+        super().__init__(at, until)
+        expect("bits_per_s", bits_per_s, 1.0 <= bits_per_s < math.inf, "1 or more")
+        expect_duration("queue_s", queue_s)
+        self.bits_per_s = bits_per_s
+        self._queue_ns = round(queue_s * NANOSECONDS)
+        self._free_ns = 0  # when the last one has gone
+
+    def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
+        """See `Rule.apply`."""
+        comes = passage.now_ns + passage.delay_ns
+        begins = max(comes, self._free_ns)
+        if begins - comes > self._queue_ns:
+            return ()
+        self._free_ns = begins + round(passage.size * 8.0 / self.bits_per_s * NANOSECONDS)
+        return (passage._replace(delay_ns=self._free_ns - passage.now_ns),)
+
+
+class Reorder(Rule):
+    """Some messages are held up while later ones overtake them.
+
+    probability: that a message is; by_s: s, for how long.
+    """
+
+    fate = "delayed"
+    draws = True
+
+    def __init__(self, probability: float, by_s: float, at: float = 0.0, until: float | None = None) -> None:
+        super().__init__(at, until)
+        expect_part("probability", probability)
+        expect_duration("by_s", by_s)
+        self.probability = probability
+        self._by_ns = round(by_s * NANOSECONDS)
+
+    def sample(self, rng: np.random.Generator, count: int) -> Floats:
+        """(count, 1) uniform from 0 to 1."""
+        return rng.random((count, 1))
+
+    def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
+        """See `Rule.apply`."""
+        if row[0] >= self.probability:
+            return (passage,)
+        return (passage._replace(delay_ns=passage.delay_ns + self._by_ns, overtakes=True),)
+
+
+class Hold(Rule):
+    """Nothing comes through before `until`, then everything, in order: what others see of a process that pauses."""
+
+    fate = "delayed"
+
+    def __init__(self, at: float = 0.0, until: float | None = None) -> None:
+        super().__init__(at, until)
+        if until is None:
+            raise ValueError("until: found None, expected the time at which what is held back is let go")
+        expect_duration("until - at", until - at)
+
+    def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
+        """See `Rule.apply`."""
+        assert self._before_ns is not None
+        return (passage._replace(delay_ns=max(passage.delay_ns, self._before_ns - passage.time_ns)),)

@@ -1,0 +1,93 @@
+"""The table of an outsider's attempts by level of security: for the terminal, as Markdown and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+#: The row of messages that no attempt accounts for: there must be none.
+STRAY = "(anything else)"
+
+
+class AttemptRow(NamedTuple):
+    """One attempt at one level of security.
+
+    admitted:  whether the outsider got a session on the mesh
+    sent:      messages sent; reached: how often one has reached a node's host, of `expected` if all had
+    heard:     samples overheard; lured: nodes that talked to the outsider's router
+    succeeded: whether any of these is more than none
+    """
+
+    run: str
+    level: str
+    attempt: str
+    admitted: bool = False
+    sent: int = 0
+    reached: int = 0
+    expected: int = 0
+    heard: int = 0
+    lured: int = 0
+    succeeded: bool = False
+
+
+def as_rich(rows: Sequence[AttemptRow]) -> Table:
+    """Attempts by level, for a terminal."""
+    heads, lines = _grid(rows, "\n")
+    table = Table(title=CAPTION, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for head in heads:
+        table.add_column(head, vertical="top")
+    for line in lines:
+        table.add_row(*line)
+    return table
+
+
+def as_markdown(rows: Sequence[AttemptRow]) -> str:
+    """The same as Markdown; ends with a newline."""
+    heads, lines = _grid(rows, " ")
+    table = [heads, ["---"] * len(heads), *lines]
+    return "\n".join("| " + " | ".join(line) + " |" for line in table) + f"\n\n{CAPTION}.\n"
+
+
+def as_csv(rows: Sequence[AttemptRow]) -> str:
+    """All counts, a line for each attempt and level."""
+    page = io.StringIO()
+    writer = csv.writer(page, lineterminator="\n")
+    writer.writerow(AttemptRow._fields)
+    writer.writerows([int(value) if isinstance(value, bool) else value for value in row] for row in rows)
+    return page.getvalue()
+
+
+CAPTION = "in: forged messages that reached a node; out: samples overheard; lured: nodes at the outsider's router"
+
+
+def _grid(rows: Sequence[AttemptRow], between: str) -> tuple[list[str], list[list[str]]]:
+    levels = list(dict.fromkeys(row.level for row in rows))
+    runs = list(dict.fromkeys(row.run for row in rows))
+    cells = {(row.run, row.attempt, row.level): _cell(row, between) for row in rows}
+    names = list(dict.fromkeys((row.run, row.attempt) for row in rows))
+    lines = [
+        [
+            attempt if len(runs) == 1 else f"{run}: {attempt}",
+            *(cells.get((run, attempt, level), "") for level in levels),
+        ]
+        for run, attempt in names
+    ]
+    return ["attempt", *levels], lines
+
+
+def _cell(row: AttemptRow, between: str) -> str:
+    """What a reader wants to know at a glance: whether, and how much; with this between the two."""
+    counts = []
+    if row.expected or row.attempt == STRAY:
+        counts.append(f"in {row.reached}" + (f"/{row.expected}" if row.expected else ""))
+    if row.heard or (not row.expected and row.attempt != STRAY):
+        counts.append(f"out {row.heard}")
+    if row.lured:
+        counts.append(f"lured {row.lured}")
+    verdict = "none" if row.attempt == STRAY and not row.succeeded else "succeeds" if row.succeeded else "refused"
+    return f"{verdict}{between}({', '.join(counts)})"

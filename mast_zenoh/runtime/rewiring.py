@@ -1,0 +1,344 @@
+"""How the wiring of a running mesh changes: what each node does, and how the driver leads them through it.
+
+A change takes two epochs. In the first everybody learns of it: who is to hear a new key subscribes to it, and who is
+to publish on a new key declares that. When all have said that they have, the second begins, and publishers switch to
+their new keys, each between two of its own messages. In lock-step both begin while the mesh is quiet. In real time
+frames go on, and a publisher that is to go around a node (which is released) holds its messages back until that node
+has passed on all that it got: the question travels behind the last message on the same way, and the answer behind
+what came of it.
+
+    @control/rewire          launcher → driver      a query: the new wiring, who joins, who leaves; answered when done
+    @control/drain/{node}    node → node            a query: have you passed on all that I sent on this key?
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import msgpack
+import zenoh
+
+from mast_zenoh import codec
+from mast_zenoh.errors import MessageError
+from mast_zenoh.interposition import taps_into
+from mast_zenoh.wiring import Wiring
+
+if TYPE_CHECKING:
+    from mast_zenoh.runtime.driver import Driver
+    from mast_zenoh.runtime.mesh import MeshNode
+
+DRAIN_TIMEOUT_S = 2.0  #: how long a publisher holds back its messages for a node that does not answer
+CHANGE_TIMEOUT_S = 20.0  #: how long everybody may take to learn of a change
+
+
+class Outlet:
+    """One output of a node on its way out. Its host knows it by the key that it had when the node was started.
+
+    key: the key that it has now;  newest: the message that went out last
+    """
+
+    def __init__(self, key: str, publisher: zenoh.Publisher) -> None:
+        self.key = key
+        self.publisher = publisher
+        self.newest: bytes | None = None
+        self._kept: list[tuple[bytes, bytes]] | None = None
+
+    def put(self, payload: bytes, attachment: bytes) -> None:
+        """Send a message, or keep it while messages are held back."""
+        self.newest = payload
+        if self._kept is None:
+            self.publisher.put(payload, attachment=attachment)
+        else:
+            self._kept.append((payload, attachment))
+
+    def hold_back(self) -> None:
+        """Keep messages until the outlet moves."""
+        self._kept = []
+
+    def move(self, key: str, publisher: zenoh.Publisher) -> int:
+        """Send on another key from now on, first what was held back. Returns how many messages that were."""
+        before, self.key, self.publisher = self.publisher, key, publisher
+        kept, self._kept = self._kept or [], None
+        for payload, attachment in kept:
+            publisher.put(payload, attachment=attachment)
+        before.undeclare()
+        return len(kept)
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What an epoch says of the wiring: as it will be or is (`speak`), and which nodes are about to leave it."""
+
+    wiring: Wiring
+    speak: bool
+    leaving: tuple[str, ...] = ()
+
+    def packed(self) -> list[Any]:
+        """For the epoch's message."""
+        return [self.wiring.to_json(), self.speak, list(self.leaving)]
+
+    @classmethod
+    def of(cls, packed: list[Any]) -> Told:
+        """What `packed` packed."""
+        wiring, speak, leaving = packed
+        return cls(Wiring.from_json(wiring), speak, tuple(leaving))
+
+
+class Rewiring:
+    """One node's part in a change of the wiring.
+
+    leaving: whether it is about to leave: it takes part in no further epoch, but takes what comes until it goes
+    """
+
+    def __init__(self, node: MeshNode, base: str) -> None:
+        self._node = node
+        self._base = base
+        self.leaving = False
+        self._next: dict[str, tuple[str, zenoh.Publisher]] = {}  # by outlet: its next key and publisher
+        self._draining: dict[str, float] = {}  # outlets that hold back, since when
+        self._asked: list[tuple[zenoh.Query, int]] = []  # with the frame in which it came
+
+    @property
+    def busy(self) -> bool:
+        """Whether an outlet still holds messages back."""
+        return bool(self._draining)
+
+    def follow(self, told: Told) -> None:
+        """Do what an epoch says."""
+        self._prepare(told.wiring)
+        self.leaving = self._node.name in told.leaving
+        if self.leaving and self._node.lockstep:
+            self._node.host.flush()
+        if told.speak:
+            self._switch(told)
+
+    def handle(self, event: tuple[Any, ...]) -> None:
+        """An event from the inbox that concerns the wiring."""
+        kind, *rest = event
+        if kind == "drain":
+            self._node.host.flush()
+            self._asked.append((rest[0], self._node.host.frame))
+        elif kind == "drained":
+            self._go_on(*rest)
+
+    def answer(self) -> None:
+        """Tell those who have asked whether all is passed on, as soon as it is."""
+        if not self._asked:
+            return
+        still = []
+        for query, frame in self._asked:
+            key = query.payload.to_string() if query.payload else ""
+            if self._passed_on(key, frame):
+                query.reply(query.key_expr, b"")
+                query.drop()
+            else:
+                still.append((query, frame))
+        self._asked = still
+
+    def _prepare(self, wiring: Wiring) -> None:
+        """Hear what is new, and declare what is to be published on other keys than now."""
+        node = self._node
+        ports = wiring.ports(node.name)
+        for key, heard in ports.inputs.items():
+            if key not in node.host.hears:
+                node.host.hear(key, heard)
+                node.hear(key)
+        types = {leg.key: wire.message for wire, leg in wiring.legs()}
+        new = []
+        for end, outlet_key in node.ports.outputs.items():
+            outlet, key = node.outlets[outlet_key], ports.outputs.get(end, "")
+            if outlet_key in self._draining or key == self._next.get(outlet_key, (outlet.key,))[0]:
+                continue
+            if outlet_key in self._next:  # a change that was called off
+                self._next.pop(outlet_key)[1].undeclare()
+            if key not in ("", outlet.key):
+                self._next[outlet_key] = key, node.declare_publisher(key, types[key])
+                new.append(self._next[outlet_key][1])
+        if new:
+            node.await_listeners(new)
+
+    def _switch(self, told: Told) -> None:
+        """Publish on the new keys: at once, or when the node in between has passed on what it got."""
+        node = self._node
+        taps = {} if node.lockstep else taps_into(node.wiring, told.leaving)
+        for outlet_key in [key for key in self._next if key not in self._draining]:
+            between = taps.get(node.outlets[outlet_key].key)
+            if between is None:
+                self._move(outlet_key)
+            else:
+                node.outlets[outlet_key].hold_back()
+                self._draining[outlet_key] = time.monotonic()
+                self._ask(between, outlet_key)
+        node.wiring = told.wiring
+
+    def _ask(self, between: str, outlet_key: str) -> None:
+        """Ask a node whether it has passed on what it got. The query goes the way of the messages, behind them."""
+        put, answers = self._node.inbox.put, list[zenoh.Reply]()
+        handler: Any = zenoh.handlers.Callback(
+            answers.append, lambda: put(("drained", outlet_key, between, any(a.ok for a in answers))), indirect=False
+        )
+        self._node.session.get(
+            f"{self._base}/@control/drain/{between}",
+            handler,
+            payload=self._node.outlets[outlet_key].key,
+            timeout=DRAIN_TIMEOUT_S,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.DATA,
+            express=True,
+        )
+
+    def _go_on(self, outlet_key: str, between: str, answered: bool) -> None:
+        """The node in between has passed on everything, or does not answer."""
+        held_s = time.monotonic() - self._draining.pop(outlet_key)
+        kept = self._move(outlet_key)
+        if answered:
+            self._node.host.log.info("%d messages waited %.1f ms for %s", kept, held_s * 1e3, between)
+        else:
+            self._node.host.log.warning(
+                "%s has not said within %.1f s that it has passed on what it got: that may be lost; %d messages waited",
+                *(between, held_s, kept),
+            )
+        self._node.report()
+
+    def _move(self, outlet_key: str) -> int:
+        return self._node.outlets[outlet_key].move(*self._next.pop(outlet_key))
+
+    def _passed_on(self, key: str, asked_in: int) -> bool:
+        """Whether what came on a key has been dealt with.
+
+        It has if the newest message has gone out again. If it has not, the node has dropped it, or keeps it: until the
+        next clock, because nobody may keep a message for longer.
+        """
+        node = self._node
+        if node.host.waiting:
+            return False
+        if node.host.frame > asked_in or not node.host.clocked or key not in node.newest:
+            return True
+        for wire in node.wiring.wires:
+            for leg, onward in zip(wire.legs, wire.legs[1:], strict=False):
+                if leg.key == key:
+                    outlet_key = node.ports.outputs.get((onward.publisher.port, wire.subject))
+                    out = node.outlets[outlet_key].newest if outlet_key else None
+                    return _number(node.newest[key], wire.message) == _number(out, wire.message)
+        return True
+
+
+def _number(payload: bytes | None, message: str) -> int | None:
+    """The sequence number of a message; None for what is none."""
+    try:
+        return None if payload is None else codec.decode_header(payload, message).seq
+    except MessageError:
+        return None
+
+
+@dataclass
+class Change:
+    """A change of the wiring that has been asked for."""
+
+    wiring: Wiring
+    join: dict[str, str]
+    leave: tuple[str, ...]
+    query: zenoh.Query
+    asked: float = field(default_factory=time.monotonic)
+    begun: float = 0.0
+
+    @classmethod
+    def of(cls, query: zenoh.Query) -> Change:
+        """What the launcher asks for. Raises ValueError, KeyError or TypeError for what is no change."""
+        told = msgpack.unpackb(query.payload.to_bytes() if query.payload else b"")
+        return cls(Wiring.from_json(told["wiring"]), dict(told["join"]), tuple(told["leave"]), query)
+
+    def reply(self, **answer: Any) -> None:
+        """Say what has become of it."""
+        self.query.reply(self.query.key_expr, msgpack.packb(answer))
+        self.query.drop()
+
+
+class Rewirer:
+    """The driver's part in a change of the wiring: one change at a time, through both epochs."""
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+        self._asked: deque[Change] = deque()
+        self._change: Change | None = None
+        self._since = 0.0  # when the current epoch of the change began
+        self.told: Told | None = None  # what every epoch says since the first change
+
+    def ask(self, query: zenoh.Query) -> None:
+        """Take up a change as soon as those before it are done."""
+        try:
+            self._asked.append(Change.of(query))
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            self._driver.host.log.warning("not a change of the wiring: %r", error)
+            query.drop()
+
+    def turn(self) -> bool:
+        """Go on with the change as far as it goes; whether it waits for what everybody says."""
+        driver, change = self._driver, self._change
+        if change is None:
+            return self._begin()
+        assert self.told is not None
+        late = time.monotonic() - self._since > CHANGE_TIMEOUT_S
+        if not self.told.speak and not change.join.keys() <= driver.alive:
+            return self._call_off(change, f"{', '.join(change.join)} ended before it took part")
+        if driver.pacer.silent or driver.rewiring.busy:
+            if late and not self.told.speak:
+                return self._call_off(change, f"not ready within {CHANGE_TIMEOUT_S:.0f} s: {self._missing()}")
+            if not late:
+                return True
+            driver.host.log.warning("the wiring has changed, but not a word from %s", self._missing())
+        if not self.told.speak:
+            for name in change.leave:
+                driver.expected.pop(name, None)
+            self._epoch(Told(change.wiring, True, change.leave))
+            return True
+        self.told = Told(change.wiring, True)
+        self._change = None
+        change.reply(frame=driver.frames, took_ms=round((time.monotonic() - change.begun) * 1e3, 3))
+        return self._begin()
+
+    def _begin(self) -> bool:
+        """Take up the next change; those who join must be there."""
+        if not self._asked:
+            return False
+        change = self._asked[0]
+        if not change.join.keys() <= self._driver.alive:
+            if time.monotonic() - change.asked > CHANGE_TIMEOUT_S:
+                self._asked.popleft().reply(error=f"{', '.join(change.join)} is not there")
+            return False
+        self._change = self._asked.popleft()
+        change.begun = time.monotonic()
+        self._driver.expected |= change.join
+        self._epoch(Told(change.wiring, False, change.leave))
+        return True
+
+    def _call_off(self, change: Change, why: str) -> bool:
+        """Everything stays as it was: nobody has switched yet."""
+        for name in change.join:
+            self._driver.expected.pop(name, None)
+        self._change = None
+        self._epoch(Told(self._driver.wiring, True))
+        change.reply(error=why)
+        return False
+
+    def _epoch(self, told: Told) -> None:
+        self.told = told
+        self._since = time.monotonic()
+        self._driver.begin_epoch_of(told)
+
+    def _missing(self) -> str:
+        return ", ".join(sorted(self._driver.pacer.silent)) or self._driver.name
+
+
+def packed(told: Told | None) -> list[Any] | None:
+    """For the epoch's message."""
+    return None if told is None else told.packed()
+
+
+def counted(sent: Mapping[str, int], outlets: Mapping[str, Outlet]) -> dict[str, int]:
+    """Messages by the keys that they were sent on, from those by the keys that the host knows."""
+    return {outlets[key].key if key in outlets else key: n for key, n in sent.items()}

@@ -1,0 +1,29 @@
+"""Scenarios: a Python file of plain dicts in, everything that a run needs out, checked before any process starts.
+
+    mast_zenoh.loading     runs the user's file
+    reading     load: calls its `scenario(...)` with the launch-time parameters, and applies dotted settings
+    shape       which keys there are
+    nodes       which nodes there are
+    timeline    links, faults and attacks over time
+    resolution  resolve: prepares the scene, builds every node once, and resolves the key of every port
+    resolved    what comes of it
+
+Processes get the resolved scenario as JSON (`Resolved.to_json`), never the Python file.
+"""
+
+from mast_zenoh.scenario.reading import choose_scene, load
+from mast_zenoh.scenario.resolution import resolve
+from mast_zenoh.scenario.resolved import RECORDING, NodeSpec, Resolved, build_node
+from mast_zenoh.scenario.shape import MODES, RUN_DEFAULTS
+
+__all__ = [
+    "MODES",
+    "RECORDING",
+    "RUN_DEFAULTS",
+    "NodeSpec",
+    "Resolved",
+    "build_node",
+    "choose_scene",
+    "load",
+    "resolve",
+]

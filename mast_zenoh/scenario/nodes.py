@@ -1,0 +1,106 @@
+"""The nodes of a scenario: which there are, from which files, with which parameters."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh import bundle, loading
+from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
+from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.scenario.resolved import NodeSpec
+from mast_zenoh.scenes.recording import Recording, SceneAgent
+
+ON_EXIT = ("fail", "continue", "restart")
+
+_DEFAULT_ON_EXIT = {"agent": "continue", "adversary": "continue", "coordinator": "continue", "link": "continue"}
+_CONTROLS = ("type", "file", "on_exit", "role")
+
+
+def nodes_of(
+    path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int, record: bool
+) -> dict[str, NodeSpec]:
+    """All nodes but the links, the simulator first."""
+    specs: dict[str, NodeSpec] = {}
+
+    def add(name: str, role: str, config: Mapping[str, Any]) -> None:
+        if name in specs:
+            raise ConfigurationError(f"{path}: {name}: there is a node of this name already")
+        specs[name] = node_spec(path, name, role, config)
+
+    add("simulator", "simulator", {"recording": recording, "frames": frames})
+    patterns = scenario.get("agents", {"*": {}})
+    for agent in recording.agents:
+        pattern = matching(patterns, agent.name)
+        if pattern is None:
+            raise ConfigurationError(f"{path}: agents: no entry for {agent.name!r}{nearest(agent.name, patterns)}")
+        if not isinstance(config := patterns[pattern], Mapping):
+            raise ConfigurationError(f"{path}: agents: {agent.name}: found {config!r}, expected a dict")
+        add(agent.name, "agent", {**_of_scene(agent), **config})
+    for role in ("broker", "command_center"):
+        add(role, role, scenario.get(role, {}))
+    agents = [agent.name for agent in recording.agents]
+    adversaries = scenario.get("adversaries", {})
+    for name, config in _named(adversaries, f"{path}: adversaries"):
+        if config.get("agent") not in agents:
+            found = str(config.get("agent"))
+            raise ConfigurationError(
+                f"{path}: adversaries.{name}.agent: no agent {found!r} in this scene{nearest(found, agents)}"
+            )
+        add(name, "adversary", config)
+    if scenario.get("coordinator") is not None:
+        add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
+    add("evaluator", "evaluator", {"agents": agents, **scenario.get("evaluator", {})})
+    for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
+        add(name, str(config.get("role", "")), config)
+    if record:
+        add("recorder", "recorder", {"log": MessageLog()})
+    return specs
+
+
+def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """The (name, configuration) of nodes, checked to be that."""
+    for name, config in configs.items():
+        if not isinstance(name, str):
+            raise ConfigurationError(f"{place}: found the name {name!r}, expected a string")
+        if not isinstance(config, Mapping):
+            raise ConfigurationError(f"{place}.{name}: found {config!r}, expected a dict")
+        yield name, config
+
+
+def _of_scene(agent: SceneAgent) -> dict[str, Any]:
+    """What an agent is told of itself by the scene."""
+    sensor = agent.sensor
+    names = ("azimuth_min_deg", "azimuth_max_deg", "elevation_min_deg", "elevation_max_deg", "max_range_m")
+    return {"lidar": {name: getattr(sensor, name) for name in names}, "mobile": agent.kind == "mobile"}
+
+
+def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> NodeSpec:
+    """A node's spec; its file is the one named, else that of its role."""
+    place = f"{path}: {name}"
+    if not isinstance(config, Mapping):
+        raise ConfigurationError(f"{place}: found {config!r}, expected a dict")
+    file_name = str(config.get("file", f"{role}.py"))
+    file = bundle.find("nodes", file_name, path.parent)
+    if file is None:
+        hint = nearest(file_name, bundle.names("nodes", path.parent))
+        raise NodeFileError(f"{place}: no node file {file_name!r}{hint}")
+    cls = loading.node_class(file, config.get("type"))
+    if cls.role != role:
+        raise NodeFileError(f"{place}: {cls.__name__} in {file} has the role {cls.role!r}, expected {role!r}")
+    on_exit = config.get("on_exit", _DEFAULT_ON_EXIT.get(role, "fail"))
+    if on_exit not in ON_EXIT:
+        raise ConfigurationError(f"{place}.on_exit: found {on_exit!r}{nearest(str(on_exit), ON_EXIT)}")
+    parameters = {key: value for key, value in config.items() if key not in _CONTROLS}
+    if "agent" in parameters and "agent" not in inspect.signature(cls).parameters:
+        raise NodeFileError(f"{place}: {cls.__name__} takes no parameter `agent`, by which it is put on a wire")
+    return NodeSpec(role, str(file), cls.__name__, parameters, on_exit)
+
+
+def matching(patterns: Mapping[str, Any], name: str) -> str | None:
+    """The longest pattern that matches, so that a name wins over a wildcard; None if there is none."""
+    found = [pattern for pattern in patterns if fnmatchcase(name, pattern)]
+    return max(found, key=lambda pattern: (pattern == name, len(pattern))) if found else None

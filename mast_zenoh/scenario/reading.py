@@ -1,0 +1,54 @@
+"""Reads a user's scenario file: runs it, and puts the launch-time settings where they belong."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh import loading, registry, scenes
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenario.shape import spelt
+from mast_zenoh.settings import reach, split
+
+
+def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, Any]:
+    """The scene of a short name ("intersection", "avstack:PATH", …), with those options that its type takes."""
+    if not isinstance(scene, (str, Mapping)):
+        raise ConfigurationError(f"scene: found {scene!r}, expected a short name or a dict(type=…)")
+    spec = dict(scene) if isinstance(scene, Mapping) else scenes.parse_scene(scene)
+    type_ = registry.known_types(scenes.Scene).get(str(spec.get("type")))
+    if type_ is not None:
+        takes = inspect.signature(type_).parameters
+        spec = {**{name: value for name, value in options.items() if name in takes}, **spec}
+    return spec
+
+
+def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]:
+    """(file, scenario dict) of a scenario file, under settings `key=value` as given to `--set`.
+
+    A key without a dot is a parameter of the file's `scenario` function, typed from its default; one with dots
+    reaches into the dict that it returns.
+    """
+    path, function = loading.function("scenarios", name, "scenario")
+    parameters, dotted = split(settings, function, str(path))
+    try:
+        scenario = function(**parameters)
+    except ConfigurationError as error:
+        raise type(error)(f"{path}: {error}") from None
+    except Exception as error:
+        raise ConfigurationError(f"{path}: scenario(...): {type(error).__name__}: {error}") from error
+    if not isinstance(scenario, dict):
+        raise ConfigurationError(f"{path}: scenario(...) returned {type(scenario).__name__}, expected a dict")
+    scenario = _own(spelt(scenario, str(path)))
+    for key, value in dotted.items():
+        reach(scenario, key, value, str(path))
+    return path, scenario
+
+
+def _own(value: Any) -> Any:
+    """A copy in which no dict stands in two places: what is set in one must not change the other."""
+    if isinstance(value, dict):
+        return {key: _own(item) for key, item in value.items()}
+    return [_own(item) for item in value] if isinstance(value, list) else value

@@ -1,0 +1,98 @@
+"""From a scenario to everything that a run needs, checked before any process starts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh import bundle, keyexpr, loading, registry, scenes
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.scenario.nodes import nodes_of
+from mast_zenoh.scenario.reading import choose_scene
+from mast_zenoh.scenario.resolved import NodeSpec, Resolved, build_node
+from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, spelt
+from mast_zenoh.scenario.timeline import REWRITE, timeline_of
+from mast_zenoh.wiring import Wiring
+
+
+def resolve(
+    path: Path,
+    scenario: Mapping[str, Any],
+    *,
+    seed: int | None = None,
+    frames: int | None = None,
+    record: bool = False,
+    **run: Any,
+) -> Resolved:
+    """The scenario of a file with nothing left to decide; arguments that are not None win over its `run` part.
+
+    record: add a recorder, unless the scenario's `run.record` is False
+
+    Raises ConfigurationError (of a scenario), WiringError (of a map), SceneError (of the scene's data).
+    """
+    scenario = checked(spelt(scenario, str(path)), str(path))
+    given = {key: value for key, value in dict(run, seed=seed, frames=frames).items() if value is not None}
+    options = RUN_DEFAULTS | dict(scenario.get("run", {})) | given
+    check_run(options, str(path))
+    try:
+        scene_spec = choose_scene(scenario.get("scene", "intersection"))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+    scene = registry.build(scene_spec, scenes.Scene, f"{path}: scene")
+    cache_key = json.dumps(scene_spec, sort_keys=True)
+    recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key)
+    played = len(recording) if options["frames"] is None else min(options["frames"], len(recording))
+    nodes = nodes_of(path, scenario, recording, played, record and options["record"])
+    timeline = timeline_of(path, scenario, nodes, recording, played, seed=options["seed"], mode=options["mode"])
+    nodes |= timeline.links
+    for name, spec in nodes.items():
+        build_node(spec, name, str(path))
+    wiring = _wiring(path, scenario, nodes, [REWRITE] if timeline.links else [])
+    return Resolved(
+        name=str(scenario.get("name", path.stem)),
+        seed=options["seed"],
+        mode=options["mode"],
+        rate=float(options["rate"]),
+        frames=played,
+        period_ns=recording.period_ns,
+        nodes=nodes,
+        wiring=wiring.to_json(),
+        scene=scene_spec,
+        modules=(str(path),) if loading.defines_algorithms(loading.module(path)) else (),
+        steps=timeline.plan.steps,
+        timeline=timeline.bands,
+        network=timeline.network,
+        recording=recording,
+    )
+
+
+def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec], rewrites: list[str]) -> Wiring:
+    """Under the scenario's own rewrites, and behind them, unless they are among them, `rewrites`."""
+    options = {"map": "testbed.toml", "rewrites": [], **scenario.get("keyexpr", {})}
+    for key in options:
+        if key not in ("map", "rewrites"):
+            raise ConfigurationError(f"{path}: keyexpr.{key}: unknown{nearest(key, ('map', 'rewrites'))}")
+    if not isinstance(options["rewrites"], (list, tuple)):
+        raise ConfigurationError(f"{path}: keyexpr.rewrites: found {options['rewrites']!r}, expected a list")
+    sources: list[tuple[str, Mapping[str, Any]]] = []
+    rewrites = [name for name in rewrites if name not in options["rewrites"]]
+    for index, source in enumerate([options["map"], *options["rewrites"], *rewrites]):
+        if isinstance(source, Mapping):
+            sources.append((f"{path}: keyexpr.rewrites[{index - 1}]", source))
+        else:
+            file = bundle.find("keyexpr_maps", str(source), path.parent)
+            sources.append((str(source), keyexpr.load(file or bundle.ROOT / "keyexpr_maps" / str(source))))
+    views = {}
+    for name, spec in nodes.items():
+        cls = loading.node_class(Path(spec.file), spec.type)
+        bound = {key: value for key, value in spec.config.items() if isinstance(value, str)}
+        views[name] = keyexpr.NodeOptions(spec.role, bound, cls.inputs, cls.outputs)
+    return keyexpr.resolve(sources, views, _usual_ports())
+
+
+def _usual_ports() -> dict[str, set[str]]:
+    """By role, the ports of our own node: a user's node of that role may do without any of them."""
+    ours = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
+    return {cls.role: {*cls.inputs, *cls.outputs} for cls in ours}

@@ -1,0 +1,24 @@
+"""Keeps strangers out of a mesh, and members to their own wires. docs/security.md has the threat model.
+
+levels       open, tls, mtls, acl: what each means as Zenoh settings
+authority    one certificate authority per deployment, a certificate per node
+credentials  what a process trusts and shows: three PEM files
+access       the wiring as Zenoh's access control: default deny
+deployment   all of it for one run
+diagnosis    why a certificate is refused
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mast_zenoh.security.credentials import Credentials
+
+
+def explain(credentials: Credentials | Path, endpoint: str | None = None) -> list[str]:
+    """Why these credentials would be refused at this endpoint, a sentence each; see `diagnosis.explain`."""
+    from mast_zenoh.security import diagnosis  # what reads certificates is slow to load, and seldom needed
+
+    return diagnosis.explain(credentials, endpoint)

@@ -1,0 +1,90 @@
+"""What secures one run, from its first process to its last: authority, certificates, the router's rules."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterable
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mast_zenoh.security import levels
+from mast_zenoh.security.access import access_control
+from mast_zenoh.security.credentials import LAUNCHER, LIFETIME, ROUTER, Credentials, common_name
+from mast_zenoh.wiring import Wiring
+
+if TYPE_CHECKING:
+    from mast_zenoh.security.authority import Authority
+
+
+class Deployment:
+    """Certificates for everybody in one run, and what the router is to know.
+
+    level:  one of `levels.LEVELS`; "open" makes nothing at all
+    run, prefix: id of the run, and what all its keys begin with
+    nodes:  names of all nodes; driver: the one that drives the scene
+    hosts:  names and addresses under which the router is reached
+    folder: where the nodes' credentials go, a folder for each; by default a new one that only this user may enter
+
+    Keys of the authority, the router and the launcher stay in memory. `close` deletes what is on disk.
+    """
+
+    def __init__(
+        self,
+        level: str,
+        run: str,
+        wiring: Wiring,
+        nodes: Iterable[str],
+        *,
+        prefix: str,
+        driver: str,
+        hosts: Iterable[str],
+        folder: Path | None = None,
+        lifetime: timedelta = LIFETIME,
+    ) -> None:
+        self.level = levels.check(level)
+        self.folder: Path | None = None
+        self.authority: Authority | None = None
+        self.router: dict[str, Any] = {}
+        self.launcher: Credentials | None = None
+        if level == "open":
+            return
+        from mast_zenoh.security.authority import Authority  # slow to load; an open run does without
+
+        nodes = list(nodes)
+        self.authority = Authority(run, lifetime)
+        names = {name: common_name(run, name) for name in (*nodes, LAUNCHER)}
+        access = access_control(wiring, names, prefix=prefix, driver=driver) if level == "acl" else None
+        self.router = levels.router_settings(level, self.authority.issue(ROUTER, hosts), access)
+        self.launcher = self._issue(LAUNCHER)
+        self.folder = folder or Path(tempfile.mkdtemp(prefix="mast-keys-"))
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self.folder.chmod(0o700)
+        for name in nodes:
+            self._issue(name).write(self.folder / name)
+
+    def of(self, name: str) -> Path | None:
+        """The folder with a node's credentials; None on an open mesh."""
+        return None if self.folder is None else self.folder / name
+
+    def arguments(self, name: str) -> list[str]:
+        """What a node's process is told on its command line: a path, never a secret."""
+        folder = self.of(name)
+        return [] if folder is None else ["--credentials", str(folder)]
+
+    def close(self) -> None:
+        """Delete the nodes' keys."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    def __enter__(self) -> Deployment:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _issue(self, name: str) -> Credentials:
+        assert self.authority is not None
+        issued = self.authority.issue(name)
+        return issued.without_certificate() if self.level == "tls" else issued

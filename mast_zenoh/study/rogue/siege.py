@@ -1,0 +1,234 @@
+"""A run that goes on while an outsider tries to get at it: what the outsider is given, and what the run says after."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+import time
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import zenoh
+
+from mast_zenoh import codec
+from mast_zenoh.errors import ConfigurationError, Interrupted, RunError, nearest
+from mast_zenoh.launch import local
+from mast_zenoh.messages import SCHEMAS, Header, Message, text
+from mast_zenoh.runtime.mesh import prefix
+from mast_zenoh.runtime.session import open_session
+from mast_zenoh.scenario import Resolved
+from mast_zenoh.security.authority import Authority
+from mast_zenoh.security.credentials import Credentials
+from mast_zenoh.security.levels import client_settings, endpoint
+from mast_zenoh.study.rogue.detour import Detour
+from mast_zenoh.wiring import Wiring
+
+#: What an outsider may show besides the certificate of a node: `shows` of an attempt.
+NOTHING, FOREIGN, EXPIRED = "nothing", "foreign", "expired"
+
+OUTSIDER = "outsider"
+
+_JOIN_MS = 1500
+_START_S = 60.0
+_END_S = 30.0
+_POLL_S = 0.02
+
+
+class Siege:
+    """A context: entered, the run has played its first frames; left, it has ended.
+
+    resolved: in real time; level: of its mesh; folder: of its results
+    detoured: nodes whose way to the router leads past the outsider
+    """
+
+    def __init__(self, resolved: Resolved, folder: Path, level: str, detoured: Collection[str] = ()) -> None:
+        self.level = level
+        self.wiring = Wiring.from_json(resolved.wiring)
+        self.detours: dict[str, Detour] = {}
+        self._resolved = resolved
+        self._folder = folder
+        self._detoured = detoured
+        self._launch: local.Launch | None = None
+        self._ended: local.Run | None = None
+        self._thread = threading.Thread(target=self._play, name="siege")
+        self._resources = ExitStack()
+        self._foreign: Authority | None = None
+
+    def __enter__(self) -> Siege:
+        for node in self._detoured:
+            self.detours[node] = self._resources.enter_context(Detour(lambda: _port(self.endpoint)))
+        self._thread.start()
+        try:
+            self.wait(lambda: self._launch is not None and self._launch.frame >= 1, _START_S, "the run has begun")
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.end()
+        self._resources.close()
+
+    # -- what the outsider knows and has -------------------------------------------------------------------------
+
+    @property
+    def launch(self) -> local.Launch:
+        """The run."""
+        assert self._launch is not None
+        return self._launch
+
+    @property
+    def endpoint(self) -> str:
+        """Of the router. Addresses and the authority's certificate are public; so is the run's id on a wire."""
+        return str(self.launch.record["endpoint"])
+
+    @property
+    def prefix(self) -> str:
+        """Of all keys of the run."""
+        return prefix(self.launch.record["id"])
+
+    def credentials(self, shows: str) -> Credentials | None:
+        """What an outsider has who shows this; None on an open mesh, where there is nothing to show.
+
+        shows: NOTHING, FOREIGN (certified by an authority of his own), EXPIRED, or a node whose files he has
+        """
+        deployment = self.launch.deployment
+        if deployment is None or deployment.authority is None:
+            return None
+        public = Credentials(deployment.authority.pem)
+        if shows == NOTHING:
+            return public
+        if shows == FOREIGN:
+            theirs = self.foreign.issue("infra_1")
+            return Credentials(public.authority, theirs.certificate, theirs.key)
+        if shows == EXPIRED:
+            now = datetime.now(UTC)
+            return deployment.authority.issue("infra_1", begins=now - timedelta(hours=2), ends=now - timedelta(hours=1))
+        stolen = deployment.of(self.known(shows))
+        assert stolen is not None
+        return Credentials.read(stolen)
+
+    @property
+    def foreign(self) -> Authority:
+        """An authority of the outsider's own, which says of its certificates what the real one would."""
+        if self._foreign is None:
+            self._foreign = Authority(self.launch.record["id"])
+        return self._foreign
+
+    def join(self, shows: str, zid: str | None = None) -> zenoh.Session:
+        """A session on the run's mesh; raises zenoh.ZError when it is refused. zid: Zenoh's id of the session."""
+        credentials = self.credentials(shows)
+        settings = {
+            "mode": "client",
+            "connect/endpoints": [self.endpoint],
+            "connect/timeout_ms": _JOIN_MS,
+            **({} if credentials is None else client_settings(credentials)),
+            **({} if zid is None else {"id": zid}),
+        }
+        return open_session(settings)
+
+    def zid(self, node: str) -> str:
+        """The Zenoh id of a node's session. On an open mesh everybody may ask for it; here the router itself does."""
+        session = self.launch.session
+        assert session is not None
+        key = f"@/{session.info.zid()}/router/token/{self.prefix}/alive/{self.known(node)}"
+        for reply in session.get(key, timeout=5.0):
+            if reply.ok is not None:
+                return str(json.loads(reply.ok.payload.to_bytes())["clients"][0])
+        raise RunError(f"the router knows no session of {node}")
+
+    def forged(self, key: str) -> bytes:
+        """A message as the wire of this key carries it, empty, whose source says who has made it.
+
+        So the host that gets it refuses it, and counts it.
+        """
+        schema = SCHEMAS[self._leg(key)[0].message]
+        sizes = [[0 if isinstance(size, str) else size for size in column.shape] for column in schema.columns]
+        body = {
+            column.name: text([]) if column.dtype == "str" else np.zeros(size, column.dtype)
+            for column, size in zip(schema.columns, sizes, strict=True)
+        }
+        return codec.encode(Message(Header(schema.name, OUTSIDER, self.launch.frame, 0, 0), body))
+
+    def hearers(self, key: str) -> int:
+        """How many nodes hear what is sent on this key."""
+        return len(self._leg(key)[1].subscribers) + len(self.wiring.overhearers)
+
+    def known(self, node: str) -> str:
+        """The name of a node of the run; raises ConfigurationError."""
+        if node not in self._resolved.nodes:
+            raise ConfigurationError(f"outsider: no node {node!r}{nearest(node, self._resolved.nodes)}")
+        return node
+
+    def _leg(self, key: str) -> tuple[Any, Any]:
+        for wire, leg in self.wiring.legs():
+            if leg.key == key:
+                return wire, leg
+        raise ConfigurationError(f"outsider: no wire has the key {key!r}{nearest(key, self.wiring.keys())}")
+
+    # -- what becomes of the run ---------------------------------------------------------------------------------
+
+    def wait(self, condition: Callable[[], Any], seconds: float, what: str = "") -> bool:
+        """Wait until something is the case, while the run goes on; False when it takes too long.
+
+        what: raise RunError then, which names it. Raises RunError when the run has ended.
+        """
+        pause, deadline = threading.Event(), time.monotonic() + seconds
+        while not condition():
+            if self._ended is not None:
+                error = self._ended.error
+                raise RunError(f"the run ended while the outsider was at it: {error or 'all frames are played'}")
+            if time.monotonic() > deadline:
+                if what:
+                    raise RunError(f"not within {seconds:.0f} s: {what}")
+                return False
+            pause.wait(_POLL_S)
+        return True
+
+    def end(self) -> local.Run | None:
+        """Have the run end, if it has not; what has become of it."""
+        if self._thread.is_alive() and self._launch is not None:
+            self._launch.signals.append(signal.SIGINT)  # as if somebody had pressed Ctrl-C
+        self._thread.join(_END_S)
+        return self._ended
+
+    def received(self) -> dict[str, dict[str, int]]:
+        """After the end, by node and key: messages that its host has got and refused."""
+        ended = self.end()
+        if ended is None or (ended.error is not None and not isinstance(ended.error, Interrupted)):
+            raise RunError(f"the run under siege failed: {ended.error if ended else 'it does not end'}")
+        found: dict[str, dict[str, int]] = {}
+        for name, node in ended.record["nodes"].items():
+            if node["rejected"] is None:
+                raise RunError(f"{name} handed in nothing: {node['ended']}")
+            for place, count in node["rejected"].items():
+                key = place.rpartition(": ")[0]
+                found.setdefault(name, {})[key] = found.get(name, {}).get(key, 0) + count
+        return found
+
+    def foreign_messages(self) -> int:
+        """After the end: messages without the mark of this run's nodes that have reached any host."""
+        ended = self.end()
+        assert ended is not None
+        return sum(node["foreign"] or 0 for node in ended.record["nodes"].values())
+
+    def _play(self) -> None:
+        def prepare(launch: local.Launch) -> None:
+            launch.detours = {
+                node: endpoint(self.level, f"tcp/127.0.0.1:{detour.port}") for node, detour in self.detours.items()
+            }
+            self._launch = launch
+
+        self._ended = local.run(self._resolved, self._folder, secure=self.level, prepare=prepare)
+
+
+def _port(address: str) -> int:
+    return int(address.rpartition(":")[2])

@@ -1,0 +1,34 @@
+"""An attack while some agents are cut off; then one is killed and comes back. Attacks and faults on one timeline."""
+
+from uncoordinated import scenario as uncoordinated
+
+
+def scenario(
+    n_adversaries=1,
+    attack_start_s=2.0,
+    partition_s=3.0,
+    partition_until_s=6.0,
+    kill_s=8.0,
+    restart_after_s=1.5,
+    scene="intersection",
+    scene_index=0,
+    n_infrastructure=4,
+    n_mobile=0,
+):
+    """The first infrastructure agents are compromised, the last two are cut off, and the last one is killed later."""
+    cut_off = [f"infra_{i}" for i in range(max(1, n_infrastructure - 1), n_infrastructure + 1)]
+    attacked = uncoordinated(
+        n_adversaries=n_adversaries,
+        attack_start_s=attack_start_s,
+        scene=scene,
+        scene_index=scene_index,
+        n_infrastructure=n_infrastructure,
+        n_mobile=n_mobile,
+    )
+    return attacked | dict(
+        name="attack_during_partition",
+        faults=[
+            dict(type="Partition", at=partition_s, until=partition_until_s, nodes=cut_off),
+            dict(type="Kill", at=kill_s, node=cut_off[-1], restart_after=restart_after_s),
+        ],
+    )

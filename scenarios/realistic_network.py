@@ -1,0 +1,36 @@
+"""A network as it is: infrastructure on wires, cars on radio; nobody attacks, or adversaries with or without a plan."""
+
+from baseline import scenario as baseline
+from coordinated import scenario as coordinated
+from uncoordinated import scenario as uncoordinated
+
+from mast_zenoh.errors import ConfigurationError, nearest
+
+ATTACKS = {"none": baseline, "uncoordinated": uncoordinated, "coordinated": coordinated}
+
+
+def scenario(
+    attack="none",
+    n_adversaries=2,
+    infrastructure="wired",
+    mobile="wireless_v2x",
+    max_age_s=0.25,
+    scene="intersection",
+    scene_index=0,
+    n_infrastructure=4,
+    n_mobile=2,
+):
+    """attack: none, uncoordinated or coordinated; n_adversaries: agents compromised, where there is an attack;
+
+    infrastructure, mobile: profiles of the links of the agents that stand and of those that move (perfect, wired,
+    wireless_v2x); max_age_s: the command centre uses what an agent said last for so long; the others as in `baseline`.
+    """
+    if attack not in ATTACKS:
+        raise ConfigurationError(f"attack: found {attack!r}{nearest(str(attack), ATTACKS)}")
+    more = {} if attack == "none" else dict(n_adversaries=n_adversaries)
+    place = dict(scene=scene, scene_index=scene_index, n_infrastructure=n_infrastructure, n_mobile=n_mobile)
+    return ATTACKS[attack](**more, **place) | dict(
+        name="realistic_network",
+        links={"infra_*": infrastructure, "*": mobile},
+        broker=dict(latency_s=0.0, max_age_s=max_age_s),
+    )

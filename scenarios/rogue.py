@@ -1,0 +1,32 @@
+"""A small run in real time, and what an outsider tries against it; `mast study rogue` plays it at every level."""
+
+from uncoordinated import scenario as uncoordinated
+
+
+def scenario(n_infrastructure=2, scene="intersection", scene_index=0):
+    """Two infrastructure agents; an adversary before the first, so that there is a tap leg to be heard."""
+    return uncoordinated(
+        n_adversaries=1, n_infrastructure=n_infrastructure, scene=scene, scene_index=scene_index, attack_start_s=0.0
+    ) | dict(name="rogue", run=dict(mode="realtime", rate=0.25, seed=0, record=False))
+
+
+def outsider():
+    """shows: what he shows when he is asked for a certificate: nothing, one of his own authority (foreign), an expired
+
+    one, or that of a node which he has taken over. wire: the key that he forges messages on.
+    """
+    return [
+        dict(type="Inject", name="no certificate", shows="nothing", wire="agent/infra_1/tracks"),
+        dict(type="Inject", name="foreign authority", shows="foreign", wire="cc/collated"),
+        dict(type="Inject", name="expired certificate", shows="expired", wire="agent/infra_2/detections"),
+        dict(type="Inject", name="another node's key", shows="infra_1", wire="cc/picture"),
+        dict(type="Inject", name="another node's tap key", shows="infra_1", wire="agent/infra_1/detections/@tap/0"),
+        dict(type="Eavesdrop", name="eavesdrop **", shows="infra_1", keys="**"),
+        dict(type="Eavesdrop", name="eavesdrop **/@tap/**", shows="infra_1", keys="**/@tap/**"),
+        dict(type="Eavesdrop", name="eavesdrop one key", shows="infra_1", keys="{run}/agent/infra_2/tracks"),
+        dict(type="AskRouter", name="ask the router", shows="infra_1"),
+        dict(
+            type="DuplicateSession", name="duplicate session id", shows="infra_1", node="ego", wire="agent/ego/tracks"
+        ),
+        dict(type="RogueRouter", name="rogue router", node="infra_2", wire="agent/infra_2/pose"),
+    ]

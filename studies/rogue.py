@@ -1,0 +1,11 @@
+"""What an outsider achieves against a run, at every level of security."""
+
+
+def study(levels="open,tls,mtls,acl", n_infrastructure=2):
+    """levels: of security, separated by commas; what is tried at each stands in scenarios/rogue.py."""
+    return dict(
+        name="rogue",
+        runs=dict(rogue=dict(scenario="rogue", parameters=dict(n_infrastructure=n_infrastructure))),
+        security=[level.strip() for level in levels.split(",")],
+        seed=0,
+    )

@@ -1,0 +1,117 @@
+"""A faulted run in the tiny world, and its record changed by a test, as if the run had gone wrong."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh import checks, codec
+from mast_zenoh.checks import Check
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.reader import Recorded, read
+from mast_zenoh.messagelog.writer import FILE, MessageLog
+from mast_zenoh.messages import text
+from mast_zenoh.scenario import Resolved, resolve
+from mast_zenoh.wiring import Wiring
+
+FRAMES = 50
+FAULTS = [
+    dict(type="Partition", at=0.5, until=1.0, nodes=["infra_1"]),
+    dict(type="Kill", at=1.2, node="infra_2", restart_after=0.3),
+    dict(type="Flood", at=1.0, until=1.4, node="ego", copies=2),
+    dict(type="Delay", at=1.6, until=2.0, node="ego", mean_s=0.2, jitter_s=0.05),
+    dict(type="Corrupt", at=1.6, until=2.0, node="infra_1", probability=0.7, flips=50),
+    dict(type="Corrupt", at=1.6, until=2.0, node="infra_2", probability=1.0),
+]
+
+
+def scenario(**keys: Any) -> tuple[Path, dict[str, Any]]:
+    """(file, dict) of the baseline in the tiny world, with more keys."""
+    from mast_zenoh import scenario as scenarios
+
+    path, content = scenarios.load("baseline", ["n_infrastructure=2"])
+    return path, {**content, "scene": dict(type="TinyScene", n_infrastructure=2), **keys}
+
+
+def recorded(out: Path, *, frames: int = FRAMES, record: bool = True, **keys: Any) -> tuple[Path, Resolved]:
+    """A run in one process: its folder, and what was run."""
+    path, content = scenario(**keys)
+    resolved = resolve(path, content, frames=frames, record=record)
+    ended = local.run(resolved, out, runtime="inproc")
+    assert ended.error is None
+    assert not any(node["failures"] for node in ended.record["nodes"].values())
+    return ended.folder, resolved
+
+
+def rewritten(
+    folder: Path, resolved: Resolved, out: Path, change: Callable[[Recorded], Iterable[bytes | None]]
+) -> Path:
+    """A copy of a run folder in which every message is replaced by those that `change` makes of it."""
+    copy = shutil.copytree(folder, out)
+    (copy / FILE).unlink()
+    log = MessageLog(copy / FILE)
+    log.begin(Wiring.from_json(resolved.wiring).ports("recorder").inputs)
+    for message in read(folder):
+        if message.malformed:
+            log.add_malformed(message.key.removesuffix("/@malformed"), message.payload, 0, message.time_ns)
+            continue
+        for payload in change(message):
+            kept = message.payload if payload is None else payload
+            log.add(message.key, kept, codec.decode_header(kept, message.message))
+    log.close()
+    return copy
+
+
+def lost(*wanted: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
+    """Messages are missing in the record: those of these keys and frames."""
+    return lambda message: [] if (message.key, message.frame) in wanted else [None]
+
+
+def doubled(*wanted: tuple[str, int]) -> Callable[[Recorded], Iterable[None]]:
+    """Messages are in the record twice."""
+    return lambda message: [None, None] if (message.key, message.frame) in wanted else [None]
+
+
+def changed(
+    key: str, change: Callable[[int, dict[str, Any]], dict[str, Any] | None]
+) -> Callable[[Recorded], Iterable[bytes | None]]:
+    """The columns of the messages of a key are others; None: the message stays as it is."""
+
+    def apply(message: Recorded) -> Iterable[bytes | None]:
+        if message.key != key:
+            return [None]
+        decoded = codec.decode(message.payload, message.message)
+        body = change(message.frame, dict(decoded.body))
+        return [None if body is None else codec.encode(codec.conform(decoded.header, body))]
+
+    return apply
+
+
+def without_agent(body: dict[str, Any], name: str) -> dict[str, Any]:
+    """A collation from which an agent's tracks have been taken."""
+    names = list(body["agents"])
+    gone = names.index(name)
+    rows = body["agent"] != gone
+    columns = {key: column[rows] for key, column in body.items() if key not in ("agents", "age_ns")}
+    columns["agent"] = columns["agent"] - (columns["agent"] > gone)
+    return columns | {"agents": text([n for n in names if n != name]), "age_ns": np.delete(body["age_ns"], gone)}
+
+
+def without_row(body: dict[str, Any]) -> dict[str, Any]:
+    """A collation that lacks its first track."""
+    return {key: column if key in ("agents", "age_ns") else column[1:] for key, column in body.items()}
+
+
+def checked(folder: Path, resolved: Resolved) -> dict[str, Check]:
+    """The checks of a run, by name."""
+    return {check.name: check for check in checks.run(folder, resolved)}
+
+
+def in_real_time(resolved: Resolved) -> Resolved:
+    """As if it had been paced by the clock."""
+    return replace(resolved, mode="realtime")

@@ -1,0 +1,313 @@
+"""Checks over the record of a run hold where it went well, and each of them finds what went wrong."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from planted import (
+    FAULTS,
+    FRAMES,
+    changed,
+    checked,
+    doubled,
+    in_real_time,
+    lost,
+    recorded,
+    rewritten,
+    scenario,
+    without_agent,
+    without_row,
+)
+
+from mast_zenoh import checks, scenes
+from mast_zenoh.checks import convergence, reference
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.scenario import Resolved, resolve
+
+Run = tuple[Path, Resolved]
+NAMES = ["collation", "convergence", "sequences", "processes"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run with many faults, and its record."""
+    assert "TinyScene" in {cls.__name__ for cls in scenes.Scene.__subclasses__()}
+    return recorded(tmp_path_factory.mktemp("run") / "faulted", faults=FAULTS)
+
+
+# -- a run that went well --------------------------------------------------------------------------------------------
+
+
+def test_everything_holds_where_faults_are_the_only_trouble(run: Run) -> None:
+    found = checked(*run)
+    assert list(found) == NAMES
+    assert all(check.ok for check in found.values()), found
+    explained = found["sequences"].values["explained"]
+    assert explained["dropped by a link"] == 5 + 4, "tracks of five frames; the last picture came late"
+    assert explained["duplicated by a link"] == (4 + 1 + 5) * 2, "tracks, a status, pictures"
+    assert explained["corrupted by a link"] > 0
+    excepted = found["collation"].values["excepted"]
+    assert excepted["late"] > 0
+    assert excepted["corrupted"] > 0
+    assert found["collation"].values["messages"] > 100
+    assert found["convergence"].values["converged_after_s"] < 2.0
+    assert found["convergence"].values["greatest_m"] > 0.0
+
+
+def test_the_outcome_is_in_the_run_folder(run: Run) -> None:
+    folder, resolved = run
+    (folder / checks.FILE).unlink()
+    found = checks.run(folder, resolved)
+    told = json.loads((folder / checks.FILE).read_text())
+    assert [check["name"] for check in told["checks"]] == NAMES
+    assert told["checks"] == [json.loads(json.dumps(check._asdict())) for check in found]
+    assert told["heals_s"] == [1.0, 1.4, 1.5, 2.0]
+    assert told["converged_after_s"] == found[1].values["converged_after_s"]
+
+
+def test_a_resolved_scenario_from_a_run_folder_is_checked_alike(run: Run) -> None:
+    folder, resolved = run
+    assert checks.run(folder, Resolved.read(folder)) == checks.run(folder, resolved)
+
+
+def test_what_was_not_recorded_is_not_checked(tmp_path: Path) -> None:
+    found = checked(*recorded(tmp_path / "run", frames=5, record=False, faults=FAULTS[:1]))
+    assert all(check.ok for check in found.values())
+    assert [check.values["checked"] for check in found.values()] == [False] * 4
+    assert "a run that was not recorded" in found["sequences"].detail
+
+
+@pytest.mark.parametrize(
+    ("told", "reason"),
+    [
+        (dict(recorded=dict(messages=9, malformed=0, lost=3)), "the recording lacks 3 messages"),
+        (dict(status="interrupted"), "the run has not come to its end: interrupted"),
+    ],
+)
+def test_an_incomplete_record_is_not_checked(run: Run, tmp_path: Path, told: dict[str, Any], reason: str) -> None:
+    folder, resolved = run
+    copy = rewritten(folder, resolved, tmp_path / "copy", lost())
+    record = json.loads((copy / "run.json").read_text())
+    (copy / "run.json").write_text(json.dumps(record | told))
+    found = checked(copy, resolved)
+    assert {name: found[name].detail for name in NAMES[:3]} == dict.fromkeys(NAMES[:3], f"not checked: {reason}")
+
+
+# -- what must be found ----------------------------------------------------------------------------------------------
+
+
+def problems(run: Run, out: Path, change: Any) -> dict[str, str]:
+    """What the checks that do not hold say of a changed record."""
+    folder, resolved = run
+    return {
+        name: check.detail
+        for name, check in checked(rewritten(folder, resolved, out / "copy", change), resolved).items()
+        if not check.ok
+    }
+
+
+def test_a_copy_of_a_record_is_as_good_as_the_record(run: Run, tmp_path: Path) -> None:
+    assert problems(run, tmp_path, lost()) == {}
+
+
+def test_an_agent_that_is_left_out_of_a_collation_is_found(run: Run, tmp_path: Path) -> None:
+    def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
+        return without_agent(body, "infra_2") if frame == 30 else None
+
+    found = problems(run, tmp_path, changed("cc/collated", change))
+    assert found.keys() == {"collation"}
+    assert found["collation"].startswith("frame 30: infra_2 delivered")
+
+
+def test_a_track_that_is_left_out_of_a_collation_is_found(run: Run, tmp_path: Path) -> None:
+    found = problems(run, tmp_path, changed("cc/collated", lambda f, body: without_row(body) if f == 30 else None))
+    assert found.keys() == {"collation"}
+
+
+def test_an_agent_that_is_in_a_collation_with_old_tracks_is_found(run: Run, tmp_path: Path) -> None:
+    def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
+        return body | {"age_ns": body["age_ns"] + 100_000_000} if frame == 30 else None
+
+    assert problems(run, tmp_path, changed("cc/collated", change)).keys() == {"collation"}
+
+
+def test_a_missing_batch_is_found(run: Run, tmp_path: Path) -> None:
+    found = problems(run, tmp_path, lost(("cc/collated", 30)))
+    assert found.keys() == {"collation", "sequences"}
+    assert "no batch" in found["collation"]
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        *("agent/ego/pose", "agent/infra_2/detections", "agent/ego/mission", "clock", "scene/truth"),
+        *("agent/infra_1/tracks", "agent/infra_2/tracks"),
+    ],
+)
+def test_a_hole_in_what_a_publisher_says_is_found(run: Run, tmp_path: Path, key: str) -> None:
+    found = problems(run, tmp_path, lost((key, 30)))
+    assert f"{key}: 1 missing before sequence" in found["sequences"]
+
+
+@pytest.mark.parametrize("key", ["agent/infra_1/tracks/@tap/broker/0", "cc/picture/@tap/ego/0"])
+def test_a_message_that_a_link_has_swallowed_is_found(run: Run, tmp_path: Path, key: str) -> None:
+    found = problems(run, tmp_path, lost((key, 30)))
+    assert found.keys() == {"sequences"}
+    assert "has not passed on sequence" in found["sequences"]
+    assert "of frame 30" in found["sequences"]
+
+
+@pytest.mark.parametrize("key", ["agent/infra_1/tracks/@tap/broker/0", "agent/ego/pose", "cc/picture"])
+def test_a_message_that_comes_twice_is_found(run: Run, tmp_path: Path, key: str) -> None:
+    assert "sequences" in problems(run, tmp_path, doubled((key, 30)))
+
+
+def test_a_loss_that_no_link_admits_is_found(run: Run, tmp_path: Path) -> None:
+    """The record of what links did goes missing: now nothing explains the partition."""
+    found = problems(run, tmp_path, lambda message: [] if message.message == "link_report" else [None])
+    assert "link_infra_1 has not passed on sequence 5 of frame 5" in found["sequences"]
+
+
+def test_a_node_that_counts_anew_without_having_been_restarted_is_found(run: Run, tmp_path: Path) -> None:
+    folder, resolved = run
+    copy = rewritten(folder, resolved, tmp_path / "copy", lost())
+    record = json.loads((copy / "run.json").read_text())
+    record["nodes"]["infra_2"]["restarts"] = 0
+    (copy / "run.json").write_text(json.dumps(record))
+    from dataclasses import replace
+
+    found = checked(copy, replace(resolved, steps=()))
+    assert "agent/infra_2/tracks: sequence 0 of frame 15 comes again" in found["sequences"].detail
+
+
+def astray(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
+    return body | {"position": body["position"] + 3.0} if frame >= 25 else None
+
+
+def test_a_picture_that_stays_wrong_is_found(run: Run, tmp_path: Path) -> None:
+    found = problems(run, tmp_path, changed("cc/picture", astray))
+    assert "the picture has not converged: the distance is" in found["convergence"]
+    assert "2.9 s after the last heal, expected less than 0.5 m" in found["convergence"]
+
+
+def test_a_picture_that_does_not_come_any_more_is_found(run: Run, tmp_path: Path) -> None:
+    found = problems(run, tmp_path, lambda m: [] if m.key == "cc/picture" and m.frame >= 40 else [None])
+    assert "the distance is 5.00 m" in found["convergence"]
+
+
+def test_a_process_that_is_left_is_found(run: Run, tmp_path: Path) -> None:
+    folder, resolved = run
+    copy = rewritten(folder, resolved, tmp_path / "copy", lost())
+    record = json.loads((copy / "run.json").read_text()) | {"runtime": "mesh"}
+    (copy / "run.json").write_text(json.dumps(record))
+    assert checked(copy, resolved)["processes"].ok
+    words = ["--run-folder", str(copy), "--name", "infra_1", "--run", record["id"]]
+    command = [sys.executable, "-c", "print(flush=True); input()", *words]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as left:
+        assert left.stdout is not None
+        left.stdout.readline()
+        found = checked(copy, resolved)["processes"]
+        assert not found.ok
+        assert found.detail == f"still running: infra_1 ({left.pid})"
+        left.communicate(b"\n")
+    assert checked(copy, resolved)["processes"].ok
+
+
+# -- real time -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("late", "ok"), [({"infra_2": 1}, True), ({"ego": 1}, False), ({}, False)])
+def test_in_real_time_as_many_may_be_missing_as_the_broker_says_were_late(
+    run: Run, tmp_path: Path, late: dict[str, int], ok: bool
+) -> None:
+    def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
+        return without_agent(body, "infra_2") if frame == 32 else None
+
+    folder, resolved = run
+    copy = rewritten(folder, resolved, tmp_path / "copy", changed("cc/collated", change))
+    metrics = json.loads((copy / "metrics.json").read_text())
+    (copy / "metrics.json").write_text(json.dumps(metrics | {"late": late}))
+    assert checked(copy, in_real_time(resolved))["collation"].ok is ok
+
+
+# -- what is not asked for -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        (dict(faults=[dict(type="Kill", at=1.0, node="infra_1")]), "Kill infra_1 lasts to the end"),
+        (dict(faults=FAULTS[:1], links={"ego": "wired"}), "link_ego has rules that last to the end"),
+        (dict(links={"ego": "perfect"}), "no fault was healed"),
+    ],
+)
+def test_convergence_is_asked_for_only_where_it_can_be(tmp_path: Path, keys: dict[str, Any], reason: str) -> None:
+    found = checked(*recorded(tmp_path / "run", frames=20, **keys))
+    assert all(check.ok for check in found.values())
+    assert reason in found["convergence"].detail
+    assert found["convergence"].values["checked"] is False
+
+
+def test_a_run_that_ends_at_once_after_the_heal_says_nothing(run: Run, tmp_path: Path) -> None:
+    faults = [dict(type="Kill", at=0.5, node="command_center", restart_after=0.6)]
+    found = checked(*recorded(tmp_path / "run", frames=12, faults=faults))["convergence"]
+    assert found.ok
+    assert found.detail.startswith("no time to converge: the distance is 5.00 m at the end, 0.0 s after the last heal")
+
+
+# -- the reference ---------------------------------------------------------------------------------------------------
+
+
+def test_the_reference_is_the_picture_of_the_run_without_links_and_faults(run: Run, tmp_path: Path) -> None:
+    folder, _ = recorded(tmp_path / "plain", frames=FRAMES)
+    plain = {m.frame: m.payload for m in read(folder) if m.key == "cc/picture"}
+    found = reference.pictures(run[1], run[0])
+    assert found.keys() == plain.keys()
+    from mast_zenoh import codec
+
+    for frame, payload in plain.items():
+        assert np.array_equal(found[frame], codec.decode(payload, "picture").body["position"])
+
+
+def test_in_the_reference_links_are_gone_and_those_of_a_users_map_perfect() -> None:
+    resolved = resolve(*scenario(faults=FAULTS), frames=20, record=True)
+    assert {spec.role for spec in resolved.nodes.values()} >= {"link", "recorder", "evaluator"}
+    found = reference.unfaulted(resolved)
+    assert not {spec.role for spec in found.nodes.values()} & {"link", "recorder", "evaluator"}
+    assert (found.steps, found.timeline) == ((), ())
+    rewrite = dict(insert=[dict(wire="cc/picture", role="link", input="picture", output="picture_out")])
+    bad = dict(role="link", rules_down=[dict(type="Loss", probability=0.5)])
+    own = reference.unfaulted(
+        resolve(*scenario(nodes=dict(bad=bad), keyexpr=dict(rewrites=[rewrite])), frames=3, record=True)
+    )
+    assert own.nodes["bad"].config["rules_down"] == []
+
+
+# -- convergence in figures ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("distance", "after_s"),
+    [
+        ([0.0, 0.0, 0.0, 0.0], 0.0),
+        ([0.0, 2.0, 0.1, 0.1], 0.5),
+        ([2.0, 0.0, 2.0, 0.1], 1.5),
+        ([2.0, 0.0, 0.0, 2.0], None),
+        ([2.0, 0.1, 0.1, 0.1], 0.0),
+    ],
+)
+def test_convergence_is_when_the_distance_stays_below(distance: list[float], after_s: float | None) -> None:
+    times_s = np.array([0.0, 1.0, 2.0, 3.0])
+    assert convergence.converged_after(np.array(distance), times_s, 1.5) == after_s
+
+
+def test_the_distance_counts_what_is_missing_and_what_is_astray() -> None:
+    grid = np.array([[10.0 * i, 0.0, 0.0] for i in range(10)])
+    pictures = {0: grid, 1: grid[1:], 2: grid + np.array([1.0, 0.0, 0.0]), 3: np.zeros((0, 3))}
+    expected = dict.fromkeys(range(5), grid)
+    found = convergence.between(expected, pictures, np.arange(5))
+    assert found == pytest.approx([0.0, 0.5, 1.0, 5.0, 5.0])

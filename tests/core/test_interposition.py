@@ -1,0 +1,121 @@
+"""Putting a node on a wire changes nothing for who hears the wire, and taking it off gives back what was there."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mast_zenoh.errors import WiringError
+from mast_zenoh.interposition import Place, insert, interposer_of, remove, taps_into
+from mast_zenoh.keyexpr import TAP
+from mast_zenoh.wiring import Branch, Endpoint, Leg, Wire, Wiring
+
+
+def wire(key: str, publisher: str, *subscribers: str) -> Wire:
+    ends = tuple(Endpoint(name, "in") for name in subscribers)
+    return Wire(key, "", "tracks", (Leg(key, Endpoint(publisher, "out"), ends),))
+
+
+RECORDER = (Endpoint("recorder", "everything"),)
+PLAIN = Wiring((wire("clock", "sim", "a", "b"), wire("a/tracks", "a", "b", "c"), wire("b/out", "b", "c")), RECORDER)
+NODES, WIRES = ("m", "n", "o", "p"), [found.key for found in PLAIN.wires]
+
+
+def ends(wiring: Wiring) -> dict[str, tuple]:
+    """What the ends of each wire have to do with it."""
+    strangers = {
+        found.key: tuple(end for end in found.subscribers if end.node not in NODES)
+        for found in wiring.wires
+        if found.legs[0].publisher.node not in NODES
+    }
+    return {
+        found.key: (found.legs[0].publisher, strangers[found.key]) for found in wiring.wires if found.key in strangers
+    }
+
+
+@given(st.lists(st.tuples(st.sampled_from(NODES), st.sampled_from(WIRES)), max_size=12))
+def test_whoever_comes_and_goes_the_ends_of_all_wires_stay_and_the_chain_is_whole(steps: list[tuple[str, str]]) -> None:
+    wiring, sitting = PLAIN, {}
+    for node, key in steps:
+        if node in sitting:
+            before = {found.key: found.interposers for found in wiring.wires}
+            wiring = remove(wiring, node)
+            after = {found.key: found.interposers for found in wiring.wires}
+            assert after == {k: tuple(name for name in names if name != node) for k, names in before.items()}
+            del sitting[node]
+        else:
+            wiring = insert(wiring, node, Place(key, "in", "out"))
+            sitting[node] = key
+        assert ends(wiring) == ends(PLAIN)
+        keys = wiring.keys()
+        assert len(set(keys)) == len(keys)
+        for found in wiring.wires:
+            assert found.legs[-1].key == found.key
+            assert all(leg.key.startswith(f"{found.key}/{TAP}/") for leg in found.legs[:-1])
+            for leg, onward in zip(found.legs, found.legs[1:], strict=False):
+                assert [end.node for end in leg.subscribers] == [onward.publisher.node]
+        assert Wiring.from_json(wiring.to_json()) == wiring
+    for node in list(sitting):
+        wiring = remove(wiring, node)
+    assert wiring == PLAIN
+
+
+def test_who_is_put_on_a_wire_hears_and_says_what_its_place_names_and_takes_it_along_when_it_goes() -> None:
+    report = wire("attack/m/report", "m", "c")
+    wiring = insert(PLAIN, "m", Place("a/tracks", "in", "out", {"clock": "clock"}, (report,)))
+    ports = wiring.ports("m")
+    assert {key: heard.port for key, heard in ports.inputs.items()} == {"clock": "clock", f"a/tracks/{TAP}/0": "in"}
+    assert wiring.ports("c").inputs["attack/m/report"].source == "m"
+    assert wiring.ports("a").outputs == {("out", ""): f"a/tracks/{TAP}/0"}
+    assert wiring.ports("b").inputs == PLAIN.ports("b").inputs, "a subscriber's ports are what they were"
+    assert f"a/tracks/{TAP}/0" in wiring.ports("recorder").inputs
+    assert taps_into(wiring, ["m"]) == {f"a/tracks/{TAP}/0": "m"}
+    assert interposer_of(wiring, "a/tracks") == "m"
+    assert remove(wiring, "m") == PLAIN
+
+
+def test_the_next_free_tap_is_taken_so_that_no_leg_of_a_chain_changes_its_key_twice() -> None:
+    chain = insert(insert(PLAIN, "m", Place("clock", "in", "out")), "n", Place("clock", "in", "out"))
+    without = remove(chain, "m")
+    assert [leg.key for leg in without.wires[0].legs] == [f"clock/{TAP}/1", "clock"]
+    again = insert(without, "o", Place("clock", "in", "out"))
+    assert [leg.key for leg in again.wires[0].legs] == [f"clock/{TAP}/1", f"clock/{TAP}/0", "clock"]
+
+
+def test_a_branch_stays_behind_who_is_inserted_and_its_nodes_cannot_be_released() -> None:
+    entrance, last = Endpoint("link", "in"), Endpoint("b", "in")
+    leg = Leg(f"a/tracks/{TAP}/b/0", Endpoint("link", "out"), (last,))
+    trunk = Leg("a/tracks", Endpoint("a", "out"), (entrance, Endpoint("c", "in")))
+    branched = Wiring((Wire("a/tracks", "", "tracks", (trunk,), (Branch(entrance, last, (leg,)),)),))
+    wiring = insert(branched, "m", Place("a/tracks", "in", "out"))
+    assert wiring.wires[0].branches == branched.wires[0].branches
+    assert wiring.wires[0].subscribers == branched.wires[0].subscribers
+    assert remove(wiring, "m") == branched
+    with pytest.raises(WiringError, match="link stands before one subscriber of 'a/tracks' alone"):
+        remove(wiring, "link")
+
+
+@pytest.mark.parametrize(
+    ("node", "place", "what"),
+    [
+        ("m", Place("a/track", "in", "out"), r"no wire 'a/track'; did you mean 'a/tracks'\?"),
+        ("m", Place("a/tracks", "in", "out", {"clok": "clock"}), r"no wire 'clok'; did you mean 'clock'\?"),
+        ("b", Place("a/tracks", "in", "out"), "b is on the wire 'a/tracks' already"),
+        ("a/b", Place("a/tracks", "in", "out"), "one chunk of a key expression"),
+        ("m", Place("a/tracks", "in", "out", {}, (wire("clock", "m", "c"),)), "has a publisher already"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(node: str, place: Place, what: str) -> None:
+    with pytest.raises(WiringError, match=what):
+        insert(PLAIN, node, place)
+
+
+def test_who_sits_on_no_wire_cannot_be_taken_off_and_whom_a_wire_means_must_be_clear() -> None:
+    both = insert(insert(PLAIN, "m", Place("clock", "in", "out")), "n", Place("clock", "in", "out"))
+    with pytest.raises(WiringError, match=r"no node 'mm' sits on a wire; did you mean 'm'\?"):
+        remove(both, "mm")
+    with pytest.raises(WiringError, match="m, n on the wire 'clock'"):
+        interposer_of(both, "clock")
+    with pytest.raises(WiringError, match="nobody on the wire 'b/out'"):
+        interposer_of(both, "b/out")

@@ -1,0 +1,258 @@
+"""Links, faults and attacks of a scenario: who gets a link, what its rules are, and what happens to whom and when."""
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tiny_world import Run, tiny
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.faults import ProcessStep
+from mast_zenoh.scenario import Resolved, load, resolve
+from mast_zenoh.wiring import Wiring
+
+TRACKER = dict(type="KalmanBoxTracker3D")
+AGENT = dict(pipeline=dict(type="AgentPipeline", tracker=TRACKER, mission=dict(type="PictureFirst")))
+CENTRE = dict(
+    pipeline=dict(
+        type="CommandCenterPipeline",
+        clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
+        group_tracking=dict(
+            type="GroupTrackerWrapper", fusion=dict(type="CovarianceIntersectionFusion"), tracker=TRACKER
+        ),
+    )
+)
+ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")
+
+
+def world(name: str = "baseline", *settings: str, **keys: Any) -> Resolved:
+    """A scenario in the tiny world, 12 frames, with more keys."""
+    return tiny(name, *settings, edit=lambda scenario: scenario.update(keys))
+
+
+def links(resolved: Resolved) -> dict[str, dict[str, Any]]:
+    return {name: dict(spec.config) for name, spec in resolved.nodes.items() if spec.role == "link"}
+
+
+PARTITION = dict(type="Partition", at=0.3, until=0.6, nodes=["infra_1"])
+
+
+# -- who gets a link -------------------------------------------------------------------------------------------------
+
+
+def test_a_scenario_without_links_and_faults_has_nothing_of_them() -> None:
+    plain, empty = world(), world(links={}, faults=[], hosts={})
+    assert plain.to_json() == empty.to_json()
+    assert plain.wiring == empty.wiring
+    assert links(plain) == {}
+    assert (plain.steps, plain.timeline, plain.network) == ((), (), {})
+    assert Run(plain).messages == Run(empty).messages
+
+
+def test_only_the_target_of_a_fault_gets_a_link() -> None:
+    found = world(faults=[PARTITION])
+    cut = [dict(type="Cut", at=0.3, until=0.6)]
+    assert links(found) == {"link_infra_1": dict(agent="infra_1", rules_up=cut, rules_down=cut)}
+    wiring = Wiring.from_json(found.wiring)
+    assert {wire.key for wire in wiring.wires if "link_infra_1" in wire.interposers} == {
+        *("agent/infra_1/tracks", "agent/infra_1/status", "cc/picture")
+    }
+
+
+def test_a_process_fault_needs_no_link() -> None:
+    found = world(faults=[dict(type="Kill", at=0.3, node="infra_1", restart_after=0.2)])
+    assert links(found) == {}
+    assert found.steps == (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"))
+
+
+def test_a_partition_keeps_an_agent_out_of_the_collation_until_it_is_healed() -> None:
+    found = world(faults=[PARTITION], broker=dict(max_age_s=0.0))
+    run = Run(found)
+    assert not run.failures
+    named = {m.header.frame: list(m.body["agents"]) for m in run.decoded("cc/collated", "collated")}
+    assert [frame for frame, agents in sorted(named.items()) if "infra_1" not in agents] == [3, 4, 5]
+
+
+def test_the_longest_pattern_decides_which_links_an_agent_has() -> None:
+    found = world(links={"*": dict(up=[dict(type="Delay", mean_s=0.1)]), "infra_*": "wired", "infra_2": "perfect"})
+    rules = {config["agent"]: config for config in links(found).values()}
+    assert [rule["type"] for rule in rules["ego"]["rules_up"]] == ["Delay"]
+    assert rules["ego"]["rules_down"] == []
+    assert [rule["type"] for rule in rules["infra_1"]["rules_down"]] == ["Bandwidth", "Delay", "Loss"]
+    assert rules["infra_2"]["rules_up"] == []
+
+
+def test_an_agent_that_no_pattern_matches_has_no_link() -> None:
+    assert list(links(world(links={"infra_*": "wired", "mobile_*": "wireless_v2x"}))) == [
+        "link_infra_1",
+        "link_infra_2",
+    ]
+
+
+def test_a_profile_may_have_more_rules_and_faults_come_behind_them() -> None:
+    own = dict(type="perfect", up=[dict(type="Loss", probability=0.1)])
+    found = world(links={"infra_1": own}, faults=[PARTITION])
+    assert [rule["type"] for rule in links(found)["link_infra_1"]["rules_up"]] == ["Loss", "Cut"]
+    assert [rule["type"] for rule in links(found)["link_infra_1"]["rules_down"]] == ["Cut"]
+
+
+def test_radio_reaches_from_the_agents_that_stand_still() -> None:
+    found = world(links={"ego": "wireless_v2x"})
+    (limit,) = (rule for rule in links(found)["link_ego"]["rules_up"] if rule["type"] == "RangeLimit")
+    assert len(limit["gateways"]) == 2
+    assert all(gateway[2] == 15.0 for gateway in limit["gateways"]), "the poles"
+
+
+def test_the_rewrite_that_a_scenario_names_itself_keeps_its_place() -> None:
+    def own(scenario: dict[str, Any]) -> None:
+        scenario["faults"] = [PARTITION]
+        scenario["keyexpr"]["rewrites"] = ["network.toml"]
+
+    assert tiny(edit=own).wiring == world(faults=[PARTITION]).wiring
+
+
+def test_adversaries_come_before_links() -> None:
+    found = world("coordinated", *ATTACKED, faults=[PARTITION])
+    (tracks,) = (wire for wire in Wiring.from_json(found.wiring).wires if wire.key == "agent/infra_1/tracks")
+    assert tracks.interposers == ("adversary_1", "link_infra_1")
+
+
+# -- the timeline ----------------------------------------------------------------------------------------------------
+
+
+def test_attacks_faults_and_links_are_on_one_timeline() -> None:
+    kill = dict(type="Kill", at=0.7, node="infra_2", restart_after=0.2)
+    found = world("uncoordinated", *ATTACKED, links={"infra_*": "wired"}, faults=[kill, PARTITION])
+    told = [(b["kind"], b["type"], b["at_s"], b["until_s"], b["nodes"], b["backend"]) for b in found.timeline]
+    assert told == [
+        ("link", "wired", 0.0, None, ["infra_1", "infra_2"], "links"),
+        ("attack", "UncoordinatedAttack", 0.2, None, ["adversary_1"], "adversary"),
+        ("fault", "Partition", 0.3, 0.6, ["infra_1"], "links"),
+        ("fault", "Kill", 0.7, pytest.approx(0.9), ["infra_2"], "process"),
+    ]
+
+
+def test_adversaries_that_begin_together_are_one_band_and_those_that_do_nothing_none() -> None:
+    (band,) = world("uncoordinated", "n_adversaries=2", "attack_start_s=0.5").timeline
+    assert band["nodes"] == ["adversary_1", "adversary_2"]
+    assert world("passthrough").timeline == ()
+    assert world("uncoordinated", "n_adversaries=1").timeline == (), "at 4 s the run is over"
+
+
+def test_a_fault_after_the_end_is_told_of(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, "mast.scenario"):
+        found = world(faults=[dict(PARTITION, at=5.0, until=6.0)])
+    assert found.timeline == ()
+    assert "faults[0]: begins after the last frame" in caplog.text
+
+
+def test_all_of_it_is_in_scenario_json() -> None:
+    faults = [PARTITION, dict(type="Kill", at=0.3, node="infra_2", restart_after=0.2)]
+    found = world(links={"*": "wired"}, faults=faults)
+    again = Resolved.from_json(json.loads(json.dumps(found.to_json())), found.wiring)
+    assert (again.steps, again.timeline, again.network) == (found.steps, found.timeline, found.network)
+    assert again.nodes["link_infra_1"].config == found.nodes["link_infra_1"].config
+
+
+def test_hosts_are_handed_on() -> None:
+    def real(scenario: dict[str, Any]) -> None:
+        scenario["hosts"] = dict(west=dict(nodes=["infra_*"]))
+        scenario["faults"] = [dict(type="HostPartition", at=0.5, until=0.7, hosts=["west"]), PARTITION]
+        scenario["run"]["mode"] = "realtime"
+
+    found = tiny(edit=real)
+    assert found.network["hosts"]["west"]["nodes"] == ["infra_1", "infra_2", "link_infra_1"], "a link is at its agent's"
+    assert [band["backend"] for band in found.timeline] == ["links", "network"]
+
+
+def test_a_fault_of_the_users_own_is_named_like_ours(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "faults.md").read_text()
+    example = page.split("## A fault of your own")[1].split("```python\n")[1].split("```")[0]
+    (tmp_path / "mine.py").write_text(
+        f"{example}\n"
+        "def scenario():\n"
+        f"    return dict(scene=dict(type='TinyScene'), agents={{'*': {AGENT!r}}}, command_center={CENTRE!r},\n"
+        "        evaluator=dict(scorer=dict(type='Scorer')),\n"
+        "        faults=[dict(type='Jam', at=0.2, until=0.4, nodes='majority', strength=0.5)])\n"
+    )
+    found = resolve(*load(str(tmp_path / "mine.py")), frames=6)
+    rules = [config["rules_up"] for config in links(found).values()]
+    times = dict(at=0.2, until=0.4)
+    assert rules == [[dict(type="Loss", probability=0.5, **times), dict(type="Delay", mean_s=0.1, **times)]] * 2
+    assert not Run(found).failures
+
+
+# -- the same in every order -----------------------------------------------------------------------------------------
+
+EVERYTHING = [
+    dict(type="Loss", at=0.1, until=0.6, nodes="agent", probability=0.3),
+    dict(type="Delay", at=0.2, until=0.8, nodes=["ego"], mean_s=0.1, jitter_s=0.05),
+    dict(type="Corrupt", at=0.1, until=0.9, node="infra_1", probability=0.4, flips=4),
+    dict(type="Flood", at=0.4, until=0.6, node="broker", copies=2),
+    dict(type="Pause", at=0.3, until=0.6, node="infra_2"),
+    dict(type="Kill", at=0.7, node="infra_2", restart_after=0.2),
+]
+
+
+def test_orders_of_delivery_do_not_change_what_faults_do() -> None:
+    found = world("uncoordinated", *ATTACKED, faults=EVERYTHING)
+    plain = Run(found)
+    for shuffle in range(10):
+        shuffled = Run(found, shuffle=shuffle)
+        assert shuffled.messages == plain.messages
+        assert shuffled.packed == plain.packed
+
+
+# -- what is refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        (dict(faults=dict(type="Partition")), r"faults: found .*, expected a list"),
+        (dict(faults=["Partition"]), r"faults\[0\]: found 'Partition', expected a dict\(type=…\)"),
+        (
+            dict(faults=[dict(type="Partion", at=1.0, node="ego")]),
+            r"faults\[0\]\.type: no fault 'Partion'; .*'Partition'",
+        ),
+        (dict(faults=[dict(type="HostPartion", at=1.0)]), "did you mean 'HostPartition'"),
+        (dict(faults=[dict(at=1.0, node="ego")]), r"faults\[0\]\.type: no fault None; known: BandwidthLimit"),
+        (dict(faults=[dict(PARTITION, nodes=["infra_9"])]), r"faults\[0\]\.nodes: no node, role or word 'infra_9'"),
+        (dict(faults=[dict(PARTITION, untill=0.6)]), r"faults\[0\]\.untill: .* did you mean 'until'"),
+        (
+            dict(faults=[dict(type="Loss", at=0.1, node="ego", probability=1.5)]),
+            r"faults\[0\]: .*probability: found 1.5, expected 0 to 1",
+        ),
+        (
+            dict(faults=[dict(type="Impair", at=0.1, node="ego", rule=dict(type="Los"))]),
+            r"faults\[0\]\.type: no Rule named 'Los'",
+        ),
+        (dict(links={"infra_9": "wired"}), "links: no agent 'infra_9' in this scene; did you mean 'infra_"),
+        (dict(links={"*": "wierd"}), r"links\['\*'\]: no profile of a link named 'wierd'; did you mean 'wired'"),
+        (dict(links={"*": dict(upp=[])}), r"links\['\*'\]\.upp: unknown key; did you mean 'up'"),
+        (dict(links={"*": dict(up=[dict(type="Los")])}), r"links\['\*'\]\.up\[0\]\.type: no Rule named 'Los'"),
+        (dict(links={"*": dict(up="Loss")}), r"links\['\*'\]\.up: found 'Loss', expected a list"),
+        (dict(links={"*": 3}), r"links\['\*'\]: found 3, expected a profile"),
+        (dict(links="wired"), "links: found 'wired', expected a dict"),
+        (dict(hosts=[]), r"hosts: found \[\], expected a dict"),
+        (dict(fault=[]), "fault: unknown key; did you mean 'faults'"),
+        (
+            dict(
+                faults=[dict(type="Kill", at=0.3, node="link_infra_1")],
+                nodes=dict(link_infra_1=dict(role="link", agent="infra_1")),
+                keyexpr=dict(rewrites=["network.toml"]),
+            ),
+            "'link_infra_1' cannot be the target of a process fault: it is the network itself",
+        ),
+        (
+            dict(faults=[PARTITION], nodes=dict(link_infra_1=dict(role="link", agent="infra_1"))),
+            "link_infra_1: there is a node of this name already",
+        ),
+    ],
+)
+def test_a_wrong_timeline_is_refused_with_its_place(keys: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason) as caught:
+        world(**keys)
+    assert str(Path("scenarios") / "baseline.py") in str(caught.value)

@@ -1,0 +1,85 @@
+"""A message that is only passed on: its header is checked as ever, its body when somebody looks at it."""
+
+from __future__ import annotations
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh import codec
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import Header
+
+BODY = {"mobile": np.array([1], np.uint8), "detections": np.array([3]), "tracks": np.array([2])}
+
+
+def encoded(**header: object) -> bytes:
+    fields = dict(schema="status", source="ego", frame=3, time_ns=300, seq=4) | header
+    return codec.encode(codec.conform(Header(**fields), BODY))
+
+
+def test_looking_at_it_gives_what_decoding_gives() -> None:
+    opened, unopened = (function(encoded(), "status") for function in (codec.decode, codec.decode_unopened))
+    assert unopened.header == opened.header
+    assert len(unopened.body) == 3
+    assert {name: column.tolist() for name, column in unopened.body.items()} == {
+        name: column.tolist() for name, column in opened.body.items()
+    }
+    assert codec.encode(unopened) == encoded()
+
+
+def header_of(payload: bytes) -> Header | str:
+    try:
+        return codec.decode_header(payload, "status")
+    except MessageError as error:
+        return str(error)
+
+
+def unopened_header_of(payload: bytes) -> Header | str:
+    try:
+        return codec.decode_unopened(payload, "status").header
+    except MessageError as error:
+        return str(error)
+
+
+@given(
+    frame=st.integers(-3, 1 << 63),
+    time_ns=st.integers(-3, 1 << 63),
+    source=st.text(max_size=20) | st.just("\xa4body") | st.just("x" * 300),
+    schema=st.sampled_from(["status", "tracks", "body"]),
+    version=st.sampled_from([1, 2, True, 1.0, "1"]),
+    order=st.permutations(["schema", "version", "source", "frame", "time_ns", "seq", "body"]),
+)
+@settings(max_examples=150, deadline=None)
+def test_headers_are_judged_as_they_are_without_the_short_cut(
+    frame: int, time_ns: int, source: str, schema: str, version: object, order: list[str]
+) -> None:
+    fields = dict(schema=schema, version=version, source=source, frame=frame, time_ns=time_ns, seq=0, body={})
+    payload = msgpack.packb({name: fields[name] for name in order})
+    assert unopened_header_of(payload) == header_of(payload)
+
+
+@given(cut=st.integers(0, 400), flip=st.integers(0, 399), bit=st.integers(0, 7))
+@settings(max_examples=150, deadline=None)
+def test_broken_bytes_are_refused_now_or_when_somebody_looks(cut: int, flip: int, bit: int) -> None:
+    payload = bytearray(encoded())
+    payload[flip % len(payload)] ^= 1 << bit
+    broken = bytes(payload[: max(cut, len(payload) // 2)])
+    try:
+        expected = codec.decode(broken, "status")
+    except MessageError:
+        with pytest.raises(MessageError):
+            len(codec.decode_unopened(broken, "status").body)
+    else:
+        found = codec.decode_unopened(broken, "status")
+        assert found.header == expected.header
+        assert {name: column.tobytes() for name, column in found.body.items()} == {
+            name: column.tobytes() for name, column in expected.body.items()
+        }
+
+
+def test_a_message_of_more_bytes_than_allowed_is_refused_at_once() -> None:
+    with pytest.raises(MessageError, match="at most"):
+        codec.decode_unopened(encoded() + bytes(codec.MAX_BYTES), "status")

@@ -1,0 +1,226 @@
+"""A rewrite with `to` stands before one subscriber alone: the others, and what stands on the trunk, notice nothing."""
+
+from __future__ import annotations
+
+import pytest
+import zenoh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh import bundle, keyexpr
+from mast_zenoh.errors import WiringError
+from mast_zenoh.keyexpr import NodeOptions
+from mast_zenoh.wiring import Branch, Endpoint, Input, Leg, Wiring, to_mermaid, to_text
+
+
+def node(role: str, inputs: str = "", outputs: str = "", **options: str) -> NodeOptions:
+    def ports(words: str) -> dict[str, str]:
+        return dict(word.split(":") for word in words.split())
+
+    return NodeOptions(role, options, ports(inputs), ports(outputs))
+
+
+MAP = {
+    "wire": [
+        {
+            "key": "agent/{agent}/tracks",
+            "message": "tracks",
+            "from": "agent.tracks",
+            "to": ["broker.tracks", "evaluator.tracks"],
+        },
+        {
+            "key": "cc/picture",
+            "message": "picture",
+            "from": "command_center.picture",
+            "to": ["agent.picture", "evaluator.picture"],
+        },
+    ]
+}
+PORTS = "seen:tracks picture:picture", "said:tracks picture_out:picture"
+
+
+def world(*agents: str, **more: NodeOptions) -> dict[str, NodeOptions]:
+    return {
+        **{name: node("agent", "picture:picture", "tracks:tracks") for name in agents},
+        "broker": node("broker", "tracks:tracks"),
+        "evaluator": node("evaluator", "tracks:tracks picture:picture"),
+        "cc": node("command_center", outputs="picture:picture"),
+        **more,
+    }
+
+
+def up(role: str = "link", to: str | None = "broker") -> dict:
+    entry = {"wire": "agent/{agent}/tracks", "role": role, "input": "seen", "output": "said"}
+    return {"insert": [entry if to is None else entry | {"to": to}]}
+
+
+def down(role: str = "link", to: str | None = "agent") -> dict:
+    entry = {"wire": "cc/picture", "role": role, "input": "picture", "output": "picture_out"}
+    return {"insert": [entry if to is None else entry | {"to": to}]}
+
+
+def resolve(nodes: dict[str, NodeOptions], *rewrites: dict) -> Wiring:
+    return keyexpr.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *rewrites))], nodes)
+
+
+def test_a_link_before_the_broker_is_heard_by_the_broker_alone() -> None:
+    nodes = world("ego", "infra_1", link_1=node("link", *PORTS, agent="infra_1"))
+    wiring = resolve(nodes, up())
+    leg = "agent/infra_1/tracks/@tap/broker/0"
+    assert wiring.ports("infra_1").outputs["tracks", "infra_1"] == "agent/infra_1/tracks"
+    assert set(wiring.ports("link_1").inputs) == {"agent/infra_1/tracks"}
+    assert wiring.ports("link_1").outputs["said", "infra_1"] == leg
+    assert wiring.ports("broker").inputs[leg] == Input("tracks", "infra_1", "tracks", "infra_1")
+    assert "agent/infra_1/tracks" not in wiring.ports("broker").inputs
+    assert wiring.ports("evaluator") == resolve(nodes).ports("evaluator")
+    assert "agent/ego/tracks" in wiring.ports("broker").inputs, "who has no link is heard as before"
+
+
+def test_each_link_stands_before_the_agent_that_its_option_names() -> None:
+    links = {f"link_{name}": node("link", *PORTS, agent=name) for name in ("ego", "infra_1")}
+    wiring = resolve(world("ego", "infra_1", "infra_2", **links), down())
+    for name in ("ego", "infra_1"):
+        (key,) = wiring.ports(name).inputs
+        assert key == f"cc/picture/@tap/{name}/0"
+        assert wiring.ports(f"link_{name}").outputs["picture_out", ""] == key
+    assert set(wiring.ports("infra_2").inputs) == {"cc/picture"}
+    assert wiring.ports("cc").outputs["picture", ""] == "cc/picture"
+
+
+def test_an_adversary_on_the_trunk_is_before_the_branches_whichever_rewrite_comes_first() -> None:
+    sitting = dict(link_1=node("link", *PORTS, agent="ego"), bad=node("adversary", *PORTS, agent="ego"))
+    nodes = world("ego", **sitting)
+    for rewrites in ((up(), up("adversary", None)), (up("adversary", None), up())):
+        wiring = resolve(nodes, *rewrites)
+        assert wiring.ports("ego").outputs["tracks", "ego"] == "agent/ego/tracks/@tap/0"
+        assert wiring.ports("bad").outputs["said", "ego"] == "agent/ego/tracks"
+        assert set(wiring.ports("link_1").inputs) == {"agent/ego/tracks"}
+        wire = next(wire for wire in wiring.wires if wire.subject == "ego")
+        assert wire.interposers == ("bad", "link_1")
+
+
+def test_several_nodes_on_one_branch_stand_in_the_order_of_the_rewrites() -> None:
+    nodes = world("ego", link_1=node("link", *PORTS, agent="ego"), bad=node("adversary", *PORTS, agent="ego"))
+    for first, second in (("link_1", "bad"), ("bad", "link_1")):
+        wiring = resolve(nodes, *(up(nodes[name].role) for name in (first, second)))
+        wire = next(wire for wire in wiring.wires if wire.subject == "ego")
+        ends = Endpoint(second, "seen"), Endpoint("broker", "tracks")
+        legs = (
+            Leg("agent/ego/tracks/@tap/broker/0", Endpoint(first, "said"), (ends[0],)),
+            Leg("agent/ego/tracks/@tap/broker/1", Endpoint(second, "said"), (ends[1],)),
+        )
+        assert wire.branches == (Branch(Endpoint(first, "seen"), Endpoint("broker", "tracks"), legs),)
+
+
+@pytest.mark.parametrize(
+    ("rewrite", "reason"),
+    [
+        (up(to="brokre"), "file_1.toml: insert 1: to: no role 'brokre' hears .*did you mean 'broker'"),
+        (up(to="agent"), "no role 'agent' hears the wire 'agent/{agent}/tracks'; known: broker, evaluator"),
+        (up(to=["broker"]), "no role .* hears the wire"),
+        (up(to=""), "no role '' hears the wire"),
+    ],
+)
+def test_a_rewrite_before_a_role_that_does_not_hear_the_wire_is_refused(rewrite: dict, reason: str) -> None:
+    with pytest.raises(WiringError, match=reason):
+        resolve(world("ego", link_1=node("link", *PORTS, agent="ego")), rewrite)
+
+
+def test_a_link_before_one_of_several_must_say_which() -> None:
+    with pytest.raises(WiringError, match="'cc/picture' is for ego, infra_1: an option `agent` must say"):
+        resolve(world("ego", "infra_1", link_1=node("link", *PORTS)), down())
+    assert resolve(world("ego", link_1=node("link", *PORTS)), down()).ports("ego").inputs.keys() == {
+        "cc/picture/@tap/ego/0"
+    }
+
+
+def test_a_node_is_on_a_wire_only_once() -> None:
+    nodes = world("ego", link_1=node("link", *PORTS, agent="ego"))
+    for rewrites in ((up(), up()), (up(), up(to="evaluator")), (up(to=None), up()), (up(), up(to=None))):
+        with pytest.raises(WiringError, match="link_1 is on the wire 'agent/ego/tracks' already"):
+            resolve(nodes, *rewrites)
+
+
+names = st.from_regex(r"[a-z0-9]{1,4}", fullmatch=True)
+
+
+@given(agents=st.lists(names, min_size=1, max_size=4, unique=True), data=st.data())
+@settings(max_examples=80, deadline=None)
+def test_any_mix_of_links_and_adversaries_leaves_every_subscriber_hearing_every_wire_once(
+    agents: list[str], data: st.DataObject
+) -> None:
+    nodes = world(*(f"a_{name}" for name in agents))
+    plain = resolve(nodes)
+    plain_keys = plain.keys()
+    rewrites, order = [], []
+    for i, letter in enumerate("bcdef"[: data.draw(st.integers(0, 5))]):
+        agent = "a_" + data.draw(st.sampled_from(agents))
+        nodes[str(i)] = node(f"role_{letter}", *PORTS, agent=agent)  # a name that looks like the number of a tap
+        to = data.draw(st.sampled_from([None, "broker", "evaluator"]))
+        rewrites.append(up(f"role_{letter}", to))
+        order.append((str(i), agent, to))
+        if data.draw(st.booleans()):
+            rewrites.append(down(f"role_{letter}", "agent"))
+    wiring = resolve(nodes, *rewrites)
+
+    keys = wiring.keys()
+    assert len(keys) == len(set(keys)), "one publisher per key"
+    for key in keys:
+        zenoh.KeyExpr(key)
+        if keyexpr.TAP in key:
+            assert not zenoh.KeyExpr("**").intersects(zenoh.KeyExpr(key)), "wildcards do not see taps"
+            assert not any(zenoh.KeyExpr(f"{other}/**").intersects(zenoh.KeyExpr(key)) for other in plain_keys)
+
+    hears = {leg.key: leg.subscribers for _, leg in wiring.legs()}
+    passes = {}  # an interposer's input key to its output key
+    for name in (name for name in nodes if name not in world(*(f"a_{a}" for a in agents))):
+        ports = wiring.ports(name)
+        for key, hear in ports.inputs.items():
+            passes[name, key] = ports.outputs["said" if hear.port == "seen" else "picture_out", hear.subject]
+    for wire, before in zip(wiring.wires, plain.wires, strict=True):
+        reached: list[tuple[Endpoint, tuple[str, ...]]] = []
+        waves = [(wire.legs[0].key, ())]
+        while waves:
+            key, way = waves.pop()
+            for end in hears[key]:
+                if (end.node, key) in passes:
+                    assert end.node not in way, "no loop"
+                    waves.append((passes[end.node, key], (*way, end.node)))
+                else:
+                    reached.append((end, way))
+        assert sorted(end.node for end, _ in reached) == sorted(end.node for end in before.legs[0].subscribers)
+        assert wire.subscribers == before.subscribers
+        assert wire.legs[-1].key == before.legs[0].key
+        if wire.message == "tracks":
+            for end, way in reached:
+                mine = [(n, to) for n, agent, to in order if agent == wire.subject and to in (None, end.node)]
+                assert way == tuple(n for n, to in sorted(mine, key=lambda entry: entry[1] is not None))
+    for name in nodes:
+        if nodes[name].role in ("broker", "evaluator", "agent"):
+            with_, without = wiring.ports(name), plain.ports(name)
+            assert sorted(map(str, with_.inputs.values())) == sorted(map(str, without.inputs.values()))
+    assert Wiring.from_json(wiring.to_json()) == wiring
+
+
+def test_branches_are_printed_drawn_and_overheard() -> None:
+    nodes = world("ego", link_1=node("link", *PORTS, agent="ego"), ear=node("recorder", "everything:*"))
+    wiring = resolve(nodes, up())
+    text = to_text(wiring)
+    assert "ego ─▶ ([link_1] ─▶ broker), evaluator" in text
+    assert "ego ── agent/ego/tracks ──▶ link_1, evaluator" in text
+    assert "link_1 ── agent/ego/tracks/@tap/broker/0 ──▶ broker" in text
+    assert 'link_1 -.->|"agent/ego/tracks/@tap/broker/0"| broker' in to_mermaid(wiring)
+    assert "agent/ego/tracks/@tap/broker/0" in wiring.ports("ear").inputs
+    told = next(wire for wire in wiring.to_json()["wires"] if wire["key"] == "agent/ego/tracks")
+    assert told["subscribers"] == ["broker", "evaluator"]
+    assert told["interposers"] == ["link_1"]
+    assert [leg.get("before") for leg in told["legs"]] == [None, "broker"]
+
+
+def test_our_network_map_leaves_the_evaluator_alone() -> None:
+    entries = keyexpr.load(bundle.ROOT / "keyexpr_maps" / "network.toml")["insert"]
+    assert {(entry["wire"], entry["to"]) for entry in entries} == {
+        ("agent/{agent}/tracks", "broker"),
+        ("agent/{agent}/status", "broker"),
+        ("cc/picture", "agent"),
+    }

@@ -1,0 +1,50 @@
+"""The example in docs/interception.md works as written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).parents[2] / "docs" / "interception.md"
+
+
+@pytest.mark.mesh
+def test_every_file_and_command_of_the_example_works_as_written(tmp_path: Path) -> None:
+    example = PAGE.read_text().split("## An example")[1].split("\n## ")[0]
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    blocks = re.findall(r"^```(console terminal=1|console|python file=(\S+))\n(.*?)^```$", example, flags=re.S | re.M)
+    assert len(blocks) == len(re.findall(r"^```\w", example, flags=re.M)) == 3, "a block that nobody runs"
+    (_, _, first), (_, file, text), (_, _, others) = blocks
+    run = subprocess.Popen(first.removeprefix("$ ").split(), cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
+    try:
+        (tmp_path / file).write_text(text)
+        record, deadline = tmp_path / "watched" / "run.json", time.monotonic() + 60
+        while not (record.is_file() and json.loads(record.read_text())["nodes"]):
+            assert run.poll() is None
+            assert time.monotonic() < deadline
+            threading.Event().wait(0.05)
+        for line in others.splitlines():
+            done = subprocess.run(
+                line.removeprefix("$ "),
+                shell=True,
+                cwd=tmp_path,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+    finally:
+        run.send_signal(signal.SIGINT)
+        run.wait(60)
+    did = [(done["action"], done["node"]) for done in json.loads(record.read_text())["interceptions"]]
+    assert did == [(action, name) for name in ("half_1", "mallory") for action in ("intercept", "release")]

@@ -1,0 +1,81 @@
+"""Whatever goes wrong, at random: all checks hold, nothing is left, and what fails can be replayed by one command."""
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from typer.testing import CliRunner
+
+from mast_zenoh import checks, cli, scenario
+from mast_zenoh.checks import convergence
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.explain import explain
+
+#: On the mesh, with fewer processes.
+SMALL = ("n_infrastructure=1",)
+
+
+def command(seed: int, runtime: str, *settings: str) -> str:
+    """What replays a schedule."""
+    words = [word for setting in (f"chaos_seed={seed}", *settings) for word in ("--set", setting)]
+    return shlex.join(["mast", "run", "chaos", *words, "--runtime", runtime])
+
+
+def played(out: Path, seed: int, runtime: str, *settings: str) -> Path:
+    """The folder of a run under a random schedule; fails, and says how to replay it, if anything is wrong with it."""
+    path, loaded = scenario.load("chaos", [f"chaos_seed={seed}", *settings])
+    resolved = scenario.resolve(path, loaded, record=True)
+    ended = local.run(resolved, out, runtime=runtime)
+    wrong = [f"{type(ended.error).__name__}: {ended.error}"] if ended.error else []
+    wrong += [f"{check['name']}: {check['detail']}" for check in told(ended.folder) if not check["ok"]]
+    broken = {name: node["failures"] for name, node in ended.record["nodes"].items() if node.get("failures")}
+    wrong += [f"handlers failed: {broken}"] if broken else []
+    if wrong:
+        pytest.fail("\n".join([*wrong, *map(str, loaded["faults"]), f"replay: {command(seed, runtime, *settings)}"]))
+    return ended.folder
+
+
+def told(folder: Path) -> list[dict[str, Any]]:
+    """What the checks of a run have found."""
+    return list(json.loads((folder / checks.FILE).read_text())["checks"])
+
+
+@pytest.mark.parametrize("block", range(20))
+def test_200_random_schedules_in_one_process(block: int, tmp_path: Path) -> None:
+    asked: set[str] = set()
+    for seed in range(10 * block, 10 * block + 10):
+        folder = played(tmp_path / str(seed), seed, "inproc")
+        asked |= {check["name"] for check in told(folder) if check["values"]["checked"]}
+    assert asked == {"collation", "convergence", "sequences"}
+
+
+@pytest.mark.mesh
+@pytest.mark.parametrize("seed", range(20))
+def test_20_random_schedules_on_the_mesh_as_in_one_process(seed: int, tmp_path: Path) -> None:
+    folder = played(tmp_path / "mesh", seed, "mesh", *SMALL)
+    assert {check["name"] for check in told(folder) if check["values"]["checked"]} >= {"processes", "sequences"}
+    lines = [" ".join(process.info["cmdline"] or ()) for process in psutil.process_iter(["cmdline"])]
+    assert not [line for line in lines if str(tmp_path) in line]
+    found = compare(folder, played(tmp_path / "inproc", seed, "inproc", *SMALL), taps=True)
+    assert found.first is None, "\n".join([*explain(found), f"replay: {command(seed, 'mesh', *SMALL)}"])
+
+
+def test_a_failing_schedule_says_the_one_command_that_replays_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(convergence, "THRESHOLD_M", 0.0)
+    with pytest.raises(pytest.fail.Exception) as failed:
+        played(tmp_path / "failed", 17, "inproc")
+    assert "convergence: the picture has not converged" in str(failed.value)
+    *_, replay = str(failed.value).splitlines()
+    assert replay == "replay: mast run chaos --set chaos_seed=17 --runtime inproc"
+    _, *words = shlex.split(replay.removeprefix("replay: "))
+    CliRunner().invoke(cli.app, [*words, "--no-report", "--out", str(tmp_path / "replayed")])
+    assert [check["ok"] for check in told(tmp_path / "replayed")] == [
+        check["ok"] for check in told(tmp_path / "failed")
+    ]
+    assert compare(tmp_path / "failed", tmp_path / "replayed", taps=True).first is None

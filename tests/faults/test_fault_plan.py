@@ -1,0 +1,346 @@
+"""A list of faults becomes rules of links, steps of processes and bands of a timeline; what cannot be is refused."""
+
+import inspect
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh import registry
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.faults import Fault, Plan, ProcessStep, plan
+from mast_zenoh.faults.plan import frame_at
+from mast_zenoh.faults.targets import drawn
+
+AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
+ROLES = {
+    "simulator": "simulator",
+    **dict.fromkeys(AGENTS, "agent"),
+    "broker": "broker",
+    "command_center": "command_center",
+    "adversary_1": "adversary",
+    "coordinator": "coordinator",
+    "evaluator": "evaluator",
+    "recorder": "recorder",
+}
+KINDS = {name: cls for name, cls in registry.known_types(Fault).items() if cls.__module__.startswith("mast_zenoh.")}
+TIMES_NS = np.arange(100) * 100_000_000  # 10 s
+
+
+def planned(*specs: dict[str, Any], seed: int = 0, lockstep: bool = True, times_ns: np.ndarray = TIMES_NS) -> Plan:
+    faults = [(f"mine.py: faults[{i}]", registry.build(s, Fault, f"mine.py: faults[{i}]")) for i, s in enumerate(specs)]
+    return plan(faults, ROLES, times_ns, seed, lockstep=lockstep)
+
+
+# -- times -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("at_s", "frame"), [(0.0, 0), (0.001, 1), (0.1, 1), (0.30000000000000004, 3), (9.9, 99)])
+def test_a_step_happens_before_the_first_frame_that_is_not_earlier(at_s: float, frame: int) -> None:
+    assert frame_at(TIMES_NS, at_s) == frame
+
+
+def test_frames_need_not_be_evenly_spaced() -> None:
+    times_ns = np.array([0, 100, 150, 400]) * 1_000_000
+    assert [frame_at(times_ns, at_s) for at_s in (0.1, 0.12, 0.2, 0.5)] == [1, 2, 3, 4]
+
+
+# -- links -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_partition_cuts_both_ways_from_its_beginning_to_its_heal() -> None:
+    found = planned(dict(type="Partition", at=3.0, until=6.0, nodes=["infra_1", "infra_2"]))
+    cut = [dict(type="Cut", at=3.0, until=6.0)]
+    assert found.rules == {name: {"up": cut, "down": cut} for name in ("infra_1", "infra_2")}
+    assert found.steps == ()
+    assert found.bands == [
+        dict(
+            label="Partition infra_1, infra_2",
+            kind="fault",
+            type="Partition",
+            at_s=3.0,
+            until_s=6.0,
+            nodes=["infra_1", "infra_2"],
+            backend="links",
+        )
+    ]
+
+
+def test_rules_stand_in_the_order_in_which_the_faults_are_written() -> None:
+    found = planned(
+        dict(type="Loss", at=5.0, until=6.0, node="infra_1", probability=0.5),
+        dict(type="Partition", at=1.0, until=6.0, node="infra_1"),
+    )
+    assert [rule["type"] for rule in found.rules["infra_1"]["up"]] == ["Loss", "Cut"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "rule"),
+    [
+        (dict(type="Loss", probability=0.25), dict(type="Loss", probability=0.25)),
+        (
+            dict(type="BurstLoss", good_to_bad=0.1, bad_to_good=0.5),
+            dict(type="GilbertElliott", good_to_bad=0.1, bad_to_good=0.5, loss_good=0.0, loss_bad=1.0),
+        ),
+        (dict(type="Delay", mean_s=0.2), dict(type="Delay", mean_s=0.2, jitter_s=0.0)),
+        (dict(type="BandwidthLimit", bits_per_s=1e6), dict(type="Bandwidth", bits_per_s=1e6, queue_s=0.5)),
+        (dict(type="Corrupt", probability=0.5, flips=3), dict(type="Corrupt", probability=0.5, flips=3)),
+        (dict(type="Flood", copies=7), dict(type="Flood", copies=7)),
+        (dict(type="Duplicate", probability=1.0), dict(type="Duplicate", probability=1.0, copies=1)),
+        (dict(type="Reorder", probability=0.5), dict(type="Reorder", probability=0.5, by_s=0.1)),
+        (dict(type="Impair", rule=dict(type="PoseError", yaw_std_rad=0.1)), dict(type="PoseError", yaw_std_rad=0.1)),
+    ],
+)
+def test_every_fault_of_messages_is_a_rule_that_links_know(fault: dict[str, Any], rule: dict[str, Any]) -> None:
+    from mast_zenoh import links
+
+    found = planned({**fault, "at": 1.0, "until": 2.0, "node": "ego"}).rules["ego"]["up"]
+    assert found == [{**rule, "at": 1.0, "until": 2.0}]
+    assert isinstance(registry.build(found[0], links.Rule, "here"), links.Rule)
+
+
+def test_a_direction_is_one_way_only() -> None:
+    found = planned(dict(type="Loss", at=1.0, node="ego", probability=0.5, direction="down"))
+    assert found.rules["ego"] == {"up": [], "down": [dict(type="Loss", probability=0.5, at=1.0, until=None)]}
+
+
+def test_a_slow_agent_speaks_late_and_a_slow_command_centre_too() -> None:
+    slow = dict(type="SlowNode", at=1.0, until=2.0, delay_s=0.3)
+    agent = planned({**slow, "node": "infra_1"}).rules
+    assert list(agent) == ["infra_1"]
+    assert (len(agent["infra_1"]["up"]), len(agent["infra_1"]["down"])) == (1, 0)
+    centre = planned({**slow, "node": "command_center"}).rules
+    assert list(centre) == list(AGENTS)
+    assert all((len(rules["up"]), len(rules["down"])) == (0, 1) for rules in centre.values())
+
+
+# -- targets ---------------------------------------------------------------------------------------------------------
+
+
+def cut(seed: int = 0, **aim: Any) -> list[str]:
+    return list(planned(dict(type="Partition", at=1.0, until=2.0, **aim), seed=seed).rules)
+
+
+def test_targets_are_names_and_roles() -> None:
+    assert cut(nodes=["infra_2", "ego", "infra_2"]) == ["ego", "infra_2"], "in the order of the scene, once"
+    assert cut(nodes="agent") == list(AGENTS)
+    assert cut(node="broker") == cut(node="command_center") == list(AGENTS), "who is cut off from the centre"
+
+
+def test_words_draw_lots_from_the_runs_seed() -> None:
+    assert [len(cut(nodes=word)) for word in ("one", "minority", "majority")] == [1, 2, 3]
+    assert cut(nodes="minority", seed=4) == cut(nodes="minority", seed=4)
+    assert len({tuple(cut(nodes="minority", seed=seed)) for seed in range(20)}) > 5
+    two = planned(*[dict(type="Partition", at=1.0, until=2.0, nodes="one")] * 8)
+    assert len({tuple(band["nodes"]) for band in two.bands}) > 1, "every fault draws its own lots"
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_a_majority_outnumbers_the_rest_and_a_minority_does_not(n: int) -> None:
+    agents = [f"a{i}" for i in range(n)]
+    rng = np.random.default_rng(0)
+    assert len(drawn("one", agents, rng)) == 1
+    assert len(drawn("majority", agents, rng)) > n / 2
+    minority = len(drawn("minority", agents, rng))
+    assert minority == 1 or minority < n / 2
+
+
+def test_a_key_of_a_wire_means_one_way() -> None:
+    up = planned(dict(type="Partition", at=1.0, until=2.0, nodes="agent/infra_1/tracks")).rules
+    assert list(up) == ["infra_1"]
+    assert [len(up["infra_1"][way]) for way in ("up", "down")] == [1, 0]
+    down = planned(dict(type="Partition", at=1.0, until=2.0, nodes=["cc/picture"])).rules
+    assert list(down) == list(AGENTS)
+    assert [len(down["ego"][way]) for way in ("up", "down")] == [0, 1]
+    assert cut(nodes="agent/infra_*/tracks") == ["infra_1", "infra_2", "infra_3", "infra_4"]
+
+
+# -- processes -------------------------------------------------------------------------------------------------------
+
+
+def test_a_killed_node_comes_back_when_it_is_told_to() -> None:
+    found = planned(dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0))
+    assert found.steps == (ProcessStep(40, "kill", "infra_3"), ProcessStep(60, "start", "infra_3"))
+    assert found.rules == {}
+    assert (found.bands[0]["at_s"], found.bands[0]["until_s"], found.bands[0]["backend"]) == (4.0, 6.0, "process")
+
+
+@pytest.mark.parametrize(
+    ("fault", "steps"),
+    [
+        (dict(type="Kill", at=1.0), [(10, "kill")]),
+        (dict(type="Leave", at=1.0), [(10, "leave")]),
+        (dict(type="Leave", at=1.0, return_after=1.0), [(10, "leave"), (20, "start")]),
+        (dict(type="Restart", at=1.0, down_s=0.3), [(10, "leave"), (13, "start")]),
+        (dict(type="Restart", at=1.0, down_s=0.001), [(10, "leave"), (11, "start")]),
+        (dict(type="Restart", at=0.91, down_s=0.01), [(10, "leave"), (11, "start")]),
+        (dict(type="Join", at=1.0), [(10, "start")]),
+        (dict(type="Kill", at=9.5, restart_after=2.0), [(95, "kill")]),
+    ],
+)
+def test_every_fault_of_processes_is_steps(fault: dict[str, Any], steps: list[tuple[int, str]]) -> None:
+    found = planned({**fault, "node": "infra_1"})
+    assert found.steps == tuple(ProcessStep(frame, action, "infra_1") for frame, action in steps)
+
+
+@pytest.mark.parametrize("node", ["broker", "command_center", "adversary_1", "coordinator"])
+def test_others_than_agents_can_be_killed_and_come_back(node: str) -> None:
+    found = planned(dict(type="Kill", at=1.0, node=node, restart_after=1.0))
+    assert [step.node for step in found.steps] == [node, node]
+
+
+def test_who_joins_is_missing_until_then() -> None:
+    (band,) = planned(dict(type="Join", at=2.0, node="infra_1")).bands
+    assert (band["at_s"], band["until_s"]) == (0.0, 2.0)
+
+
+def test_what_lasts_beyond_the_run_has_no_end() -> None:
+    kill, cut_off = planned(
+        dict(type="Kill", at=9.5, node="infra_1", restart_after=2.0),
+        dict(type="Partition", at=9.0, until=20.0, node="infra_2"),
+    ).bands
+    assert kill["until_s"] is cut_off["until_s"] is None
+
+
+def test_what_begins_after_the_last_frame_does_not_happen() -> None:
+    found = planned(
+        dict(type="Kill", at=9.95, node="infra_1"), dict(type="Partition", at=30.0, until=40.0, node="infra_2")
+    )
+    assert found.steps == ()
+    assert found.bands == []
+    assert found.missed == ["mine.py: faults[0]", "mine.py: faults[1]"]
+
+
+def test_steps_are_in_the_order_of_frames() -> None:
+    found = planned(
+        dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0), dict(type="Restart", at=1.0, node="ego")
+    )
+    assert [step.frame for step in found.steps] == [10, 15, 40, 60]
+
+
+# -- pauses ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_pause_is_signals_in_real_time_and_held_messages_in_lock_step() -> None:
+    pause = dict(type="Pause", at=2.0, until=3.0, node="infra_1")
+    real = planned(pause, lockstep=False)
+    assert real.steps == (ProcessStep(20, "pause", "infra_1"), ProcessStep(30, "resume", "infra_1"))
+    assert real.rules == {}
+    exact = planned(pause)
+    hold = [dict(type="Hold", at=2.0, until=3.0)]
+    assert exact.steps == ()
+    assert exact.rules == {"infra_1": {"up": hold, "down": hold}}
+    assert (real.bands[0]["backend"], exact.bands[0]["backend"]) == ("process", "links")
+
+
+def test_a_pause_that_would_outlast_the_run_ends_before_its_last_frame() -> None:
+    found = planned(dict(type="Pause", at=9.0, until=12.0, node="infra_1"), lockstep=False)
+    assert found.steps[-1] == ProcessStep(99, "resume", "infra_1")
+
+
+def test_a_paused_command_centre_is_a_pause_of_every_link() -> None:
+    found = planned(dict(type="Pause", at=2.0, until=3.0, node="command_center"))
+    assert list(found.rules) == list(AGENTS)
+    assert found.bands[0]["nodes"] == ["command_center"]
+
+
+# -- what is refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        (
+            dict(type="Partition", at=1.0, nodes=["infra_9"]),
+            r"faults\[0\]\.nodes: no node, role or word 'infra_9'; did",
+        ),
+        (dict(type="Kill", at=1.0, node="agnet"), r"faults\[0\]\.node: .* did you mean 'agent'"),
+        (dict(type="Partition", at=1.0, nodes="majorty"), "did you mean 'majority'"),
+        (dict(type="Partition", at=1.0, nodes="agent/infra_1/trcks"), "did you mean 'agent/infra_1/tracks'"),
+        (dict(type="Partition", at=6.0, until=3.0, node="ego"), r"until: found 3.0, expected more than `at` \(6.0\)"),
+        (dict(type="Partition", at=3.0, until=3.0, node="ego"), "until: found 3.0"),
+        (dict(type="Partition", at=-1.0, node="ego"), "at: found -1.0, expected a time of 0 or more"),
+        (dict(type="Partition", at=float("nan"), node="ego"), "at: found nan"),
+        (dict(type="Pause", at=3.0, until=2.0, node="ego"), "until: found 2.0"),
+        (dict(type="Pause", at=3.0, node="ego"), "Pause needs until"),
+        (dict(type="Partition", at=1.0), "expected `node` or `nodes`"),
+        (dict(type="Partition", at=1.0, node="ego", nodes=["ego"]), "expected `node` or `nodes`"),
+        (dict(type="Partition", at=1.0, nodes=[]), "expected `node` or `nodes`"),
+        (dict(type="Kill", at=1.0, node="ego", restart_after=0.0), "restart_after: found 0.0, expected more than 0"),
+        (dict(type="Kill", at=1.0, node="ego", until=2.0), r"until: Kill has no such parameter"),
+        (dict(type="Kill", at=0.0, node="ego"), "at: found 0.0, expected a time after the first frame"),
+        (dict(type="Loss", at=1.0, node="ego"), "Loss needs probability"),
+        (dict(type="Loss", at=1.0, node="ego", probability=0.1, direction="upp"), "did you mean 'up'"),
+        (dict(type="Kill", at=1.0, node="simulator"), "'simulator' cannot be .* it drives the scene"),
+        (dict(type="Kill", at=1.0, node="evaluator"), "it is the measurement"),
+        (dict(type="Leave", at=1.0, node="recorder"), "it keeps the record"),
+        (dict(type="Partition", at=1.0, node="adversary_1"), r"'adversary_1' \(adversary\) has no link of its own"),
+        (dict(type="Pause", at=1.0, until=2.0, node="coordinator"), "has no link of its own"),
+    ],
+)
+def test_a_wrong_fault_is_refused_with_its_place(fault: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason) as caught:
+        planned(fault)
+    assert str(caught.value).startswith("mine.py: faults[0]")
+
+
+KILL = dict(type="Kill", at=2.0, node="ego", restart_after=2.0)
+
+
+@pytest.mark.parametrize(
+    ("other", "reason"),
+    [
+        (dict(type="Kill", at=3.0, node="ego"), r"faults\[1\]: kill of 'ego' at 3 s: it is down then \(see .*\[0\]\)"),
+        (dict(type="Leave", at=3.0, node="ego"), "leave of 'ego' at 3 s: it is down"),
+        (dict(type="Pause", at=3.0, until=5.0, node="ego"), "pause of 'ego' at 3 s: it is down"),
+        (dict(type="Join", at=3.0, node="ego"), "start of 'ego' at 4 s: it is up then"),
+        (dict(type="Pause", at=1.0, until=3.0, node="ego"), r"faults\[0\]: kill of 'ego' at 2 s: it is paused"),
+        (dict(type="Join", at=2.5, node="ego"), "kill of 'ego' at 2 s: it has not joined yet|start of 'ego'"),
+        (dict(type="Kill", at=4.0, node="ego"), "at 4 s: something else happens to it before the same frame"),
+        (dict(type="Kill", at=20.0, node="ego", restart_after=1.0), None),
+        (dict(type="Kill", at=3.0, node="infra_1"), None),
+        (dict(type="Partition", at=3.0, until=4.0, node="ego"), None),
+    ],
+)
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_nothing_happens_to_a_process_that_cannot(other: dict[str, Any], reason: str | None, lockstep: bool) -> None:
+    if reason is None:
+        planned(KILL, other, lockstep=lockstep)
+        return
+    with pytest.raises(ConfigurationError, match=reason):
+        planned(KILL, other, lockstep=lockstep)
+
+
+ANYTHING = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-3, 200),
+    st.floats(),
+    st.sampled_from([*ROLES, *ROLES.values(), "one", "majority", "cc/picture", "agent/*/tracks", "", "up", "Loss"]),
+    st.lists(st.sampled_from([*ROLES, "nobody"]), max_size=3),
+    st.just({"type": "Cut"}),
+)
+PARAMETERS = sorted({name for cls in KINDS.values() for name in inspect.signature(cls).parameters})
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(
+        st.fixed_dictionaries(
+            {"type": st.sampled_from(sorted(KINDS)), "at": st.floats(0.0, 12.0) | ANYTHING},
+            optional={name: ANYTHING for name in PARAMETERS if name != "at"},
+        ),
+        max_size=4,
+    ),
+    st.booleans(),
+)
+def test_whatever_is_written_is_planned_or_refused(specs: list[dict[str, Any]], lockstep: bool) -> None:
+    refused, found = "", Plan()
+    try:
+        found = planned(*specs, lockstep=lockstep)
+    except ConfigurationError as error:
+        refused = str(error)
+    assert refused.startswith("mine.py: faults[") or len(found.bands) + len(found.missed) == len(specs)
+    assert all(0 <= step.frame < len(TIMES_NS) for step in found.steps)

@@ -1,0 +1,67 @@
+"""Random schedules come from a seed, contradict nothing, and are over before the run is."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh import registry
+from mast_zenoh.faults import Fault, plan, random_schedule
+
+AGENTS = ("ego", "infra_1", "infra_2")
+SERVERS = ("broker", "command_center")
+ROLES = {"simulator": "simulator", **dict.fromkeys(AGENTS, "agent"), **{name: name for name in SERVERS}}
+KINDS = {
+    name
+    for name in registry.known_types(Fault)
+    if name != "Impair" and registry.known_types(Fault)[name].__module__.startswith("mast_zenoh.")
+}
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**31), st.floats(2.0, 20.0), st.integers(1, 12), st.booleans())
+def test_every_schedule_can_be_carried_out_and_is_healed_in_time(
+    seed: int, duration_s: float, most: int, lockstep: bool
+) -> None:
+    specs = random_schedule(seed, duration_s, AGENTS, servers=SERVERS, settle_s=1.0, most=most)
+    assert 1 <= len(specs) <= most
+    times_ns = np.arange(round(duration_s * 10)) * 100_000_000
+    faults = [("", registry.build(spec, Fault, f"faults[{i}]")) for i, spec in enumerate(specs)]
+    found = plan(faults, ROLES, times_ns, seed, lockstep=lockstep)
+    assert not found.missed
+    assert all(fault.over is not None and fault.over <= duration_s - 1.0 + 1e-9 for _, fault in faults)
+    up = dict.fromkeys(ROLES, True)
+    for step in found.steps:
+        up[step.node] = step.action in ("start", "resume")
+    assert all(up.values()), "in the end everyone is there"
+
+
+def test_equal_seeds_give_equal_schedules_and_others_do_not() -> None:
+    assert random_schedule(3, 6.0, AGENTS) == random_schedule(3, 6.0, AGENTS)
+    assert len({str(random_schedule(seed, 6.0, AGENTS)) for seed in range(50)}) == 50
+
+
+def test_every_kind_of_fault_comes_up() -> None:
+    specs = [spec for seed in range(300) for spec in random_schedule(seed, 6.0, AGENTS, servers=SERVERS)]
+    assert {spec["type"] for spec in specs} == KINDS
+    assert {spec.get("node") for spec in specs} >= {*AGENTS, *SERVERS}
+    assert {spec["nodes"] for spec in specs if isinstance(spec.get("nodes"), str)} == {
+        *("one", "minority", "majority", "agent")
+    }
+
+
+def test_kinds_can_be_chosen() -> None:
+    specs = [spec for seed in range(20) for spec in random_schedule(seed, 6.0, AGENTS, kinds=["Loss", "Kill"])]
+    assert {spec["type"] for spec in specs} == {"Loss", "Kill"}
+
+
+def test_only_the_servers_that_are_named_are_hit() -> None:
+    specs = [spec for seed in range(100) for spec in random_schedule(seed, 6.0, AGENTS)]
+    assert {spec["node"] for spec in specs if "node" in spec} == set(AGENTS)
+
+
+def test_a_run_that_is_too_short_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"duration_s: found 2.0, expected 2.25 or more"):
+        random_schedule(0, 2.0, AGENTS)
+    with pytest.raises(ValueError, match="no fault 'Los'; did you mean 'Loss'"):
+        random_schedule(0, 6.0, AGENTS, kinds=["Los"])

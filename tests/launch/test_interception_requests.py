@@ -1,0 +1,151 @@
+"""What is asked of a running run is checked before anything is asked, and asked by who may only."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tiny_world import TinyScene  # noqa: F401
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
+from mast_zenoh.launch.asking import intercept, plan, release
+from mast_zenoh.launch.interception import place_json, place_of, seal, unseal
+from mast_zenoh.scenario import Resolved
+from mast_zenoh.settings import nested
+
+TRACKS = "agent/infra_1/tracks"
+AGENT = dict(
+    pipeline=dict(type="AgentPipeline", tracker=dict(type="KalmanBoxTracker3D"), mission=dict(type="PictureFirst"))
+)
+SCENARIO = dict(
+    scene=dict(type="TinyScene", n_infrastructure=2),
+    agents={"*": AGENT},
+    command_center=dict(
+        pipeline=dict(
+            type="CommandCenterPipeline",
+            clustering=dict(type="SampledAssignmentClusterer"),
+            group_tracking=dict(
+                type="GroupTrackerWrapper",
+                fusion=dict(type="CovarianceIntersectionFusion"),
+                tracker=dict(type="KalmanBoxTracker3D"),
+            ),
+        )
+    ),
+    evaluator=dict(scorer=dict(type="Scorer")),
+)
+ATTACK = ("attack.type=UncoordinatedAttack", "attack.start_s=0")
+
+
+@pytest.fixture
+def resolved(tmp_path: Path) -> Resolved:
+    (tmp_path / "mine.py").touch()
+    return scenario.resolve(tmp_path / "mine.py", SCENARIO, frames=2)
+
+
+def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], role: str = "link") -> str:
+    """A node with these ports that does nothing."""
+    handlers = "".join(f"    def on_{port}(self, received, context): ...\n" for port in inputs)
+    path = folder / "mine_own.py"
+    path.write_text(
+        "from mast_zenoh.node import Node\n"
+        f"class Mine(Node):\n    role = {role!r}\n    inputs = {inputs!r}\n    outputs = {outputs!r}\n{handlers}"
+    )
+    return str(path)
+
+
+def test_our_adversary_gets_the_wire_the_clock_and_its_agents_pose_and_reports_to_the_evaluator(
+    resolved: Resolved,
+) -> None:
+    name, spec, place = plan(resolved, TRACKS, "adversary.py", settings=ATTACK)
+    assert (name, spec.role, spec.on_exit) == ("adversary_1", "adversary", "continue")
+    assert spec.config == {"agent": "infra_1", "attack": {"type": "UncoordinatedAttack", "start_s": 0}}
+    assert (place.wire, place.input, place.output) == (TRACKS, "tracks", "tracks_out")
+    assert place.hears == {"clock": "clock", "agent/infra_1/pose": "pose"}
+    assert [(wire.key, [end.node for end in wire.subscribers]) for wire in place.says] == [
+        ("attack/adversary_1/report", ["evaluator"])
+    ]
+    assert place_of(json.loads(json.dumps(place_json(place)))) == place
+
+
+def test_ports_are_named_where_several_fit(resolved: Resolved, tmp_path: Path) -> None:
+    two = node_file(tmp_path, {"a": "tracks", "b": "tracks"}, {"out": "tracks"})
+    with pytest.raises(NodeFileError, match="the inputs a, b: say which by --input"):
+        plan(resolved, TRACKS, two)
+    assert plan(resolved, TRACKS, two, input="b")[2].input == "b"
+    with pytest.raises(NodeFileError, match="no input port 'bb'; did you mean 'b'"):
+        plan(resolved, TRACKS, two, input="bb")
+    with pytest.raises(NodeFileError, match="which the wire 'cc/picture' carries"):
+        plan(resolved, "cc/picture", two)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "what"),
+    [
+        (dict(wire="agent/infra_1/trcks"), WiringError, "did you mean 'agent/infra_1/tracks'"),
+        (dict(file="adversry.py"), NodeFileError, "did you mean 'adversary.py'"),
+        (dict(file="recorder.py"), MastError, "log"),
+        (dict(name="broker"), ConfigurationError, "there is a node 'broker' already"),
+        (dict(name="a/b"), WiringError, "one chunk of a key expression"),
+        (dict(settings=()), ConfigurationError, "attack"),
+        (dict(settings=(*ATTACK, "attack.start=1")), ConfigurationError, "did you mean 'start_s'"),
+        (dict(settings=("attack",)), ConfigurationError, "expected KEY=VALUE"),
+        (dict(settings=("attack=1", "attack.type=x")), ConfigurationError, "attack is 1, not a dict"),
+    ],
+)
+def test_what_is_wrong_is_refused_with_the_nearest_choice(
+    resolved: Resolved, arguments: dict[str, Any], error: type[MastError], what: str
+) -> None:
+    with pytest.raises(error, match=what):
+        plan(resolved, **{"wire": TRACKS, "file": "adversary.py", "settings": ATTACK, **arguments})
+
+
+def test_settings_reach_into_dicts_and_are_typed() -> None:
+    assert nested(["a.b.c=1", "a.b.d=x y", "e=[1, 2]", "f=True", "g=a=b"]) == {
+        "a": {"b": {"c": 1, "d": "x y"}},
+        "e": [1, 2],
+        "f": True,
+        "g": "a=b",
+    }
+
+
+def test_only_a_request_made_with_the_secret_is_taken_and_no_two_are_the_same() -> None:
+    request = {"do": "release", "name": "m"}
+    sealed = seal(request, b"secret")
+    assert unseal(sealed, b"secret").items() >= request.items()
+    assert sealed != seal(request, b"secret")
+    with pytest.raises(MessageError):
+        unseal(sealed, b"guess")
+    body, digest = msgpack.unpackb(sealed)
+    with pytest.raises(MessageError):
+        unseal(msgpack.packb([body.replace(b"release", b"destroy"), digest]), b"secret")
+
+
+@given(
+    st.binary(max_size=200) | st.recursive(st.none() | st.integers(0, 2**63) | st.text(), st.lists).map(msgpack.packb)
+)
+def test_bytes_of_strangers_are_no_request(payload: bytes) -> None:
+    with pytest.raises(MessageError):
+        unseal(payload, b"secret")
+
+
+@pytest.mark.parametrize(
+    ("record", "what"),
+    [
+        (dict(status="ok", runtime="mesh"), "the run is over: ok"),
+        (dict(status="running", runtime="inproc"), "plays in one process"),
+        (dict(status="running", runtime="mesh", security="mtls", endpoint="tcp/127.0.0.1:1"), "security level mtls"),
+        (dict(status="running", runtime="mesh"), "not on its way yet"),
+    ],
+)
+def test_a_run_that_cannot_be_changed_says_why(tmp_path: Path, record: dict[str, str], what: str) -> None:
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    with pytest.raises(NotRunning, match=what):
+        intercept(tmp_path, TRACKS, "adversary.py")
+    with pytest.raises(NotRunning, match=what):
+        release(tmp_path, name="m")

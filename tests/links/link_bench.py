@@ -1,0 +1,44 @@
+"""A wire of messages through the rules of a link."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh import registry
+from mast_zenoh.links import Chain, Outcome, Passage, Rule
+from mast_zenoh.streams import stream
+
+PERIOD_NS = 100_000_000
+
+
+def build(**spec: Any) -> Rule:
+    """A rule from its dict, as a scenario has it built."""
+    rule = registry.build(spec, Rule, "link.rules_up[0]")
+    assert isinstance(rule, Rule)
+    return rule
+
+
+def chain(rules: Sequence[dict[str, Any]], seed: int = 0) -> Chain:
+    """The rules of one wire."""
+    return Chain([build(**rule) for rule in rules], lambda *purpose: stream(seed, "link_1", "link", "tracks", *purpose))
+
+
+def carry(
+    rules: Sequence[dict[str, Any]], count: int, *, seed: int = 0, every_ns: int = PERIOD_NS, **of_each: Any
+) -> list[Outcome]:
+    """What becomes of `count` messages, one in each `every_ns`."""
+    wire = chain(rules, seed)
+    return [wire.carry(Passage(i * every_ns, i * every_ns, **of_each)) for i in range(count)]
+
+
+def came(outcomes: Sequence[Outcome]) -> np.ndarray:
+    """(n,) bool: which messages came through."""
+    return np.array([bool(outcome.leaving) for outcome in outcomes])
+
+
+def delays(outcomes: Sequence[Outcome]) -> np.ndarray:
+    """(n,) s: the delay of each copy that came through."""
+    return np.array([delay_s for outcome in outcomes for _, delay_s in outcome.leaving])

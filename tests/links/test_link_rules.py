@@ -1,0 +1,274 @@
+"""What each rule does to a message, alone and with others, and which parameters it refuses."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from link_bench import PERIOD_NS, build, came, carry, chain, delays
+
+from mast_zenoh import links
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.geometry import heading, rotation_from_quaternion
+from mast_zenoh.links import FATES, PROFILES, Outcome, Passage, Rule, displaced, flipped, profile
+from mast_zenoh.registry import known_types
+
+#: One sound dict of every rule.
+EVERY: dict[str, dict[str, Any]] = {
+    "Bandwidth": dict(bits_per_s=1e6, queue_s=0.2),
+    "ClockSkew": dict(offset_s=0.1, drift=0.01),
+    "Corrupt": dict(probability=0.5, flips=2),
+    "Cut": dict(),
+    "Delay": dict(mean_s=0.12, jitter_s=0.05),
+    "Duplicate": dict(probability=0.5, copies=2),
+    "Flood": dict(copies=3),
+    "GilbertElliott": dict(good_to_bad=0.1, bad_to_good=0.5),
+    "Hold": dict(until=2.0),
+    "Loss": dict(probability=0.3),
+    "PoseError": dict(position_std_m=1.0),
+    "RangeLimit": dict(range_m=50.0, gateways=[[0.0, 0.0, 0.0]]),
+    "Reorder": dict(probability=0.3, by_s=0.25),
+}
+
+
+def test_every_rule_is_tried_here_and_says_what_it_does() -> None:
+    ours = {name for name, rule in known_types(Rule).items() if rule.__module__.startswith("mast_zenoh.")}
+    assert ours == EVERY.keys()
+    for name, given_ in EVERY.items():
+        assert build(type=name, **given_).fate in FATES
+
+
+def through(*rules: dict[str, Any], at_s: float = 0.0, **of_it: Any) -> Outcome:
+    """What becomes of one message."""
+    time_ns = round(at_s * 1e9)
+    return chain(rules).carry(Passage(time_ns, time_ns, **of_it))
+
+
+def test_without_rules_everything_passes_at_once() -> None:
+    outcome = through()
+    assert [after_s for _, after_s in outcome.leaving] == [0.0]
+    assert outcome.fates == {}
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_rule_acts_from_its_beginning_until_before_its_end(name: str) -> None:
+    sure = EVERY[name] | dict(probability=1.0) if "probability" in EVERY[name] else EVERY[name]
+    if name == "GilbertElliott":
+        sure = dict(good_to_bad=1.0, bad_to_good=0.0)
+    rule = dict(type=name, **(sure | dict(at=1.0, until=2.0)))
+    far = dict(size=1000, position=np.array([90.0, 0.0, 0.0]), referenced=True)
+    for at_s, acts in ((0.9, False), (1.0, True), (1.9, True), (2.0, False)):
+        outcome = through(rule, at_s=at_s, **far)
+        plain = Passage(round(at_s * 1e9), round(at_s * 1e9), **far)
+        untouched = len(outcome.leaving) == 1 and outcome.leaving[0][0] is not None
+        untouched = untouched and outcome.leaving[0][0]._replace(position=None) == plain._replace(position=None)
+        assert untouched is not acts, at_s
+        assert bool(outcome.fates) is acts
+
+
+def test_the_first_rule_that_drops_a_message_is_the_one_that_did_it() -> None:
+    assert through(dict(type="Loss", probability=0.0), dict(type="Cut"), dict(type="Cut")).fates == {"dropped": 1}
+
+
+def test_a_message_of_which_a_copy_comes_through_is_not_dropped() -> None:
+    rules = [dict(type="Duplicate", probability=1.0, copies=3), dict(type="Loss", probability=0.6)]
+    for outcome in carry(rules, 200):
+        assert ("dropped" in outcome.fates) is not bool(outcome.leaving)
+
+
+def test_delays_add_up_and_the_longest_is_named() -> None:
+    rules = [dict(type="Delay", mean_s=s, distribution="constant") for s in (0.05, 0.3, 0.1)]
+    outcome = through(*rules)
+    assert outcome.delay_s == pytest.approx(0.45)
+    assert outcome.fates == {"delayed": 1}
+
+
+def test_a_message_does_not_overtake_the_one_before_it() -> None:
+    rules = [dict(type="Delay", mean_s=0.5, distribution="constant", until=0.05)]
+    first, second, *_, last = carry(rules, 10)
+    assert first.delay_s == pytest.approx(0.5)
+    assert second.delay_s == pytest.approx(0.4)
+    assert second.fates == {"delayed": 0}
+    assert last.delay_s == 0.0
+
+
+def test_a_reordered_message_is_overtaken_and_holds_nobody_up() -> None:
+    wire = chain([dict(type="Reorder", probability=1.0, by_s=0.35, until=0.05)])
+    leaves = [i * 0.1 + wire.carry(Passage(i * PERIOD_NS, i * PERIOD_NS)).delay_s for i in range(5)]
+    assert leaves == pytest.approx([0.35, 0.1, 0.2, 0.3, 0.4])
+
+
+@given(names=st.lists(st.sampled_from([n for n in EVERY if n != "Reorder"]), max_size=5), seed=st.integers(0, 20))
+@settings(max_examples=30, deadline=None)
+def test_without_reordering_messages_leave_in_the_order_in_which_they_came(names: list[str], seed: int) -> None:
+    rules = [dict(type=name, **EVERY[name]) for name in names]
+    outcomes = carry(rules, 30, seed=seed, size=5000, position=np.zeros(3), referenced=True)
+    leaves = [i * PERIOD_NS + round(s * 1e9) for i, outcome in enumerate(outcomes) for _, s in outcome.leaving]
+    assert leaves == sorted(leaves)
+    assert min(delays(outcomes), default=0.0) >= 0.0
+
+
+def test_what_is_held_back_leaves_in_order_when_the_time_comes() -> None:
+    outcomes = carry([dict(type="Hold", at=0.2, until=0.55)], 8)
+    leaves = [i * 0.1 + outcome.delay_s for i, outcome in enumerate(outcomes)]
+    assert leaves == pytest.approx([0.0, 0.1, 0.55, 0.55, 0.55, 0.55, 0.6, 0.7])
+
+
+@pytest.mark.parametrize(("x", "comes"), [(0.0, True), (49.0, True), (51.0, False), (160.0, True), (1e6, False)])
+def test_out_of_reach_of_every_gateway_nothing_comes_through(x: float, comes: bool) -> None:
+    rule = dict(type="RangeLimit", range_m=50.0, gateways=[[0.0, 0.0, 0.0], [200.0, 0.0, 5.0]])
+    assert bool(through(rule, position=np.array([x, 0.0, 0.0])).leaving) is comes
+    assert through(rule).leaving, "nobody knows where it is"
+
+
+def test_a_clock_that_runs_too_fast_is_ever_further_ahead() -> None:
+    rule = dict(type="ClockSkew", offset_s=-0.2, drift=0.1, at=1.0)
+    ahead = [through(rule, at_s=at_s).leaving[0][0].skew_ns for at_s in (0.0, 1.0, 3.0)]
+    assert ahead == [0, -200_000_000, 0]
+    assert through(rule, rule, at_s=1.0).leaving[0][0].skew_ns == -400_000_000
+
+
+def test_a_pose_error_leaves_messages_alone_that_have_no_frame_of_reference() -> None:
+    outcome = through(dict(type="PoseError", bias_m=[1.0, 0.0]), referenced=False)
+    assert outcome.fates == {}
+    assert outcome.leaving[0][0].shift == (0.0, 0.0)
+
+
+def test_a_displaced_frame_of_reference_is_moved_and_turned_about_the_vertical() -> None:
+    half = math.sqrt(0.5)
+    body = {"origin": np.array([5.0, 6.0, 7.0]), "rotation": np.array([half, 0.0, 0.0, half]), "id": np.arange(3)}
+    found = displaced(body, (1.0, -1.0), 0.25)
+    assert found["origin"].tolist() == [6.0, 5.0, 7.0]
+    assert heading(rotation_from_quaternion(found["rotation"])) == pytest.approx(math.pi / 2 + 0.25)
+    assert found["id"] is body["id"]
+
+
+@given(payload=st.binary(max_size=50), places=st.lists(st.floats(0.0, 1.0), max_size=8))
+@settings(max_examples=50)
+def test_flipped_bits_are_that_many_and_flip_back(payload: bytes, places: list[float]) -> None:
+    once = flipped(payload, places)
+    assert len(once) == len(payload)
+    assert flipped(once, places) == payload
+    differing = sum((a ^ b).bit_count() for a, b in zip(payload, once, strict=True))
+    assert differing <= len(places)
+    if payload and len(places) == 1:
+        assert differing == 1
+
+
+def test_copies_are_numbered_and_each_draws_for_itself() -> None:
+    rules = [dict(type="Flood", copies=4), dict(type="Delay", mean_s=0.05, jitter_s=0.02), dict(type="Flood", copies=1)]
+    outcome = through(*rules)
+    copies = [passage.copy for passage, _ in outcome.leaving]
+    assert sorted(copies) == list(range(10))
+    assert len({passage.delay_ns for passage, _ in outcome.leaving}) == 5
+    assert outcome.fates["duplicated"] == 0
+
+
+def test_a_flood_of_floods_ends_somewhere() -> None:
+    assert len(through(*[dict(type="Flood", copies=100)] * 3).leaving) <= 1001
+
+
+@pytest.mark.parametrize("name", ["Loss", "GilbertElliott", "Duplicate", "Corrupt", "Reorder"])
+@pytest.mark.parametrize("other", ["Cut", "Delay", "Flood", "Loss"])
+def test_a_rule_added_before_or_after_changes_no_draw_of_another(name: str, other: str) -> None:
+    rule = dict(type=name, **EVERY[name])
+    added = dict(type=other, **EVERY[other], at=1.0, until=3.0)
+    alone = carry([rule], 600)
+    kept = [i for i in range(600) if not 10 <= i < 30]
+    for rules in ([rule, added], [added, rule]) if name != other else ([rule, added],):
+        mixed = carry(rules, 600)
+        for i in kept:
+            (before, _), (after, _) = (o.leaving[0] if o.leaving else (None, None) for o in (alone[i], mixed[i]))
+            assert (before is None) == (after is None)
+            assert before is None or (before.flips, before.overtakes) == (after.flips, after.overtakes)
+            assert len(alone[i].leaving) == len(mixed[i].leaving)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_what_a_rule_does_follows_from_seed_and_wire_alone(name: str) -> None:
+    rules = [dict(type=name, **EVERY[name]), dict(type="Delay", mean_s=0.1, jitter_s=0.1)]
+    first, again, other = (carry(rules, 300, seed=seed, size=900, referenced=True) for seed in (3, 3, 4))
+    assert first == again
+    assert name == "Cut" or first != other
+
+
+def test_rules_given_to_two_wires_do_not_share_what_they_remember() -> None:
+    rule = build(type="Bandwidth", bits_per_s=1000.0, queue_s=0.0)
+    one, two = (links.Chain([rule], lambda *purpose: np.random.default_rng(0)) for _ in range(2))
+    assert one.carry(Passage(0, 0, size=100)).leaving
+    assert not one.carry(Passage(0, 0, size=100)).leaving, "its queue is full"
+    assert two.carry(Passage(0, 0, size=100)).leaving
+
+
+NAN, INF = math.nan, math.inf
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        *(
+            (name, dict(probability=p))
+            for name in ("Loss", "Duplicate", "Corrupt", "Reorder")
+            for p in (-0.1, 1.1, NAN)
+        ),
+        *(("GilbertElliott", {key: 2.0}) for key in ("good_to_bad", "bad_to_good", "loss_good", "loss_bad")),
+        *(("Delay", dict(mean_s=value)) for value in (-1.0, NAN, INF, 1e9)),
+        *(("Delay", dict(jitter_s=value)) for value in (-1.0, NAN, INF)),
+        ("Delay", dict(mean_s=0.0)),
+        ("Delay", dict(distribution="constant")),
+        ("Delay", dict(distribution="poisson")),
+        *(("Bandwidth", dict(bits_per_s=value)) for value in (0.0, -1.0, NAN, INF)),
+        *(("Bandwidth", dict(queue_s=value)) for value in (-1.0, NAN)),
+        ("Reorder", dict(by_s=-0.1)),
+        ("Duplicate", dict(copies=0)),
+        ("Flood", dict(copies=10**6)),
+        ("Corrupt", dict(flips=0)),
+        *(("RangeLimit", dict(range_m=value)) for value in (0.0, -1.0, NAN)),
+        *(("RangeLimit", dict(gateways=value)) for value in ([], [[0.0, 1.0]], [[NAN, 0.0, 0.0]])),
+        ("ClockSkew", dict(offset_s=NAN)),
+        ("ClockSkew", dict(drift=2.0)),
+        ("PoseError", dict(position_std_m=-1.0)),
+        ("PoseError", dict(bias_m=[NAN, 0.0])),
+        ("Hold", dict(until=None)),
+        *(("Cut", wrong) for wrong in (dict(at=-1.0), dict(at=NAN), dict(at=2.0, until=2.0), dict(until=NAN))),
+    ],
+)
+def test_parameters_that_make_no_sense_are_refused_by_name(name: str, wrong: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        build(type=name, **(EVERY[name] | wrong))
+    assert any(f"{parameter}" in str(caught.value) for parameter in (*wrong, "jitter_s", "mean_s"))
+    assert "link.rules_up[0]" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_profiles_are_made_of_sound_rules(name: str) -> None:
+    for rules in profile(name).values():
+        for rule in rules:
+            build(**(rule | (dict(gateways=[[0.0, 0.0, 0.0]]) if rule["type"] == "RangeLimit" else {})))
+
+
+def test_a_profile_is_the_callers_own() -> None:
+    profile("wired")["up"].clear()
+    assert profile("wired")["up"]
+    assert profile("wired").keys() == {"up", "down"}
+
+
+def test_an_unknown_profile_is_refused_with_the_nearest() -> None:
+    with pytest.raises(
+        ConfigurationError, match="no profile of a link named 'wirelss_v2x'; did you mean 'wireless_v2x'"
+    ):
+        profile("wirelss_v2x")
+
+
+def test_a_wireless_link_loses_more_than_a_wired_one_and_takes_longer() -> None:
+    lost, late = {}, {}
+    for name in ("wired", "wireless_v2x"):
+        rules = [rule for rule in profile(name)["up"] if rule["type"] != "RangeLimit"]
+        outcomes = carry(rules, 2000, size=5000)
+        lost[name], late[name] = 1.0 - came(outcomes).mean(), delays(outcomes).mean()
+    assert lost["wired"] < 0.001 < 0.03 < lost["wireless_v2x"] < 0.1
+    assert late["wired"] < 0.005 < 0.02 < late["wireless_v2x"] < 0.05

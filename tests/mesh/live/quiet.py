@@ -1,0 +1,11 @@
+"""A scenario with little to compute, played 200 times over: two agents, two cars; its evaluator says what it heard."""
+
+from mast_zenoh import loading
+
+_, baseline = loading.function("scenarios", "baseline", "scenario")
+
+
+def scenario():
+    made = baseline(n_infrastructure=1)
+    scene = made["scene"] | dict(n_vehicles=2, n_bicycles=0, n_pedestrians=0)
+    return made | dict(name="quiet", scene=scene, evaluator=dict(file="listener.py"))

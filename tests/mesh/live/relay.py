@@ -1,0 +1,41 @@
+"""A user's own interposer: passes everything on as it comes, and can keep every third message until the next clock."""
+
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime.process import main
+
+
+class Relay(Node):
+    """keeps: whether every third message is kept until the next clock."""
+
+    role = "adversary"
+    inputs = {"clock": "clock", "tracks": "tracks", "detections": "detections"}
+    outputs = {"tracks_out": "tracks", "detections_out": "detections"}
+
+    def __init__(self, keeps: bool = False) -> None:
+        self.keeps = keeps
+        self.kept: list[tuple[str, Received]] = []
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        """Time to pass on what was kept."""
+        for port, kept in self.kept:
+            context.relay(port, kept)
+        self.kept.clear()
+
+    def on_tracks(self, received: Received, context: Context) -> None:
+        """On their way."""
+        self.pass_on("tracks_out", received, context)
+
+    def on_detections(self, received: Received, context: Context) -> None:
+        """On their way."""
+        self.pass_on("detections_out", received, context)
+
+    def pass_on(self, port: str, received: Received, context: Context) -> None:
+        """At once, or later."""
+        if self.kept or (self.keeps and received.message.header.seq % 3 == 0):
+            self.kept.append((port, received))
+        else:
+            context.relay(port, received)
+
+
+if __name__ == "__main__":
+    main(Relay)

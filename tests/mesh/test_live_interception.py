@@ -1,0 +1,241 @@
+"""Nodes are put on wires and taken off while a run goes on, and nobody who hears the wire can tell by what comes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from launched import Launched, Observer, eventually
+
+from mast_zenoh import codec, scenario
+from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, StartError, WiringError
+from mast_zenoh.launch import asking
+from mast_zenoh.launch.folder import read_table
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.runtime.mesh import ATTACHMENT
+
+pytestmark = pytest.mark.mesh
+LIVE = Path(__file__).parent / "live"
+RELAY = str(LIVE / "relay.py")
+TRACKS, DETECTIONS = "agent/infra_1/tracks", "agent/infra_1/detections"
+TIMES = 50
+
+
+@pytest.fixture
+def going(launch) -> Iterator[Callable[..., tuple[Launched, Observer]]]:
+    """A run of the quiet scenario that has begun, and a stranger who hears everything that can be heard."""
+    observers: list[Observer] = []
+
+    def begin(*arguments: str) -> tuple[Launched, Observer]:
+        run: Launched = launch(str(LIVE / "quiet.py"), *arguments)
+        observers.append(Observer(run.started()))
+        eventually(lambda: observers[-1].frame() > 3, "the run is on its way")
+        return run, observers[-1]
+
+    yield begin
+    for observer in observers:
+        observer.close()
+
+
+def stop(run: Launched) -> dict:
+    """run.json of a run that was told to stop."""
+    run.process.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == 130, output
+    return run.record()
+
+
+def gaps(numbers: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Between which frames messages are missing, of (number, frame) as they came: in order, and none twice."""
+    assert all(before[0] < after[0] for before, after in pairwise(numbers)), "in order, none twice"
+    return [(before[1], after[1]) for before, after in pairwise(numbers) if after[0] > before[0] + 1]
+
+
+def lost(run: Launched, observer: Observer) -> list[tuple[str, str, list[tuple[int, int]]]]:
+    """What the stranger, the recorder and the evaluator have missed of any wire; what came, came in order."""
+    recorded = [(m.key, (m.seq, m.frame)) for m in read(run.out) if not m.tap]
+    types = {wire["key"]: wire["message"] for wire in json.loads((run.out / "wiring.json").read_text())["wires"]}
+    seen = []
+    for key, sample in observer.samples:
+        header = codec.decode_header(sample.payload.to_bytes(), types[key])
+        seen.append((key, (header.seq, header.frame)))
+    table = read_table(run.out / "heard.parquet")
+    heard = list(zip(table["wire"], zip(table["seq"].tolist(), table["frame"].tolist(), strict=True), strict=True))
+    found = [
+        (who, wire, gaps([number for key, number in messages if key == wire]))
+        for who, messages in (("stranger", seen), ("recorder", recorded), ("evaluator", heard))
+        for wire in sorted({key for key, _ in messages})
+    ]
+    heard_by = [(who, wire) for who, wire, _ in found if wire in (TRACKS, DETECTIONS)]
+    assert len(heard_by) == 5, "all three hear them, but the detections, which are not for the evaluator"
+    return [entry for entry in found if entry[2]]
+
+
+@pytest.mark.timeout(600)
+def test_fifty_insertions_and_removals_lose_double_and_reorder_nothing(going) -> None:
+    run, observer = going("--mode", "realtime", "--rate", "5")
+    for i in range(TIMES):
+        wire = (TRACKS, DETECTIONS)[i % 2]
+        settings = ("keeps=True",) if i % 5 == 0 else ()
+        done = asking.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
+        reached = observer.frame() + 3
+        eventually(lambda reached=reached: observer.frame() >= reached, "messages pass it")
+        assert done["wires"] == [wire]
+        assert asking.release(run.out, name="mallory")["node"] == "mallory"
+    record = stop(run)
+    assert [done["action"] for done in record["interceptions"]] == ["intercept", "release"] * TIMES
+    taps = {wire: [m.seq for m in read(run.out) if m.tap and m.wire == wire] for wire in (TRACKS, DETECTIONS)}
+    assert all(len(numbers) >= 2 * TIMES // 2 for numbers in taps.values()), "it sat on the wires indeed"
+    assert all(len(set(numbers)) == len(numbers) for numbers in taps.values())
+    assert not lost(run, observer)
+    logs = "".join(path.read_text() for path in (run.out / "logs").iterdir())
+    assert "may be lost" not in logs
+    assert "Traceback" not in logs
+    assert all(node["ended"].endswith("ok") for node in record["nodes"].values()), record["nodes"]
+
+
+def test_a_subscriber_sees_the_same_of_every_message_with_the_node_and_without(going) -> None:
+    run, observer = going("--mode", "realtime", "--rate", "2")
+    on = asking.intercept(run.out, TRACKS, RELAY)
+    eventually(lambda: observer.frame() > on["frame"] + 10, "frames with it")
+    stop(run)
+    samples = [sample for key, sample in observer.samples if key == TRACKS]
+    kinds = set()
+    for sample in samples:
+        frame = codec.decode_header(sample.payload.to_bytes(), "tracks").frame
+        mark, _, step = ATTACHMENT.unpack(sample.attachment.to_bytes())
+        quality = (sample.priority, sample.congestion_control, sample.express)
+        seen = (mark, step - frame, sample.encoding, *quality, sample.source_info, sample.timestamp, sample.kind)
+        kinds.add(tuple(map(str, seen)))
+    assert len(kinds) == 1
+    assert [codec.decode_header(s.payload.to_bytes(), "tracks").seq for s in samples][-1] > on["frame"]
+
+
+def test_in_lock_step_the_stream_is_that_of_an_undisturbed_run(going) -> None:
+    run, _ = going("--frames", "50")
+    asking.intercept(run.out, TRACKS, "adversary.py", name="mallory", settings=("attack.type=PassThrough",))
+    asking.intercept(run.out, TRACKS, RELAY, name="eve")
+    asking.intercept(run.out, DETECTIONS, RELAY, settings=("keeps=False",))
+    asking.release(run.out, name="mallory")
+    asking.release(run.out, wire=TRACKS)
+    record = stop(run)
+    recorded: dict[str, list[bytes]] = defaultdict(list)
+    for message in read(run.out):
+        recorded[message.key].append(message.payload)
+    frames = len(recorded["clock"])
+    taps = {key: len(recorded.pop(key)) for key in list(recorded) if "@tap" in key}
+    path, loaded = scenario.load(str(LIVE / "quiet.py"))
+    undisturbed: dict[str, list[bytes]] = defaultdict(list)
+    InProcess(
+        scenario.resolve(path, loaded, frames=50),
+        encode=True,
+        tap=lambda message: undisturbed[message.key].append(message.payload),
+        progress=lambda played: played < frames,
+    ).run()
+    assert recorded.keys() == undisturbed.keys()
+    for key, payloads in recorded.items():
+        assert len(payloads) <= len(undisturbed[key]), key
+        assert payloads == undisturbed[key][: len(payloads)], key
+    assert taps.keys() == {f"{TRACKS}/@tap/0", f"{TRACKS}/@tap/1", f"{DETECTIONS}/@tap/0"}
+    assert 0 < min(taps.values()) <= max(taps.values()) < frames
+    assert [done["action"] for done in record["interceptions"]] == ["intercept"] * 3 + ["release"] * 2
+
+
+def test_an_attack_that_begins_while_the_run_goes_on_deceives_and_is_reported(going) -> None:
+    run, observer = going("--mode", "realtime", "--rate", "2")
+    settings = ("attack.type=UncoordinatedAttack", "attack.start_s=0")
+    on = asking.intercept(run.out, DETECTIONS, "adversary.py", name="mallory", settings=settings)
+    eventually(lambda: any(key == "attack/mallory/report" for key, _ in observer.samples), "it attacks")
+    stop(run)
+    heard = read_table(run.out / "heard.parquet")
+    reports = heard["frame"][heard["wire"] == "attack/mallory/report"]
+    assert len(reports) > 0
+    assert min(reports) >= on["frame"]
+
+
+def test_a_wire_whose_inserted_node_is_killed_heals(going) -> None:
+    run, observer = going("--mode", "realtime", "--rate", "2")
+    asking.intercept(run.out, TRACKS, RELAY, name="mallory")
+    os.kill(run.record()["nodes"]["mallory"]["pid"], signal.SIGKILL)
+    healed = eventually(lambda: [d for d in run.record()["interceptions"] if d["action"] == "heal"], "it heals")[0]
+    eventually(lambda: observer.frame() > healed["frame"] + 10, "frames without it")
+    stop(run)
+    numbers = [codec.decode_header(s.payload.to_bytes(), "tracks").seq for k, s in observer.samples if k == TRACKS]
+    after = [number for number in numbers if number > healed["frame"]]
+    assert len(after) > 5
+    assert after == list(range(after[0], after[-1] + 1)), "nothing is lost any more"
+    assert len(numbers) == len(set(numbers))
+    assert "mallory" not in (run.out / "wiring.json").read_text()
+
+
+def mast(*arguments: str, cwd: Path) -> tuple[int, str]:
+    """(exit code, output) of a command."""
+    command = [sys.executable, "-m", "mast_zenoh", *arguments]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_the_commands_say_what_they_did_or_why_they_did_not(going, tmp_path: Path) -> None:
+    run, _ = going("--mode", "realtime", "--rate", "2")
+    (tmp_path / "mine.py").write_text((LIVE / "relay.py").read_text())
+    folder = str(run.out)
+    code, output = mast("intercept", folder, "--wire", TRACKS, "--with", "mine.py", cwd=tmp_path)
+    assert (code, output[: output.index(" from")]) == (0, f"mine_1 is on {TRACKS}"), output
+    code, output = mast("intercept", folder, "--wire", "agent/infra_1/track", "--with", "mine.py", cwd=tmp_path)
+    assert code == 11
+    assert "did you mean 'agent/infra_1/tracks'?" in output
+    code, output = mast("release", folder, "--wire", TRACKS, cwd=tmp_path)
+    assert (code, output[: output.index(" from")]) == (0, f"mine_1 is off {TRACKS}"), output
+    assert mast("release", folder, "--name", "mine_1", cwd=tmp_path)[0] == 11
+    assert mast("release", folder, cwd=tmp_path)[0] == 2
+    stop(run)
+    code, output = mast("intercept", folder, "--wire", TRACKS, "--with", "mine.py", cwd=tmp_path)
+    assert code == 26
+    assert "the run is over" in output
+
+
+def test_what_cannot_be_done_is_refused_and_changes_nothing(going, tmp_path: Path) -> None:
+    run, observer = going("--mode", "realtime", "--rate", "2")
+    wiring, nodes = (run.out / "wiring.json").read_text(), json.loads((run.out / "scenario.json").read_text())["nodes"]
+    (tmp_path / "stillborn.py").write_text(
+        (LIVE / "relay.py").read_text().replace("    main(Relay)", "    raise SystemExit('no licence found')")
+    )
+    with pytest.raises(WiringError, match="no wire"):
+        asking.intercept(run.out, "agent/infra_9/tracks", RELAY)
+    with pytest.raises(NodeFileError, match="no input for 'picture' messages"):
+        asking.intercept(run.out, "cc/picture", RELAY)
+    with pytest.raises(ConfigurationError, match=r"keep.*did you mean 'keeps'"):
+        asking.intercept(run.out, TRACKS, RELAY, settings=("keep=True",))
+    with pytest.raises(ConfigurationError, match="there is a node 'broker' already"):
+        asking.intercept(run.out, TRACKS, RELAY, name="broker")
+    with pytest.raises(StartError, match=r"exit code 1.*logs/stillborn_1\.log"):
+        asking.intercept(run.out, TRACKS, str(tmp_path / "stillborn.py"))
+    with pytest.raises(WiringError, match="no node 'mallory' sits on a wire"):
+        asking.release(run.out, name="mallory")
+    secret = (run.out / "control.key").read_bytes()
+    (run.out / "control.key").write_bytes(b"guessed")
+    with pytest.raises(Exception, match="not made with this run's secret"):
+        asking.intercept(run.out, TRACKS, RELAY)
+    (run.out / "control.key").write_bytes(secret)
+    assert (run.out / "wiring.json").read_text() == wiring
+    assert json.loads((run.out / "scenario.json").read_text())["nodes"] == nodes
+    stop(run)
+    assert not (run.out / "control.key").exists()
+    assert not lost(run, observer)
+
+
+def test_a_run_whose_launcher_was_killed_is_not_waited_for(going) -> None:
+    run, _ = going("--mode", "realtime", "--rate", "2")
+    run.process.kill()
+    run.process.wait()
+    with pytest.raises(NotRunning, match="nobody answers"):
+        asking.intercept(run.out, TRACKS, RELAY)

@@ -1,0 +1,161 @@
+"""Runs on three namespaces: a partition that heals, a slow link, and every way to end in the middle of it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+from launched import Launched, Observer, alive, eventually
+from namespaced import left_by, require
+
+from mast_zenoh import codec
+from mast_zenoh.launch.network.namespaces import NAMESPACES, sweep
+from mast_zenoh.messagelog.reader import read
+
+pytestmark = pytest.mark.mesh
+WEST = {"infra_1", "infra_2"}
+
+
+@pytest.fixture
+def two_hosts(launch) -> Iterator:
+    """Starts scenarios/two_hosts.py with settings, and fails if anything is left of it."""
+    require("partition", "relay")
+    runs: list[Launched] = []
+
+    def start(frames: int, **settings: object) -> Launched:
+        words = [word for key, value in settings.items() for word in ("--set", f"{key.replace('__', '.')}={value}")]
+        runs.append(launch("two_hosts", "--frames", str(frames), *words))
+        return runs[-1]
+
+    yield start
+    assert [name for run in runs for name in left_by(run.process.pid)] == []
+
+
+def at_frame(run: Launched, frame: int) -> None:
+    """Wait until the run has come to a frame."""
+    observer = Observer(run.started(), "clock")
+    try:
+        eventually(lambda: observer.frame() >= frame, f"{frame} clocks")
+    finally:
+        observer.close()
+
+
+class Stopwatch(Observer):
+    """Notes when each message came, ns."""
+
+    def __init__(self, record: dict) -> None:
+        self.came_ns: dict[str, dict[int, int]] = {}
+        super().__init__(record)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr).removeprefix(self.prefix)
+        if (attachment := sample.attachment) and (key == "clock" or key.endswith("/tracks")):
+            frame = int.from_bytes(attachment.to_bytes()[8:16], "little", signed=True)
+            self.came_ns.setdefault(key, {}).setdefault(frame, time.monotonic_ns())
+
+    def longest_silence_s(self, key: str) -> float:
+        """The longest time between two messages of a key."""
+        return float(np.diff(sorted(self.came_ns[key].values())).max()) * 1e-9
+
+    def delays_ms(self, agent: str) -> np.ndarray:
+        """From a frame's clock to this agent's tracks of it, as the centre sees both."""
+        clock, tracks = self.came_ns.get("clock", {}), self.came_ns.get(f"agent/{agent}/tracks", {})
+        return np.array([(tracks[frame] - clock[frame]) * 1e-6 for frame in tracks if frame in clock])
+
+
+def test_after_a_partition_of_five_seconds_the_picture_is_whole_within_three(two_hosts) -> None:
+    run: Launched = two_hosts(100, cut_s=1.5, partition_s=5.0)
+    watch = Stopwatch(run.started())
+    try:
+        code, output = run.end()
+    finally:
+        watch.close()
+    assert code == 0, output
+    for key in ("clock", "agent/infra_3/tracks"):
+        assert watch.longest_silence_s(key) < 2.0, (
+            "those who are not cut off go on: they do not stand still until the heal"
+        )
+    record = run.record()
+    assert record["status"] == "ok"
+    assert {name: (node["ended"], node["restarts"]) for name, node in record["nodes"].items()} == dict.fromkeys(
+        record["nodes"], ("ok", 0)
+    ), "nobody has crashed"
+    assert [(step["at_s"], step["hosts"]) for step in record["network"]] == [(1.5, ["west"]), (6.5, ["west"])]
+
+    heard = {}  # by frame, the agents whose own word of this frame is in the collation
+    for message in read(run.out):
+        if message.message == "collated":
+            decoded = codec.decode(message.payload, "collated")
+            heard[decoded.header.frame] = set(decoded.body["agents"][decoded.body["age_ns"] == 0].tolist())
+    assert any(heard[frame] >= WEST for frame in range(15) if frame in heard)
+    assert not any(heard[frame] & WEST for frame in range(20, 65) if frame in heard), "west is cut off"
+    back = min(frame for frame in heard if frame >= 65 and heard[frame] >= WEST)
+    assert back <= 95, "within 3 s of the heal both are members again, and heard"
+
+    checks = json.loads((run.out / "checks.json").read_text())
+    assert [check["name"] for check in checks["checks"] if not check["ok"]] == [], checks
+    assert checks["heals_s"] == [6.5]
+    assert checks["converged_after_s"] <= 3.0
+    missed = json.loads((run.out / "metrics.json").read_text())["agents"]["ego"]["picture"]["fn"]["mean"]
+    assert missed > 0, "the partition was felt"
+
+
+def test_a_slow_link_makes_what_crosses_it_twice_later_by_twice_its_delay(two_hosts) -> None:
+    settings = {"hosts__west__delay_ms": 20, "hosts__west__delay_by": "relay"}
+    run: Launched = two_hosts(40, partition_s=0, **settings)
+    watch = Stopwatch(run.started())
+    try:
+        code, output = run.end()
+    finally:
+        watch.close()
+    assert code == 0, output
+    near, far = (np.concatenate([watch.delays_ms(agent) for agent in agents]) for agents in (("infra_3", "ego"), WEST))
+    assert len(far) > 20
+    # Detections cross to the agent, tracks back. The quickest frames, for the machine may be busy with others.
+    assert far.min() >= 40.0
+    rise = np.percentile(far, 10) - np.percentile(near, 10)
+    assert 30.0 < rise < 60.0
+    measured = json.loads((run.out / "metrics.json").read_text())["latency_ms"]["by_wire"]
+    for agent in WEST:
+        assert measured[f"agent/{agent}/detections"]["p50"] >= 20.0
+        assert measured[f"agent/{agent}/tracks"]["p50"] >= 40.0
+    for agent in ("infra_3", "infra_4", "ego"):
+        assert measured[f"agent/{agent}/detections"]["p50"] < measured["agent/infra_1/detections"]["p50"]
+
+
+@pytest.mark.parametrize("how", ["scene ends", "Ctrl-C"])
+def test_a_run_that_ends_during_a_partition_is_healed_and_everyone_hands_in(two_hosts, how: str) -> None:
+    run: Launched = two_hosts(40 if how == "scene ends" else 150, cut_s=0.5, partition_s=1000.0)
+    if how == "Ctrl-C":
+        at_frame(run, 35)  # those who were cut off have been given up
+        run.process.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == (0 if how == "scene ends" else 130), output
+    record = run.record()
+    assert all(node["exit"] == 0 and node["last_frame"] is not None for node in record["nodes"].values()), record
+    assert (run.out / "metrics.json").is_file()
+
+
+def test_what_a_killed_launcher_leaves_is_empty_and_the_next_run_removes_it(two_hosts) -> None:
+    run: Launched = two_hosts(100, partition_s=1000.0, hosts__west__delay_ms=5, hosts__west__delay_by="relay")
+    at_frame(run, 5)
+    pids = run.pids()
+    assert alive(pids) == pids
+    run.process.kill()
+    run.process.wait()
+    eventually(lambda: not alive(pids), "all nodes have left", seconds=10.0)
+    left = list(NAMESPACES.glob(f"mast-{run.process.pid}-*"))
+    assert len(left) == 3
+
+    def inside(namespace: Path) -> str:
+        return subprocess.run(["ip", "netns", "pids", namespace.name], capture_output=True, text=True).stdout
+
+    eventually(lambda: not any(inside(path) for path in left), "router and relay have left", seconds=5.0)
+    sweep()

@@ -1,0 +1,175 @@
+"""Who gets onto a secure mesh: real routers and clients, in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+
+import pytest
+import zenoh
+from launched import eventually
+
+from mast_zenoh.errors import CredentialsError
+from mast_zenoh.runtime import session as sessions
+from mast_zenoh.runtime.session import open_client, open_router
+from mast_zenoh.security import explain
+from mast_zenoh.security.authority import Authority
+from mast_zenoh.security.credentials import ROUTER, Credentials
+from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.security.levels import router_settings
+from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+
+pytestmark = pytest.mark.mesh
+WIRING = Wiring((Wire("w", "", "clock", (Leg("w", Endpoint("a", "out"), (Endpoint("b", "in"),)),)),))
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A client that is refused asks why sooner than in a run."""
+    monkeypatch.setattr(sessions, "_ASK_WHY_MS", 500)
+
+
+@contextmanager
+def meshed(level: str) -> Iterator[tuple[Deployment, str]]:
+    """A router of a deployment of its own, and its endpoint."""
+    with Deployment(level, "r", WIRING, ["a", "b"], prefix="mast/r", driver="a", hosts=["127.0.0.1"]) as deployment:
+        router, endpoint = open_router("tls/127.0.0.1:0", security=deployment.router)
+        with router:
+            yield deployment, endpoint
+
+
+def own(deployment: Deployment, name: str = "a") -> Credentials:
+    folder = deployment.of(name)
+    assert folder is not None
+    return Credentials.read(folder)
+
+
+def refused(endpoint: str, credentials: Credentials) -> str:
+    """Why they are refused."""
+    with pytest.raises(CredentialsError) as error:
+        open_client(endpoint, credentials)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("level", ["tls", "mtls", "acl"])
+def test_a_node_of_the_deployment_gets_in_and_nothing_is_wrong_with_it(level: str) -> None:
+    with meshed(level) as (deployment, endpoint):
+        assert explain(own(deployment), endpoint) == []
+        with open_client(endpoint, own(deployment)) as session:
+            assert list(session.info.routers_zid())
+
+
+@pytest.mark.parametrize("level", ["mtls", "acl"])
+def test_certificates_of_one_deployment_are_useless_in_another(level: str) -> None:
+    with meshed(level) as (_, endpoint), meshed(level) as (other, _):
+        assert "it may be a rogue" in refused(endpoint, own(other))
+
+
+@pytest.mark.parametrize("level", ["mtls", "acl"])
+def test_a_stranger_who_knows_whom_to_trust_is_refused_and_told_why(level: str) -> None:
+    with meshed(level) as (deployment, endpoint):
+        assert deployment.authority is not None
+        authority, now = deployment.authority, datetime.now(UTC)
+        theirs = Authority("r").issue("a")
+        assert "another authority" in refused(endpoint, Credentials(authority.pem, theirs.certificate, theirs.key))
+        expired = authority.issue("a", begins=now - timedelta(hours=2), ends=now - timedelta(hours=1))
+        assert "has expired" in refused(endpoint, expired)
+        assert "none was shown" in refused(endpoint, Credentials(authority.pem))
+
+
+def test_the_router_itself_is_asked_for_the_name_that_it_is_reached_by() -> None:
+    with meshed("acl") as (deployment, endpoint):
+        by_name = endpoint.replace("127.0.0.1", "localhost")
+        assert "not for 'localhost', but for 127.0.0.1" in refused(by_name, own(deployment))
+
+
+def test_a_node_that_turns_cannot_pass_itself_off_as_the_router() -> None:
+    authority = Authority("r")
+    router, endpoint = open_router("tls/127.0.0.1:0", security=router_settings("mtls", authority.issue("a")))
+    with router:
+        assert "not for '127.0.0.1'" in refused(endpoint, authority.issue("b"))
+
+
+def test_who_has_credentials_is_never_led_onto_a_link_in_the_clear() -> None:
+    router, endpoint = open_router()
+    with router:
+        credentials = Authority("r").issue("a")
+        assert "not encrypted" in refused(endpoint, credentials)
+        assert "does not speak TLS" in refused(endpoint.replace("tcp", "tls"), credentials)
+
+
+def test_a_router_that_is_not_there_yet_is_no_fault_of_the_credentials() -> None:
+    router, endpoint = open_router()
+    router.close()
+    (reason,) = explain(Authority("r").issue("a"), endpoint.replace("tcp", "tls"))
+    assert "cannot be reached" in reason
+
+
+def test_the_router_shows_nobody_a_key() -> None:
+    credentials = Authority("r").issue(ROUTER, ["127.0.0.1"])
+    router, _ = open_router("tls/127.0.0.1:0", security=router_settings("mtls", credentials))
+    secret = credentials.key.splitlines()[1]
+    with router:
+        shown = [reply.ok.payload.to_bytes() for reply in router.get("@/**", timeout=2.0) if reply.ok is not None]
+    assert shown
+    assert not any(secret in content or b"PRIVATE" in content for content in shown)
+
+
+def test_the_router_passes_on_what_the_wiring_gives_and_refuses_the_rest() -> None:
+    heard: list[tuple[str, bytes]] = []
+    take = zenoh.handlers.Callback(lambda s: heard.append((str(s.key_expr), s.payload.to_bytes())), indirect=False)
+    with meshed("acl") as (deployment, endpoint):
+        a, b = open_client(endpoint, own(deployment)), open_client(endpoint, own(deployment, "b"))
+        with a, b:
+            expressions = ("mast/r/w", "mast/r/**", "**", "mast/r/other")
+            subscribers = [b.declare_subscriber(expression, take) for expression in expressions]
+            publisher = a.declare_publisher("mast/r/w")
+            eventually(lambda: publisher.matching_status.matching, "the publisher knows of its subscriber", 5.0)
+            a.put("mast/r/other", b"stray")
+            a.put("mast/r/*", b"to all")
+            a.delete("mast/r/w")
+            publisher.put(b"true")  # behind the others, on the same link
+            eventually(lambda: heard, "what is allowed has come", 5.0)
+            for subscriber in subscribers:
+                subscriber.undeclare()
+    # One subscriber of four is known to the router; the others of the same session hear what is sent to it.
+    assert set(heard) == {("mast/r/w", b"true")}
+
+
+def test_a_launcher_elsewhere_steers_a_run_as_a_client_of_its_router() -> None:
+    heard: list[str] = []
+    take = zenoh.handlers.Callback(lambda sample: heard.append(str(sample.key_expr)), indirect=False)
+    come: list[str] = []
+    seen = zenoh.handlers.Callback(lambda sample: come.append(str(sample.key_expr)), indirect=False)
+    answer = zenoh.handlers.Callback(lambda query: query.reply(query.key_expr, b"taken"), indirect=False)
+    with meshed("acl") as (deployment, endpoint):
+        assert deployment.launcher is not None
+        launcher, a, b = (
+            open_client(endpoint, credentials)
+            for credentials in (deployment.launcher, own(deployment), own(deployment, "b"))
+        )
+        with launcher, a, b:
+            declared = [
+                launcher.declare_queryable("mast/r/@control/result/*", answer),
+                launcher.declare_subscriber("mast/r/@control/act", take),
+                a.declare_subscriber("mast/r/@control/counts/*", take),
+                b.declare_subscriber("mast/r/@control/stop", take),
+                b.declare_subscriber("mast/r/@control/leave/b", take),
+                a.liveliness().declare_subscriber("mast/r/alive/*", seen, history=True),
+                launcher.liveliness().declare_subscriber("mast/r/alive/*", seen, history=True),
+            ]
+            pairs = ((a, "act"), (a, "stop"), (b, "counts/b"), (launcher, "stop"), (launcher, "leave/b"))
+            publishers = [session.declare_publisher(f"mast/r/@control/{key}") for session, key in pairs]
+            for publisher in publishers:
+                eventually(lambda p=publisher: p.matching_status.matching, f"{publisher.key_expr} is heard", 5.0)
+                publisher.put(b"")
+            alive = b.liveliness().declare_token("mast/r/alive/b")
+            eventually(lambda: len(come) == 2, "driver and launcher see who is there", 5.0)
+            eventually(lambda: len(heard) == len(pairs), "all of it has come", 5.0)
+            for session, whose, taken in ((b, "b", [b"taken"]), (b, "a", [])):
+                replies = session.get(f"mast/r/@control/result/{whose}", payload=b"x", timeout=2.0)
+                assert [r.ok.payload.to_bytes() for r in replies if r.ok is not None] == taken, whose
+            for entity in (*declared, alive):
+                entity.undeclare()
+    assert sorted(heard) == sorted(f"mast/r/@control/{key}" for _, key in pairs)

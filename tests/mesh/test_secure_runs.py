@@ -1,0 +1,84 @@
+"""A secure run is the same run: the same bytes, and nothing of its keys anywhere."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import psutil
+import pytest
+from launched import Launched, eventually
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.security.authority import Authority
+
+pytestmark = pytest.mark.mesh
+FRAMES = "6"
+WHAT = ("coordinated", "n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.2")
+
+
+def credentials(record: dict) -> list[Path]:
+    """The folders that a run's processes were told of."""
+    folders = []
+    for node in record["nodes"].values():
+        command = psutil.Process(node["pid"]).cmdline()
+        assert not any("PRIVATE" in word for word in command)
+        folders.append(Path(command[command.index("--credentials") + 1]))
+    return folders
+
+
+@pytest.mark.parametrize("level", ["tls", "acl"])
+def test_a_secure_run_equals_the_open_one_to_the_last_digit(launch, tmp_path: Path, level: str) -> None:
+    path, loaded = scenario.load(WHAT[0], WHAT[1:])
+    resolved = scenario.resolve(path, loaded, frames=int(FRAMES), record=True)
+    plain = local.run(resolved, tmp_path / "plain", runtime="inproc")
+    assert plain.error is None
+    settings = [word for setting in WHAT[1:] for word in ("--set", setting)]
+    run: Launched = launch(WHAT[0], "--frames", FRAMES, "--secure", level, *settings)
+    folders = credentials(run.started())
+    code, output = run.end()
+    assert code == 0, output
+    found = compare(plain.folder, run.out, taps=True)
+    assert found.first is None, "\n".join(explain(found))
+    assert found.equal > 0
+    assert json.loads((run.out / "metrics.json").read_text()) == json.loads((plain.folder / "metrics.json").read_text())
+    assert run.record()["security"] == level
+    assert run.record()["endpoint"].startswith("tls/")
+    assert all(node["foreign"] == 0 and not node["rejected"] for node in run.record()["nodes"].values())
+    assert len(set(folders)) == len(folders)
+    assert not any(folder.exists() for folder in (*folders, folders[0].parent))
+    assert not [path for path in run.out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
+
+
+def test_a_killed_launcher_leaves_no_keys_behind_even_if_its_nodes_are_still_starting(launch) -> None:
+    run: Launched = launch("baseline", "--mode", "realtime", "--secure", "--set", "n_infrastructure=1", "--no-record")
+    folders = credentials(run.started())
+    assert all((folder / "key.pem").is_file() for folder in folders)
+    run.process.kill()
+    run.process.wait()
+    eventually(lambda: not folders[0].parent.exists(), "the nodes have deleted their keys")
+
+
+def test_a_node_says_what_is_wrong_with_its_credentials_and_leaves(tmp_path: Path) -> None:
+    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
+    resolved = scenario.resolve(path, loaded, frames=2)
+    resolved.write(tmp_path)
+    now = datetime.now(UTC)
+    ends = now - timedelta(hours=1)
+    folder = Authority("r").issue("ego", begins=now - timedelta(hours=2), ends=ends).write(tmp_path / "keys")
+    words = {"run-folder": tmp_path, "name": "ego", "run": "r", "endpoint": "tls/127.0.0.1:1", "credentials": folder}
+    command = [
+        sys.executable,
+        resolved.nodes["ego"].file,
+        "--stay",
+        *(f"--{key}={value}" for key, value in words.items()),
+    ]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 16, ended.stderr
+    assert f"{folder}: the certificate has expired at {ends:%Y-%m-%d %H:%M:%S} UTC" in ended.stderr

@@ -1,0 +1,317 @@
+"""What links and faults are to blame for: objects that only agents could have told of that were cut off or down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from metric_oracles import cars
+
+from mast_zenoh.metrics import Attribution, Reach, Record, Scorer, Severed, cause_counts, down, split, stopped
+from mast_zenoh.states import ObjectStates
+
+AGENTS = ("ego", "infra_1", "infra_2")
+PERIOD_S = 0.1
+FRAMES = 60
+CUT = slice(20, 40)
+NOTHING = ObjectStates.empty()
+#: An object that infra_1 alone sees, and one that ego and infra_1 see.
+FAR, BOTH = 1, 2
+POINTS = {FAR: (0, 50, 0), BOTH: (50, 50, 0)}
+PLACE = {FAR: (40.0, 0.0), BOTH: (0.0, 0.0)}
+
+
+def some(*ids: int) -> ObjectStates:
+    return cars(*(PLACE[id_] for id_ in ids), id=list(ids))
+
+
+def hidden(frames: range, at: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Reports of eve, who takes away the object at a place."""
+    n = len(frames)
+    axes = {f"{when}_{axis}": np.zeros(n) for when in ("before", "after") for axis in "xyz"}
+    table = {
+        "adversary": np.full(n, "eve", object),
+        "frame": np.array(frames, np.int64),
+        "action": np.full(n, "removed", object),
+        "target": np.zeros(n, np.int64),
+        **axes,
+        **{f"v{axis}": np.zeros(n) for axis in "xyz"},
+    }
+    return table | {"before_x": np.full(n, at[0]), "before_y": np.full(n, at[1])}
+
+
+def judged(*, local, picture, silent, truth=lambda f: some(FAR, BOTH), points=POINTS, attacks=None, unheard=None):
+    """The ego's table of objects, with causes. local: (agent, frame) to tracks; picture, truth: frame to objects."""
+    record = Record(AGENTS)
+    for frame in range(FRAMES):
+        there = truth(frame)
+        hits = np.array([points[int(id_)] for id_ in there.id], np.int32).reshape(-1, len(AGENTS))
+        record.add_truth(frame, there, hits, np.zeros((3, 3)), np.full(3, -1))
+        record.add_picture(frame, picture(frame))
+        for agent in AGENTS:
+            record.add_tracks(frame, agent, "local", local(agent, frame))
+    scores = Scorer().score(record)
+    table = record.truth(scores.frames)
+    unheard = np.zeros_like(silent) if unheard is None else unheard
+    severed = Reach().severed(scores.objects, table, AGENTS, scores.frames, PERIOD_S, silent, unheard)
+    attacks = hidden(range(0), (0.0, 0.0)) if attacks is None else attacks
+    cause, by = Attribution().label(scores.objects, attacks, table.boxes, PERIOD_S, severed)
+    rows = (scores.objects["agent"] == "ego") & (scores.objects["estimator"] == "picture")
+    return {name: column[rows] for name, column in (scores.objects | {"cause": cause, "by": by}).items()}
+
+
+def cut(agent: str = "infra_1", when: slice = CUT) -> np.ndarray:
+    mask = np.zeros((FRAMES, len(AGENTS)), bool)
+    mask[when, AGENTS.index(agent)] = True
+    return mask
+
+
+def holds(agent: str, frame: int) -> ObjectStates:
+    """Everyone tracks what it sees."""
+    return some(*(id_ for id_ in (FAR, BOTH) if POINTS[id_][AGENTS.index(agent)]))
+
+
+def missed(table, id_: int) -> dict[int, str]:
+    """By frame, why an object is missed."""
+    rows = (table["kind"] == "truth") & (table["outcome"] == "missed") & (table["id"] == id_)
+    return dict(zip(table["frame"][rows].tolist(), table["cause"][rows].tolist(), strict=True))
+
+
+def without(id_: int):
+    """A picture that loses an object while the cut lasts."""
+    return lambda frame: some(*{FAR, BOTH} - {id_}) if CUT.start <= frame < CUT.stop else some(FAR, BOTH)
+
+
+def test_an_object_that_only_the_cut_agent_tracks_is_missed_because_of_the_fault() -> None:
+    table = judged(local=holds, picture=without(FAR), silent=cut())
+    assert missed(table, FAR) == dict.fromkeys(range(20, 40), "link or fault")
+
+
+def test_one_that_an_agent_tracks_whose_word_arrived_is_not() -> None:
+    table = judged(local=holds, picture=without(BOTH), silent=cut())
+    assert set(missed(table, BOTH).values()) == {"fusion"}
+
+
+def test_one_that_another_agent_only_sees_but_does_not_track_is() -> None:
+    def local(agent: str, frame: int) -> ObjectStates:
+        return NOTHING if agent == "ego" else holds(agent, frame)
+
+    table = judged(local=local, picture=without(BOTH), silent=cut())
+    assert set(missed(table, BOTH).values()) == {"link or fault"}
+
+
+def test_what_a_killed_agent_does_not_see_well_enough_is_missed_by_nature() -> None:
+    def local(agent: str, frame: int) -> ObjectStates:
+        return some(BOTH) if agent == "ego" else NOTHING
+
+    points = {FAR: (50, 4, 0), BOTH: (50, 50, 0)}
+    table = judged(local=local, picture=without(FAR), silent=cut(), unheard=cut(), points=points)
+    assert set(missed(table, FAR).values()) == {"occlusion or range"}
+
+
+def test_a_killed_agent_has_no_tracks_but_its_sensor_would_have_seen_the_object() -> None:
+    def local(agent: str, frame: int) -> ObjectStates:
+        return NOTHING if agent == "infra_1" and CUT.start <= frame < CUT.stop else holds(agent, frame)
+
+    table = judged(local=local, picture=without(FAR), silent=cut(), unheard=cut())
+    assert missed(table, FAR) == dict.fromkeys(range(20, 40), "link or fault")
+
+
+def test_one_that_is_back_needs_a_second_to_track_what_it_sees() -> None:
+    def local(agent: str, frame: int) -> ObjectStates:
+        return NOTHING if agent == "infra_1" and frame >= CUT.start else holds(agent, frame)
+
+    def picture(frame: int) -> ObjectStates:
+        return some(FAR, BOTH) if frame < CUT.start else some(BOTH)
+
+    found = missed(judged(local=local, picture=picture, silent=cut(), unheard=cut()), FAR)
+    assert {found[frame] for frame in range(20, 50)} == {"link or fault"}
+    assert {found[frame] for frame in range(50, FRAMES)} == {"occlusion or range"}
+
+
+def test_an_agent_that_is_cut_off_but_there_knows_only_what_it_tracks() -> None:
+    def local(agent: str, frame: int) -> ObjectStates:
+        return NOTHING if agent == "infra_1" else holds(agent, frame)
+
+    found = missed(judged(local=local, picture=without(FAR), silent=cut()), FAR)
+    assert set(found.values()) == {"occlusion or range"}
+
+
+def test_what_comes_into_view_of_a_killed_agent_would_have_had_no_track_at_once_anyway() -> None:
+    def truth(frame: int) -> ObjectStates:
+        return some(FAR, BOTH) if frame >= 25 else some(BOTH)
+
+    table = judged(
+        local=lambda a, f: some(BOTH), truth=truth, picture=lambda f: some(BOTH), silent=cut(), unheard=cut()
+    )
+    assert [missed(table, FAR)[frame] for frame in (25, 34, 35, 39)] == ["lag", "lag", "link or fault", "link or fault"]
+
+
+def test_what_the_cut_agent_tracks_already_is_not_too_new_to_be_in_the_picture() -> None:
+    def truth(frame: int) -> ObjectStates:
+        return some(FAR, BOTH) if frame >= 25 else some(BOTH)
+
+    table = judged(local=holds, truth=truth, picture=lambda f: some(BOTH), silent=cut())
+    assert {missed(table, FAR)[frame] for frame in range(25, 40)} == {"link or fault"}
+
+
+@pytest.mark.parametrize(("taken", "cause"), [(FAR, "removed"), (BOTH, "link or fault")])
+def test_what_an_adversary_hid_is_its_doing_even_while_the_agent_is_cut_off(taken: int, cause: str) -> None:
+    attacks = hidden(range(15, 45), PLACE[taken])
+    table = judged(local=holds, picture=without(FAR), silent=cut(), attacks=attacks)
+    assert set(missed(table, FAR).values()) == {cause}
+    rows = table["cause"] == "removed"
+    assert set(table["by"][rows]) <= {"eve"}
+
+
+def test_attack_and_partition_and_nature_at_once_are_told_apart() -> None:
+    places = {1: (40.0, 0.0), 2: (0.0, 0.0), 3: (-40.0, 0.0), 4: (0.0, 40.0)}
+    points = {1: (0, 50, 0), 2: (0, 50, 0), 3: (0, 0, 9), 4: (50, 0, 0)}
+    world = cars(*places.values(), id=list(places))
+
+    def local(agent: str, frame: int) -> ObjectStates:
+        return {"ego": world.select(np.array([3])), "infra_1": world.select(np.array([0, 1]))}.get(agent, NOTHING)
+
+    table = judged(
+        local=local,
+        truth=lambda frame: world,
+        points=points,
+        picture=lambda frame: world if frame < 20 else world.select(np.array([3])) if frame < 40 else world,
+        silent=cut(),
+        attacks=hidden(range(20, 40), places[2]),
+    )
+    found = {id_: set(missed(table, id_).values()) for id_ in places}
+    assert found == {1: {"link or fault"}, 2: {"removed"}, 3: {"occlusion or range"}, 4: set()}
+    counted = cause_counts(table, ["ego"], np.arange(FRAMES))["ego"]["fn"]
+    assert split(counted, FRAMES) == {"fault": 20 / FRAMES, "attack": 20 / FRAMES, "natural": 20 / FRAMES}
+
+
+def test_without_a_silence_there_is_no_fault_to_blame() -> None:
+    table = judged(local=holds, picture=without(FAR), silent=cut(when=slice(0, 0)))
+    assert "link or fault" not in table["cause"]
+    assert set(missed(table, FAR).values()) == {"fusion"}
+
+
+def drifting(id_: int):
+    """A picture whose track of an object goes on straight while the object stands still."""
+
+    def picture(frame: int) -> ObjectStates:
+        away = 0.5 * (min(frame, 45) - CUT.start) if frame >= CUT.start else 0.0
+        positions = [(x + (away if each == id_ else 0.0), y) for each, (x, y) in PLACE.items()]
+        ids, extra = [FAR, BOTH], frame >= 43
+        return cars(*positions, *([PLACE[id_]] if extra else []), id=[*ids, 9][: 2 + extra])
+
+    return picture
+
+
+def false(table) -> dict[int, str]:
+    rows = (table["kind"] == "track") & (table["outcome"] == "false")
+    return dict(zip(table["frame"][rows].tolist(), table["cause"][rows].tolist(), strict=True))
+
+
+def test_a_track_that_goes_astray_because_its_only_source_is_cut_off_is_false_because_of_the_fault() -> None:
+    """It leaves its object at frame 25; the agent is back at 40, and 1 s later its tracks ought to be in."""
+    found = false(judged(local=holds, picture=drifting(FAR), silent=cut()))
+    assert {found[frame] for frame in range(25, 50)} == {"link or fault"}
+    assert found[50] == "lag"
+
+
+def test_one_whose_object_another_agent_tells_of_lags_for_another_reason() -> None:
+    found = false(judged(local=holds, picture=drifting(BOTH), silent=cut()))
+    assert {found[frame] for frame in range(25, 40)} == {"lag"}
+
+
+def test_a_track_of_an_object_that_has_gone_would_have_stayed_a_while_anyway() -> None:
+    def truth(frame: int) -> ObjectStates:
+        return some(FAR, BOTH) if frame < 30 else some(BOTH)
+
+    found = false(judged(local=holds, truth=truth, picture=lambda f: some(FAR, BOTH), silent=cut()))
+    assert {found[frame] for frame in range(30, 40)} == {"lag"}
+
+
+# -- who is missing, and when -----------------------------------------------------------------------------------------
+
+
+def missing(silent_frames=(), unheard=(), frames: int = 40, **how) -> list[int]:
+    masks = [np.isin(np.arange(frames), np.array(each, int))[:, None] for each in (silent_frames, unheard)]
+    return np.flatnonzero(Reach(**how).missing(*masks, PERIOD_S)[:, 0]).tolist()
+
+
+def test_an_agent_that_misses_a_frame_is_missing_in_that_frame_only() -> None:
+    assert missing([10, 20, 21]) == [10, 20, 21]
+
+
+def test_one_whose_last_word_is_forgotten_needs_a_second_until_it_is_back_in_the_picture() -> None:
+    assert missing([10, 11, 12]) == list(range(10, 23))
+    assert missing([10, 11, 12], aged_s=0.3) == [10, 11, 12]
+    assert missing([10, 11, 12], again_s=0.0) == [10, 11, 12]
+
+
+def test_who_is_not_heard_for_a_moment_is_late_at_most_and_for_longer_is_silent() -> None:
+    assert missing(unheard=[10, 11]) == []
+    assert missing(unheard=[10, 11, 12]) == list(range(10, 23))
+    assert missing([9], unheard=[38, 39]) == [9]
+
+
+def presence(*rows: tuple[str, str, int, bool]) -> dict[str, np.ndarray]:
+    kinds = (object, object, np.int64, bool)
+    return {
+        name: np.array([row[k] for row in rows], kinds[k]) for k, name in enumerate(("node", "role", "frame", "up"))
+    }
+
+
+def gone(*rows: tuple[str, str, int, bool]) -> list[list[int]]:
+    mask = down(presence(*rows), AGENTS, np.arange(10))
+    return [np.flatnonzero(column).tolist() for column in mask.T]
+
+
+def test_an_agent_is_down_from_when_it_left_until_it_joined() -> None:
+    assert gone() == [[], [], []]
+    up = [(agent, "agent", 0, True) for agent in AGENTS]
+    assert gone(*up) == [[], [], []]
+    assert gone(*up, ("infra_1", "agent", 3, False), ("infra_1", "agent", 6, True)) == [[], [3, 4, 5], []]
+    assert gone(*up, ("infra_1", "agent", 3, False), ("infra_1", "agent", 3, True)) == [[], [], []]
+    assert gone(*up, ("infra_2", "agent", 8, False)) == [[], [], [8, 9]]
+
+
+def test_an_agent_that_came_later_was_not_there_before() -> None:
+    assert gone(("infra_1", "agent", 4, True)) == [[], [0, 1, 2, 3], []]
+
+
+@pytest.mark.parametrize("role", ["broker", "command_center"])
+def test_without_a_centre_nobody_gets_through(role: str) -> None:
+    assert gone((role, role, 0, True), (role, role, 7, False)) == [[7, 8, 9]] * 3
+    assert gone(("evaluator_2", "evaluator", 0, True), ("evaluator_2", "evaluator", 7, False)) == [[], [], []]
+
+
+def test_a_link_stops_tracks_that_it_drops_spoils_or_holds_up_and_batches_of_all_tracks() -> None:
+    rows = [
+        ("infra_1", "tracks", 1, "dropped"),
+        ("infra_1", "tracks", 2, "delayed"),
+        ("infra_1", "tracks", 3, "corrupted"),
+        ("infra_1", "tracks", 4, "duplicated"),
+        ("infra_1", "tracks", 5, "altered"),
+        ("infra_1", "status", 6, "dropped"),
+        ("infra_1", "picture", 7, "dropped"),
+        ("infra_2", "tracks", 8, "dropped"),
+        ("nobody", "tracks", 9, "dropped"),
+        ("centre", "collated", 10, "dropped"),
+    ]
+    names = ("agent", "port", "frame", "fate")
+    links = {
+        name: np.array([row[k] for row in rows], np.int64 if name == "frame" else object)
+        for k, name in enumerate(names)
+    }
+    mask = stopped(links, AGENTS, np.arange(12))
+    assert [np.flatnonzero(column).tolist() for column in mask.T] == [[10], [1, 2, 3, 10], [8, 10]]
+
+
+def test_objects_are_looked_up_by_frame_and_id() -> None:
+    severed = Severed(np.array([1, 2]), np.array([5, 5]), np.array([True, False]))
+    ids, frames = np.array([1, 2, 1, 3]), np.array([5, 5, 6, 5])
+    assert severed.has(ids, frames).tolist() == [True, True, False, False]
+    assert severed.has(ids, frames, tracked=np.array([True] * 4)).tolist() == [True, False, False, False]
+    assert not Severed.nothing().has(ids, frames, tracked=np.array([True] * 4)).any()
+
+
+def test_no_frames_have_no_split() -> None:
+    assert split({}, 0) == {"fault": None, "attack": None, "natural": None}

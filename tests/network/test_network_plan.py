@@ -1,0 +1,209 @@
+"""What a scenario says of hosts, and what becomes of their links when."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.faults import network
+from mast_zenoh.faults.network import LinkState
+
+NODES = ("simulator", "ego", "infra_1", "infra_2", "link_infra_1", "broker")
+TWO = {"west": {"nodes": ["infra_1"]}, "east": {"nodes": ["ego", "infra_2"]}}
+
+
+def resolved(hosts: object = TWO, *faults: dict, mode: str = "realtime") -> dict:
+    placed = [(f"s.py: faults[{index}]", fault) for index, fault in enumerate(faults)]
+    return network.resolve(hosts, placed, NODES, mode=mode, place="s.py", beside={"link_infra_1": "infra_1"})
+
+
+def partition(at: float, until: float | None = None, hosts: object = "*") -> dict:
+    return {"type": "HostPartition", "at": at, "until": until, "hosts": hosts}
+
+
+def test_without_hosts_there_is_no_network() -> None:
+    assert resolved({}) == {}
+
+
+def test_a_link_lives_with_its_agent_and_what_no_host_claims_at_the_centre() -> None:
+    hosts = resolved()["hosts"]
+    assert {name: host["nodes"] for name, host in hosts.items()} == {
+        "west": ["infra_1", "link_infra_1"],
+        "east": ["ego", "infra_2"],
+    }
+
+
+def test_a_host_may_claim_a_link_apart_from_its_agent() -> None:
+    hosts = resolved({"west": {"nodes": ["infra_*"]}, "edge": {"nodes": ["link_infra_1"]}})["hosts"]
+    assert hosts["west"]["nodes"] == ["infra_1", "infra_2"]
+    assert hosts["edge"]["nodes"] == ["link_infra_1"]
+
+
+@pytest.mark.parametrize(
+    ("hosts", "said"),
+    [
+        ([], "hosts: found [], expected a dict"),
+        ({"../x": {"nodes": ["ego"]}}, "hosts: found the name '../x', expected letters, digits, _ and -"),
+        ({"west": ["infra_1"]}, "hosts.west: found ['infra_1'], expected a dict(nodes=[…])"),
+        ({"west": {"delay_ms": 3}}, "hosts.west: found no `nodes`"),
+        ({"west": {"nodes": "infra_1"}}, "hosts.west.nodes: found 'infra_1', expected a list of names"),
+        ({"west": {"nodes": ["infra_7"]}}, "no node 'infra_7' in this run; did you mean 'infra_"),
+        ({"west": {"nodes": ["infra_1"], "delay": 3}}, "hosts.west.delay: unknown; did you mean 'delay_ms'?"),
+        ({"west": {"nodes": ["infra_1"], "loss": 2}}, "hosts.west.loss: found 2, expected a number from 0 to 1"),
+        ({"west": {"nodes": ["infra_1"], "bits_per_s": 0}}, "hosts.west.bits_per_s: found 0, expected a number"),
+        ({"west": {"nodes": ["ego"], "delay_by": "tc"}}, "hosts.west.delay_by: found 'tc'; known: netem, relay"),
+        ({"a": {"nodes": ["ego"]}, "b": {"nodes": ["e*"]}}, "hosts.b.nodes: 'ego' lives on 'a' already"),
+        ({"west": {"nodes": []}}, "hosts.west: no node lives there"),
+    ],
+)
+def test_a_host_that_cannot_be_is_refused_with_the_path_to_it(hosts: object, said: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        resolved(hosts)
+    assert said in str(refused.value)
+    assert str(refused.value).startswith("s.py: hosts")
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ({"type": "HostPartition", "hosts": "*"}, "HostPartition needs at"),
+        ({"type": "HostLoss", "at": 1, "hosts": "*"}, "HostLoss needs probability"),
+        ({"type": "HostLoss", "at": 1, "hosts": "*", "probability": 1.5}, "probability: found 1.5, expected a number"),
+        ({"type": "HostPartition", "at": 1, "hosts": ["wset"]}, "hosts: no host 'wset'; did you mean 'west'?"),
+        ({"type": "HostPartition", "at": 1, "hosts": []}, "hosts: found [], expected a list of hosts, or '*'"),
+        ({"type": "HostPartition", "at": 1, "until": 1, "hosts": "*"}, "until: found 1.0, expected a time after `at`"),
+        ({"type": "HostPartition", "at": 1, "nodes": ["ego"], "hosts": "*"}, "nodes: unknown"),
+        ({"type": "HostDelay", "at": 1, "hosts": "*", "delay_ms": "20"}, "delay_ms: found '20', expected a number"),
+    ],
+)
+def test_a_fault_that_cannot_be_is_refused_with_the_path_to_it(fault: dict, said: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        resolved(TWO, fault)
+    assert str(refused.value).startswith("s.py: faults[0]")
+    assert said in str(refused.value)
+
+
+def test_a_fault_of_hosts_is_refused_in_lockstep_and_the_reason_given() -> None:
+    with pytest.raises(ConfigurationError, match=r"faults\[0\]: HostPartition acts on the host's network.*realtime"):
+        resolved(TWO, partition(1.0), mode="lockstep")
+
+
+def test_hosts_alone_may_be_in_lockstep() -> None:
+    assert resolved(TWO, mode="lockstep")["faults"] == []
+
+
+def test_overlapping_faults_add_up_and_each_heals_alone() -> None:
+    hosts = {"west": {"nodes": ["infra_1"], "delay_ms": 10.0, "loss": 0.5, "bits_per_s": 1e6}}
+    found = network.steps(
+        resolved(
+            hosts,
+            {"type": "HostDelay", "at": 1, "until": 4, "hosts": ["west"], "delay_ms": 20, "jitter_ms": 2},
+            {"type": "HostLoss", "at": 2, "until": 3, "hosts": "*", "probability": 0.5},
+            {"type": "HostBandwidth", "at": 2, "until": 5, "hosts": "*", "bits_per_s": 1e5},
+            {"type": "HostBandwidth", "at": 2, "until": 6, "hosts": "*", "bits_per_s": 1e7},
+            partition(3.5, 4.5),
+        )
+    )
+    own = LinkState(False, 0.5, 10.0, 0.0, 1e6)
+    assert [(at_s, states["west"]) for at_s, states in found] == [
+        (1.0, LinkState(False, 0.5, 30.0, 2.0, 1e6)),
+        (2.0, LinkState(False, 0.75, 30.0, 2.0, 1e5)),
+        (3.0, LinkState(False, 0.5, 30.0, 2.0, 1e5)),
+        (3.5, LinkState(True, 0.5, 30.0, 2.0, 1e5)),
+        (4.0, LinkState(True, 0.5, 10.0, 0.0, 1e5)),
+        (4.5, LinkState(False, 0.5, 10.0, 0.0, 1e5)),
+        (5.0, own),
+    ], "at 6.0 nothing changes any more: the host's own bandwidth is narrower"
+
+
+times = st.integers(0, 20).map(float)
+
+
+@st.composite
+def healed_faults(draw: st.DrawFn) -> dict:
+    at = draw(times)
+    kind = draw(st.sampled_from(sorted(network.HOST_FAULTS)))
+    drawn = {
+        "HostPartition": {},
+        "HostLoss": {"probability": draw(st.floats(0, 1))},
+        "HostDelay": {"delay_ms": draw(st.floats(0, 100)), "jitter_ms": draw(st.floats(0, 10))},
+        "HostBandwidth": {"bits_per_s": draw(st.floats(8e3, 1e9))},
+    }[kind]
+    aimed = draw(st.sampled_from(["*", ["west"], ["east"], ["east", "west"]]))
+    return {"type": kind, "at": at, "until": at + draw(st.integers(1, 5)), "hosts": aimed, **drawn}
+
+
+@given(st.lists(healed_faults(), max_size=6))
+def test_when_the_last_fault_is_over_every_link_is_as_it_was(faults: list[dict]) -> None:
+    made = resolved(TWO, *faults)
+    states = network.own_states(made)
+    for step in network.steps(made):
+        states |= step.states
+        on = [f for f in faults if f["at"] <= step.at_s < f["until"]]
+        for name, state in states.items():
+            cut = any(f["type"] == "HostPartition" and (f["hosts"] == "*" or name in f["hosts"]) for f in on)
+            assert state.cut == cut
+    assert states == network.own_states(made)
+
+
+@given(st.lists(healed_faults(), max_size=3))
+def test_a_resolved_network_is_plain_json(faults: list[dict]) -> None:
+    made = resolved(TWO, *faults)
+    assert json.loads(json.dumps(made)) == made
+    assert [band["at_s"] for band in network.bands(made)] == [fault["at"] for fault in faults]
+
+
+junk = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.sampled_from(NODES),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=8,
+)
+spec = st.dictionaries(st.sampled_from(["nodes", "delay_ms", "loss", "bits_per_s", "delay_by", "x"]), junk, max_size=4)
+fault = st.fixed_dictionaries(
+    {"type": st.sampled_from(sorted(network.HOST_FAULTS))},
+    optional=dict.fromkeys(["at", "until", "hosts", "probability", "delay_ms", "jitter_ms", "bits_per_s", "x"], junk),
+)
+
+
+@given(st.dictionaries(junk.filter(lambda k: not isinstance(k, (list, dict))), junk | spec, max_size=2) | junk, fault)
+def test_whatever_is_written_it_is_understood_or_refused(hosts: object, fault: dict) -> None:
+    refusal = "s.py: none"
+    try:
+        network.steps(resolved(hosts, fault))
+    except ConfigurationError as error:
+        refusal = str(error)
+    assert refusal.startswith("s.py: ")
+
+
+def test_the_timeline_shows_who_lives_on_the_hosts_that_a_fault_hits() -> None:
+    (band,) = network.bands(resolved(TWO, partition(1.0, 2.0, ["west"])))
+    assert band == {
+        "label": "partition of west",
+        "kind": "fault",
+        "type": "HostPartition",
+        "at_s": 1.0,
+        "until_s": 2.0,
+        "nodes": ["infra_1", "link_infra_1"],
+        "backend": "network",
+    }
+
+
+def test_what_a_network_needs_of_the_machine_is_said_with_who_needs_it() -> None:
+    assert network.needs(resolved()) == {}
+    hosts = {
+        "west": {"nodes": ["infra_1"], "loss": 0.1, "delay_ms": 5},
+        "east": {"nodes": ["ego"], "jitter_ms": 1, "delay_by": "relay"},
+        "north": {"nodes": ["infra_2"]},
+    }
+    slow = {"type": "HostBandwidth", "at": 0, "hosts": ["north"], "bits_per_s": 1e6}
+    assert network.needs(resolved(hosts, partition(1.0, 2.0, ["east"]), slow)) == {
+        "loss": ["west"],
+        "delay": ["west"],
+        "partition": ["east"],
+        "relay": ["east"],
+        "bandwidth": ["north"],
+    }

@@ -1,0 +1,127 @@
+"""A link's state as `nft` and `tc` are told it, and packets that wait in a relay."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import pytest
+
+from mast_zenoh.faults.network import LinkState
+from mast_zenoh.launch.network import relay
+from mast_zenoh.launch.network.relay import Direction
+from mast_zenoh.launch.network.shaping import bandwidth, netem, rules
+
+
+def test_rules_replace_those_before_and_stand_on_the_input_hook() -> None:
+    text = rules({"host1": LinkState(cut=True), "host2": LinkState(loss=0.25), "host3": LinkState()})
+    assert text.splitlines() == [
+        "add table inet mast",
+        "delete table inet mast",
+        "add table inet mast",
+        "add chain inet mast input { type filter hook input priority 0 ; policy accept ; }",
+        'add rule inet mast input iifname "host1" drop',
+        'add rule inet mast input iifname "host2" numgen random mod 1000000 < 250000 drop',
+    ]
+
+
+def test_a_cut_link_needs_no_loss_beside() -> None:
+    assert rules({"host1": LinkState(cut=True, loss=0.5)}).count("host1") == 1
+
+
+@pytest.mark.parametrize(
+    ("bits_per_s", "burst"),
+    [(1e5, "4000b"), (1e7, "12500b"), (1e9, "1250000b")],
+    ids=["at least two packets", "10 ms of it", "10 ms of it"],
+)
+def test_a_bandwidth_is_a_token_bucket(bits_per_s: float, burst: str) -> None:
+    rate = f"{bits_per_s:.0f}bit"
+    words = ["qdisc", "replace", "dev", "host1", "root", "tbf", "rate", rate, "burst", burst, "latency", "400ms"]
+    assert bandwidth("host1", bits_per_s) == words
+    assert bandwidth("host1", None) == ["qdisc", "del", "dev", "host1", "root"]
+
+
+def test_netem_delays_and_limits_in_one_discipline() -> None:
+    state = LinkState(delay_ms=20.0, jitter_ms=1.5, bits_per_s=1e6)
+    words = "qdisc replace dev host1 root netem limit 100000 delay 20000us 1500us rate 1000000bit"
+    assert netem("host1", state) == words.split()
+    assert "rate" not in netem("host1", LinkState(delay_ms=20.0))
+
+
+@pytest.fixture
+def path(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[socket.socket, Direction, socket.socket]]:
+    """Where packets come from, the direction under test on a clock that stands still, and where they go."""
+    monkeypatch.setattr(relay, "time", SimpleNamespace(monotonic=lambda: path_time[0]))
+    path_time[0] = 0.0
+    (near, near_end), (far_end, far) = (socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM) for _ in range(2))
+    for end in (near, near_end, far_end, far):
+        end.setblocking(False)
+    yield near, Direction(near_end.fileno(), far_end.fileno()), far
+    for end in (near, near_end, far_end, far):
+        end.close()
+
+
+path_time = [0.0]
+
+
+def arrived(far: socket.socket) -> list[bytes]:
+    got = []
+    while True:
+        try:
+            got.append(far.recv(100))
+        except BlockingIOError:
+            return got
+
+
+def test_a_packet_leaves_when_its_delay_is_over_and_not_before(path) -> None:
+    near, direction, far = path
+    near.send(b"one")
+    direction.take(0.02, 0.0)
+    path_time[0] = 0.0199
+    direction.pass_on()
+    assert arrived(far) == []
+    path_time[0] = 0.0201
+    direction.pass_on()
+    assert arrived(far) == [b"one"]
+
+
+def test_packets_do_not_overtake_each_other_whatever_the_jitter(path) -> None:
+    near, direction, far = path
+    sent = []
+    for number in range(200):
+        path_time[0] = number * 0.001
+        sent.append(b"%d" % number)
+        near.send(sent[-1])
+        direction.take(0.005, 0.005)
+    waits = [due - number * 0.001 for number, (due, _) in enumerate(direction.waiting)]
+    assert len(set(waits)) > 1, "there is jitter"
+    assert max(waits) <= 0.0101
+    got = []
+    while direction.waiting:
+        path_time[0] += 0.001
+        direction.pass_on()
+        got += arrived(far)
+    assert got == sent
+
+
+def test_a_delay_that_shrinks_does_not_let_the_later_packet_go_first(path) -> None:
+    near, direction, far = path
+    for packet, delay_s in ((b"slow", 1.0), (b"quick", 0.0)):
+        near.send(packet)
+        direction.take(delay_s, 0.0)
+    direction.pass_on()
+    assert arrived(far) == []
+    path_time[0] = 1.0
+    direction.pass_on()
+    assert arrived(far) == [b"slow", b"quick"]
+
+
+def test_more_than_fits_under_way_is_dropped(path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(relay, "_UNDER_WAY", 3)
+    near, direction, far = path
+    for number in range(5):
+        near.send(b"%d" % number)
+    direction.take(0.0, 0.0)
+    direction.pass_on()
+    assert arrived(far) == [b"0", b"1", b"2"]

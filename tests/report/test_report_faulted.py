@@ -1,0 +1,236 @@
+"""A run with links and faults shows when they were on, who is to blame, what was checked; other runs look as before."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+
+from mast_zenoh.report import terminal
+from mast_zenoh.report.bands import Band, bands, lanes, placed
+from mast_zenoh.report.causes import causes_over_time
+from mast_zenoh.report.charts import counts_over_time
+from mast_zenoh.report.faulted import blame_rows, check_lines, check_rows, late_rows, latency_rows
+from mast_zenoh.report.html import write_report
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.table import DASH, summary_table
+from mast_zenoh.report.words import reading
+
+PARTITION = {"label": "Partition infra_1", "kind": "fault", "type": "Partition", "at_s": 0.5, "until_s": 1.5}
+KILL = {"label": "Kill infra_2", "kind": "fault", "type": "Kill", "at_s": 1.0, "until_s": None}
+ATTACK = {"label": "UncoordinatedAttack adversary_1", "kind": "attack", "type": "Attack", "at_s": 1.5, "until_s": None}
+WIRELESS = {"label": "wireless_v2x ego", "kind": "link", "type": "wireless_v2x", "at_s": 0.0, "until_s": None}
+CHECKS = {
+    "checks": [
+        {"name": "sequence numbers", "ok": True, "detail": "no hole in 400 messages", "values": {}},
+        {"name": "processes", "ok": True, "detail": "not checked: one process", "values": {"checked": False}},
+        {"name": "collation", "ok": False, "detail": "2 tracks <lost>", "values": {"lost": 2}},
+    ],
+    "heals_s": [1.5],
+    "converged_after_s": 0.4,
+}
+
+
+def edit(path: Path, **more: Any) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | more), "utf-8")
+
+
+def faulted(folder: Path, *timeline: dict[str, Any], checks: dict[str, Any] | None = None) -> Path:
+    """Make the run one with faults: its timeline, its causes, its split, what was measured and checked."""
+    edit(folder / "scenario.json", timeline=list(timeline), period_ns=100_000_000)
+    metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
+    metrics["agents"]["ego"]["picture"] |= {
+        "fn_split": {"fault": 0.75, "attack": 0.25, "natural": 0.5},
+        "fp_split": {"fault": 0.0, "attack": 7.5, "natural": 0.125},
+    }
+    metrics["latency_ms"]["by_wire"] = {"agent/ego/tracks": {"p50": 1.5, "p95": 2.5, "p99": 3.25, "n": 40}, "clock": {}}
+    metrics["late"] = {"ego": 0, "infra_1": 17}
+    edit(folder / "metrics.json", **metrics)
+    path = folder / "objects.parquet"
+    table = pyarrow.parquet.read_table(path)
+    wrong = np.isin(table.column("outcome").to_numpy(), ("missed", "false"))
+    wrong &= table.column("estimator").to_numpy() == "picture"
+    cause = np.where(wrong, np.where(table.column("kind").to_numpy() == "track", "injected", "link or fault"), "")
+    pyarrow.parquet.write_table(table.append_column("cause", pyarrow.array(cause)), path)
+    if checks is not None:
+        (folder / "checks.json").write_text(json.dumps(checks), "utf-8")
+    return folder
+
+
+@pytest.fixture
+def attacked_and_faulted(run_folder: Callable[..., Path]) -> Path:
+    return faulted(run_folder("uncoordinated"), PARTITION, KILL, ATTACK, checks=CHECKS)
+
+
+def test_the_page_has_the_split_the_checks_and_the_latency(attacked_and_faulted: Path) -> None:
+    page = write_report(attacked_and_faulted).read_text("utf-8")
+    for heading in ("Whose doing", "What was checked", "How late"):
+        assert f">{heading}</h2>" in page
+    assert "0.75 a frame are missed because of links and faults, 0.25 because of attacks" in page
+    assert "Not everything that was checked holds: collation." in page
+    assert "2 tracks &lt;lost&gt;" in page
+    assert "<strong>failed</strong>" in page
+    assert "converged to the unfaulted one 0.4 s after the heal" in page
+    assert '<code>agent/ego/tracks</code></td><td class="num">1.50</td>' in page
+    assert '<td>infra_1</td><td class="num">17</td>' in page
+    assert (attacked_and_faulted / "figures" / "causes.png").is_file()
+
+
+@pytest.mark.parametrize("attack", ["", "uncoordinated"])
+def test_a_run_without_links_and_faults_has_none_of_that(run_folder: Callable[..., Path], attack: str) -> None:
+    folder = run_folder(attack)
+    edit(folder / "scenario.json", timeline=[ATTACK] if attack else [], period_ns=100_000_000)
+    run = RunFolder.load(folder)
+    assert not run.faulted
+    assert bands([run], timed=True) == []
+    assert causes_over_time(run, None) is None
+    figure = counts_over_time({"run": run}, None)
+    assert figure is not None
+    assert len(figure.axes) == 3
+    page = write_report(folder).read_text("utf-8")
+    for heading in ("Whose doing", "What was checked", "How late"):
+        assert heading not in page
+    assert "fault" not in page.replace("default", "")
+
+
+def test_bands_and_their_names_are_above_the_counts(attacked_and_faulted: Path) -> None:
+    figure = counts_over_time({"run": RunFolder.load(attacked_and_faulted)}, None)
+    assert figure is not None
+    assert len(figure.axes) == 4
+    assert {text.get_text() for text in figure.axes[0].texts} == {
+        "Partition infra_1",
+        "Kill infra_2",
+        "UncoordinatedAttack adversary_1",
+    }
+    assert [text.get_text() for text in figure.legends[0].get_texts()][:2] == ["fault", "attack"]
+
+
+def test_runs_compared_show_the_band_that_they_share_once(run_folder: Callable[..., Path]) -> None:
+    runs = [
+        RunFolder.load(faulted(run_folder(), PARTITION)),
+        RunFolder.load(faulted(run_folder("coordinated"), PARTITION, ATTACK)),
+    ]
+    assert [band.label for band in bands(runs, timed=True)] == ["Partition infra_1", "UncoordinatedAttack adversary_1"]
+    assert [(band.start, band.end) for band in bands(runs, timed=False)] == [(5.0, 15.0), (15.0, np.inf)]
+
+
+def test_a_link_that_is_there_from_beginning_to_end_is_no_band(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(faulted(run_folder(), WIRELESS))
+    assert run.faulted
+    assert bands([run], timed=True) == []
+    assert counts_over_time({"run": run}, None) is not None
+    assert causes_over_time(run, None) is not None
+
+
+def test_missed_objects_are_stacked_by_cause(attacked_and_faulted: Path) -> None:
+    run = RunFolder.load(attacked_and_faulted)
+    figure = causes_over_time(run, 20)
+    assert figure is not None
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["link or fault", "injected"]
+    counts = run.counts_of("picture")
+    assert counts is not None
+    for axes, column in zip(figure.axes[1:], ("fn", "fp"), strict=True):
+        (area,) = (each for each in axes.collections if each.get_label() in ("link or fault", "injected"))
+        assert area.get_paths()[0].vertices[:, 1].max() == counts[column].max() > 0
+
+
+def test_an_older_run_without_causes_has_no_chart_of_them(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder()
+    edit(folder / "scenario.json", timeline=[PARTITION])
+    assert causes_over_time(RunFolder.load(folder), None) is None
+    assert "What was checked" not in write_report(folder).read_text("utf-8")
+
+
+NAMES = (
+    "",
+    " ",
+    "a",
+    "Kill $x^{_1}",
+    "Partition infra_1, infra_2, infra_3",
+    "a name that is far too long to be shown as it is",
+)
+SOME_BANDS = st.lists(
+    st.tuples(st.floats(0, 20), st.floats(0.01, 30), st.sampled_from(NAMES), st.booleans()), max_size=30
+)
+
+
+@settings(deadline=None, max_examples=40)
+@given(SOME_BANDS)
+def test_neither_bands_nor_names_lie_on_each_other(rows: list[tuple[float, float, str, bool]]) -> None:
+    width, low, high = 10.0, 0.0, 20.0
+    marked = sorted((Band(label, attack, at, at + lasts) for at, lasts, label, attack in rows), key=lambda b: b.start)
+    found, left_out = placed(marked, low, high, width)
+    assert len(found) + left_out == len(marked)
+    for one, other in itertools.combinations(found, 2):
+        if one.lane == other.lane:
+            assert min(one.band.end, high) <= other.band.start
+    assert lanes(found) <= 9
+
+
+def test_many_faults_at_a_time_go_into_lanes_of_their_own_and_what_has_none_is_counted() -> None:
+    found, left_out = placed([Band("Loss infra_1", False, 1.0, 5.0)] * 12, 0.0, 10.0, 10.0)
+    assert [each.lane for each in found] == list(range(9))
+    assert left_out == 3
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "x", "align"), [(1.0, 9.0, 1.07, "left"), (1.0, 1.2, 1.27, "left"), (9.5, 9.7, 9.43, "right")]
+)
+def test_a_name_stands_inside_its_band_or_beside_it(start: float, end: float, x: float, align: str) -> None:
+    ((only,), _) = placed([Band("Kill infra_1", False, start, end)], 0.0, 10.0, 10.0)
+    assert (only.x, only.align) == (pytest.approx(x), align)
+
+
+def test_failed_checks_come_first_and_what_was_not_checked_last() -> None:
+    assert [(row.name, row.outcome) for row in check_rows(CHECKS)] == [
+        ("collation", "failed"),
+        ("sequence numbers", "ok"),
+        ("processes", "not checked"),
+    ]
+    assert check_rows(CHECKS)[2].detail == "one process"
+    assert check_lines(CHECKS) == ["check failed: collation: 2 tracks <lost>", "1 of 2 checks hold"]
+    assert check_lines({}) == []
+
+
+def test_what_metrics_do_not_tell_has_no_row() -> None:
+    assert blame_rows({}) == []
+    assert blame_rows({"agents": {"ego": {"picture": {"fn": {"mean": 1.0}}, "local": {}}}}) == []
+    nothing = dict.fromkeys(("fault", "attack", "natural"))
+    (row,) = blame_rows({"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}})
+    assert row.missed == (DASH, DASH, DASH)
+    assert latency_rows({"latency_ms": {"sim_to_picture": {"p50": 1.0}}}) == []
+    assert late_rows({}) == []
+
+
+def shown(*folders: Path) -> str:
+    console = Console(width=80, record=True, file=io.StringIO())
+    terminal.show(console, {folder.name: folder for folder in folders})
+    return console.export_text()
+
+
+def test_the_terminal_tells_of_runs_with_faults_who_is_to_blame(
+    attacked_and_faulted: Path, run_folder: Callable[..., Path]
+) -> None:
+    text = shown(attacked_and_faulted)
+    assert "0.75    0.25     0.50   0.00    7.50     0.12" in text
+    assert "check failed: collation: 2 tracks <lost>" in text
+    plain = shown(run_folder())
+    assert "Whose doing" not in plain
+    assert "check" not in plain
+
+
+def test_the_words_leave_out_what_was_not_measured(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(faulted(run_folder(), PARTITION))
+    object.__setattr__(run, "metrics", {"agents": {"ego": {"picture": {}}}})
+    assert not any("faults" in sentence for sentence in reading(run, summary_table({"run": run.metrics})[0]))

@@ -1,0 +1,65 @@
+"""What a run in real time says of its latency, by wire."""
+
+import pytest
+
+from mast_zenoh.launch import latency
+from mast_zenoh.wiring import Branch, Endpoint, Leg, Wire, Wiring
+
+MS = 1_000_000
+SENT = {0: 0, 1: 100 * MS, 2: 200 * MS}
+
+
+def wire(key: str, publisher: str, *subscribers: str) -> Wire:
+    return Wire(key, "", "status", (Leg(key, Endpoint(publisher, "out"), ends(*subscribers)),))
+
+
+def ends(*nodes: str) -> tuple[Endpoint, ...]:
+    return tuple(Endpoint(node, "in") for node in nodes)
+
+
+def came(key: str, *ms: float) -> dict[str, dict[int, int]]:
+    """When the message of each frame came, ms after the frame was sent."""
+    return {key: {frame: SENT[frame] + round(after * MS) for frame, after in enumerate(ms)}}
+
+
+def test_percentiles_are_of_the_frames_that_were_sent_and_came() -> None:
+    found = latency.between(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
+    assert found == {"p50": 6.0, "p95": pytest.approx(6.9), "p99": pytest.approx(6.98), "n": 2}
+    assert latency.between(SENT, {}) == {}
+
+
+def test_of_a_wires_subscribers_the_first_that_says_something_counts() -> None:
+    wiring = Wiring((wire("a/tracks", "a", "evaluator", "broker", "cc"), wire("b", "broker"), wire("c", "cc")))
+    arrived = {"evaluator": came("a/tracks", 90.0), "broker": came("a/tracks", 3.0), "cc": came("a/tracks", 40.0)}
+    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"] == {"p50": 3.0, "p95": 3.0, "p99": 3.0, "n": 1}
+    del arrived["broker"]
+    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and handed in nothing"
+
+
+def test_what_only_listeners_hear_counts_at_the_first_and_what_nobody_heard_is_left_out() -> None:
+    wiring = Wiring((wire("truth", "simulator", "evaluator", "watcher"), wire("dead", "x", "evaluator")))
+    arrived = {"evaluator": came("truth", 7.0), "watcher": came("truth", 1.0), "recorder": came("dead", 1.0)}
+    assert {key: found["p50"] for key, found in latency.by_wire(wiring, SENT, arrived).items()} == {"truth": 7.0}
+
+
+def test_it_counts_behind_interposers_on_the_trunk_and_on_a_branch() -> None:
+    trunk = (
+        Leg("a/tracks/@tap/0", Endpoint("a", "out"), ends("adversary")),
+        Leg("a/tracks", Endpoint("adversary", "out"), ends("link", "evaluator")),
+    )
+    leg = Leg("a/tracks/@tap/broker", Endpoint("link", "out"), ends("broker"))
+    branch = Branch(Endpoint("link", "in"), Endpoint("broker", "in"), (leg,))
+    wiring = Wiring((Wire("a/tracks", "a", "tracks", trunk, (branch,)), wire("cc", "broker", "evaluator")))
+    arrived = {
+        "adversary": came("a/tracks/@tap/0", 1.0),
+        "link": came("a/tracks", 2.0),
+        "broker": came("a/tracks/@tap/broker", 30.0),
+        "evaluator": came("a/tracks", 2.0),
+    }
+    assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 30.0
+
+
+def test_late_messages_are_counted_by_agent() -> None:
+    results = {"broker": {"collation": {"late": {"infra_2": 3, "ego": 1}}}, "evaluator": {"metrics": {}}}
+    assert latency.late(results) == {"ego": 1, "infra_2": 3}
+    assert latency.late({"evaluator": {}}) == {}

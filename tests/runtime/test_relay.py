@@ -1,0 +1,332 @@
+"""What an interposer can do with a message: pass it on changed, damaged, twice, with another time, or later."""
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tiny_world import tracks
+
+from mast_zenoh import codec
+from mast_zenoh.errors import ConfigurationError, MessageError
+from mast_zenoh.messages import Header, Message
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime import host as host_module
+from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.wiring import Input, Ports
+
+PERIOD_NS = 10**8
+Act = Callable[[Received, Context], None]
+
+
+class Interposer(Node):
+    """Does what the test wants with statuses."""
+
+    inputs = {"clock": "clock", "status": "status"}
+    outputs = {"status_out": "status"}
+
+    def __init__(self, act: Act) -> None:
+        self.act = act
+
+    def on_clock(self, received: Received, context: Context) -> None: ...
+
+    def on_status(self, received: Received, context: Context) -> None:
+        self.act(received, context)
+
+
+class Reporting(Interposer):
+    """One that publishes at every clock."""
+
+    outputs = {"status_out": "status", "report": "tracks"}
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        context.publish("report", tracks())
+
+
+class Deaf(Interposer):
+    """One that hears no clock."""
+
+    inputs = {"status": "status"}
+
+
+class Time:
+    """A clock of the machine that goes when the test says so."""
+
+    def __init__(self) -> None:
+        self.ns = 5_000
+
+    def __call__(self) -> int:
+        return self.ns
+
+
+def hosting(act: Act, *, encode: bool = True, now: Callable[[], int] | None = None, node: type = Interposer) -> Host:
+    inputs = {"in": Input("status", "a", "status", "a")}
+    if "clock" in node.inputs:
+        inputs["clock"] = Input("clock", "", "clock", "simulator")
+    ports = Ports(inputs, {("status_out", "a"): "out", ("report", ""): "report"})
+    return Host("link", node(act), ports, 7, encode=encode, period_ns=PERIOD_NS, now=now)
+
+
+def status(frame: int, seq: int | None = None, n_tracks: int = 0) -> Message:
+    header = Header("status", "a", frame, frame * PERIOD_NS, frame if seq is None else seq)
+    return codec.conform(header, {"mobile": np.zeros(1), "detections": np.zeros(1), "tracks": np.array([n_tracks])})
+
+
+def send(host: Host, message: Message, step: int | None = None) -> None:
+    payload = codec.encode(message) if host._encode else message
+    host.deliver("in", payload, message.header.frame if step is None else step)
+
+
+def clock(host: Host, frame: int) -> None:
+    message = codec.conform(Header("clock", "simulator", frame, frame * PERIOD_NS, frame), {})
+    host.deliver("clock", codec.encode(message) if host._encode else message, frame)
+
+
+def content(out: Outgoing) -> Message:
+    return codec.decode(out.payload, "status") if isinstance(out.payload, bytes) else out.payload
+
+
+def said(host: Host) -> list[tuple[int, int]]:
+    """(step, seq) of what has left so far."""
+    return [(out.step, content(out).header.seq) for out in host.outbox if out.key == "out"]
+
+
+def relaying(**how: Any) -> Act:
+    return lambda received, context: context.relay("status_out", received, **how)
+
+
+both = pytest.mark.parametrize("encode", [True, False], ids=["bytes", "objects"])
+
+
+@both
+def test_a_message_can_be_given_another_time_and_nothing_else(encode: bool) -> None:
+    host = hosting(relaying(time_ns=123), encode=encode)
+    clock(host, 0)
+    send(host, status(0, n_tracks=4))
+    (out,) = host.outbox
+    assert content(out).header == status(0).header._replace(time_ns=123)
+    assert content(out).body["tracks"].tolist() == [4]
+
+
+@both
+def test_exactly_the_bytes_that_are_given_are_sent(encode: bool) -> None:
+    host = hosting(relaying(payload=b"\xc1 nonsense"), encode=encode)
+    clock(host, 0)
+    send(host, status(0))
+    assert [out.payload for out in host.outbox] == [b"\xc1 nonsense"]
+
+
+def test_bytes_in_one_process_are_decoded_and_passed_on_as_they_are() -> None:
+    """A damaged message that still is one may be packed otherwise than we would: the next node keeps it."""
+    sound = status(0, n_tracks=3)
+    odd = codec.encode(sound).replace(b"\xa5frame\x00", b"\xa5frame\xcc\x00")
+    assert odd != codec.encode(sound)
+    assert codec.decode(odd, "status").header == sound.header
+    seen: list[Received] = []
+
+    def act(received: Received, context: Context) -> None:
+        seen.append(received)
+        context.relay("status_out", received)
+
+    host = hosting(act, encode=False)
+    clock(host, 0)
+    host.deliver("in", odd, 0)
+    assert [out.payload for out in host.outbox] == [odd]
+    assert seen[0].body["tracks"].tolist() == [3]
+    assert seen[0].encoded == odd
+
+
+def test_damaged_bytes_in_one_process_cost_their_receiver_one_message() -> None:
+    host = hosting(relaying(), encode=False)
+    clock(host, 0)
+    host.deliver("in", codec.encode(status(0))[:-3], 0)
+    assert not host.outbox
+    assert host.rejected.total() == 1
+
+
+def test_the_bytes_of_a_message_that_never_was_bytes_are_those_it_would_have() -> None:
+    assert Received(status(2), "a").encoded == codec.encode(status(2))
+
+
+def test_a_message_passed_on_twice_is_the_same_twice() -> None:
+    host = hosting(lambda received, context: [context.relay("status_out", received) for _ in range(2)] and None)
+    clock(host, 0)
+    send(host, status(0))
+    first, second = host.outbox
+    assert first == second
+    assert host.sent["out"] == 2
+
+
+@both
+@pytest.mark.parametrize(
+    ("after_s", "leaves"), [(0.0, 1), (1e-9, 1), (0.0999, 1), (0.1, 2), (0.19, 2), (0.3, 4), (0.1 + 0.2, 4)]
+)
+def test_in_lock_step_a_message_leaves_in_the_frame_into_which_its_delay_falls(
+    encode: bool, after_s: float, leaves: int
+) -> None:
+    host = hosting(relaying(after_s=after_s), encode=encode)
+    for frame in range(6):
+        clock(host, frame)
+        if frame == 1:
+            send(host, status(1))
+    assert said(host) == [(leaves, 1)]
+    assert host.sent["out"] == host.handled["in"] == 1
+
+
+def test_what_is_delayed_leaves_by_due_time_and_then_by_arrival_before_what_comes_in_that_frame() -> None:
+    delays = iter([0.25, 0.1, 0.12, 0.0])
+    host = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
+    clock(host, 0)
+    send(host, status(0, seq=0))  # due at 0.25
+    clock(host, 1)
+    send(host, status(1, seq=1))  # due at 0.2
+    send(host, status(1, seq=2))  # due at 0.22
+    send(host, status(2, seq=3))  # of the next frame: it has to wait for that
+    clock(host, 2)
+    assert said(host) == [(2, 1), (2, 2), (2, 0), (2, 3)]
+
+
+def test_what_is_due_together_leaves_as_it_came() -> None:
+    host = hosting(relaying(after_s=0.1))
+    clock(host, 0)
+    for seq in range(5):
+        send(host, status(0, seq=seq))
+    clock(host, 1)
+    assert said(host) == [(1, seq) for seq in range(5)]
+
+
+def test_a_clock_that_never_came_holds_nothing_up() -> None:
+    host = hosting(relaying(after_s=0.1))
+    clock(host, 0)
+    send(host, status(0))
+    clock(host, 3)
+    assert said(host) == [(3, 0)]
+
+
+def test_what_is_delayed_leaves_after_what_the_node_says_at_the_clock() -> None:
+    host = hosting(relaying(after_s=0.1), node=Reporting)
+    clock(host, 0)
+    send(host, status(0))
+    clock(host, 1)
+    assert [(out.key, out.step) for out in host.outbox] == [("report", 0), ("report", 1), ("out", 1)]
+
+
+def test_a_message_that_is_delayed_is_not_sent_until_it_leaves() -> None:
+    host = hosting(relaying(after_s=0.1))
+    clock(host, 0)
+    send(host, status(0))
+    assert (host.sent["out"], host.handled["in"]) == (0, 1), "lock-step does not wait for it"
+    host.reset_counts()
+    clock(host, 1)
+    assert host.sent["out"] == 1, "it counts when it leaves"
+
+
+def test_in_lock_step_the_time_is_that_of_the_frame() -> None:
+    seen: list[int] = []
+    host = hosting(lambda received, context: seen.append(context.now_ns))
+    clock(host, 3)
+    send(host, status(3))
+    assert seen == [3 * PERIOD_NS]
+    assert host.release() is None
+
+
+def test_in_real_time_a_message_leaves_when_its_time_has_come_and_not_at_a_clock() -> None:
+    now = Time()
+    host = hosting(relaying(after_s=0.05), now=now)
+    clock(host, 0)
+    send(host, status(0))
+    assert host.release() == pytest.approx(0.05)
+    now.ns += 30_000_000
+    clock(host, 1)
+    assert host.release() == pytest.approx(0.02)
+    assert not host.outbox
+    now.ns += 20_000_000
+    assert host.release() is None
+    assert said(host) == [(1, 0)]
+
+
+def test_in_real_time_the_clock_goes_on_between_frames_from_the_first() -> None:
+    now, seen = Time(), []
+    host = hosting(lambda received, context: seen.append(context.now_ns), now=now)
+    assert host.now_ns == 0
+    clock(host, 4)
+    now.ns += 7
+    send(host, status(4))
+    clock(host, 5)
+    assert seen == [7]
+    assert host.now_ns == 7
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.floats(0.0, 1.0)), max_size=30))
+@settings(max_examples=60, deadline=None)
+def test_whatever_the_delays_each_message_leaves_once_and_not_before_its_time(plan: list[tuple[int, float]]) -> None:
+    delays = iter([after_s for _, after_s in sorted(plan, key=lambda entry: entry[0])])
+    host = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
+    order = sorted(plan, key=lambda entry: entry[0])
+    for frame in range(16):
+        clock(host, frame)
+        for seq, (arrives, _) in enumerate(order):
+            if arrives == frame:
+                send(host, status(frame, seq=seq))
+    expected = sorted((arrives + round(after * 1e9) // PERIOD_NS, seq) for seq, (arrives, after) in enumerate(order))
+    assert sorted(said(host)) == expected
+    assert [step for step, _ in said(host)] == sorted(step for step, _ in expected)
+
+
+@pytest.mark.parametrize("after_s", [-0.1, float("nan"), float("inf"), -float("inf"), 3601.0, 1e300])
+def test_a_delay_that_is_none_costs_one_message(after_s: float, caplog: pytest.LogCaptureFixture) -> None:
+    delays = iter([after_s, 0.0])
+    host = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
+    clock(host, 0)
+    with caplog.at_level(logging.ERROR):
+        send(host, status(0, seq=0))
+    send(host, status(0, seq=1))
+    assert said(host) == [(0, 1)]
+    assert host.failures["status"] == 1
+    assert "after_s: found" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("how", "problem"),
+    [
+        (dict(payload=b"", time_ns=1), "no body or time_ns with it"),
+        (dict(payload=b"", body={}), "no body or time_ns with it"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(how: dict[str, Any], problem: str) -> None:
+    host = hosting(relaying())
+    with pytest.raises(ConfigurationError, match=problem):
+        host.relay("status_out", Received(status(0), "a"), **how)
+
+
+def test_a_time_before_the_scene_is_refused_by_the_receiver() -> None:
+    for encode in (True, False):
+        host = hosting(relaying(time_ns=-1), encode=encode)
+        clock(host, 0)
+        send(host, status(0))
+        (out,) = host.outbox
+        if encode:
+            with pytest.raises(MessageError, match="time_ns"):
+                codec.decode(out.payload, "status")
+        else:
+            assert "time_ns" in out.flaw
+
+
+def test_a_node_that_hears_no_clock_cannot_delay() -> None:
+    host = hosting(relaying(), node=Deaf)
+    with pytest.raises(ConfigurationError, match="does not hear the clock"):
+        host.relay("status_out", Received(status(0), "a"), after_s=0.2)
+
+
+def test_not_more_than_so_many_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host_module, "MAX_DELAYED", 3)
+    host = hosting(relaying(after_s=0.1))
+    clock(host, 0)
+    for seq in range(5):
+        send(host, status(0, seq=seq))
+    assert host.failures["status"] == 2
+    clock(host, 1)
+    assert said(host) == [(1, 0), (1, 1), (1, 2)]

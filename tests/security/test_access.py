@@ -1,0 +1,177 @@
+"""The router's rules give every node what the wiring gives it, and nothing else."""
+
+from __future__ import annotations
+
+import itertools
+import json
+
+import pytest
+import zenoh
+from access_oracle import allows
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh import scenario
+from mast_zenoh.security.access import access_control
+from mast_zenoh.security.credentials import LAUNCHER
+from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+
+PREFIX = "mast/r"
+NODES = ("n0", "n1", "n2", "n3", "n4")
+DRIVER = "n0"
+NAMES = {name: f"{name}.r" for name in (*NODES, LAUNCHER)}
+MESSAGES = (
+    *("put", "delete", "declare_subscriber", "query", "reply", "declare_queryable"),
+    *("liveliness_token", "liveliness_query", "declare_liveliness_subscriber"),
+)
+
+
+@st.composite
+def wirings(draw: st.DrawFn) -> Wiring:
+    """Wires with their chains, and sometimes one who overhears all."""
+    wires = []
+    for number in range(draw(st.integers(0, 5))):
+        chain = draw(st.permutations(NODES[:4]))
+        length, key = draw(st.integers(1, 3)), f"w/{number}"
+        ends = [Endpoint(node, "port") for node in chain]
+        keys = [*(f"{key}/@tap/{hop}" for hop in range(length - 1)), key]
+        hearers = [*((end,) for end in ends[1:length]), tuple(ends[length:])]
+        legs = tuple(map(Leg, keys, ends[:length], hearers))
+        wires.append(Wire(key, "", "clock", legs))
+    return Wiring(tuple(wires), (Endpoint("n4", "everything"),) if draw(st.booleans()) else ())
+
+
+def rules(wiring: Wiring) -> dict:
+    return access_control(wiring, NAMES, prefix=PREFIX, driver=DRIVER)
+
+
+WORDS = (
+    "mast",
+    "r",
+    "other",
+    "w",
+    "0",
+    "1",
+    "2",
+    "*",
+    "**",
+    "@tap",
+    "@control",
+    "counts",
+    "result",
+    "epoch",
+    "stop",
+    "alive",
+)
+CHUNKS = st.sampled_from([*WORDS, *NODES])
+EXPRESSIONS = st.one_of(
+    st.lists(CHUNKS, min_size=1, max_size=6).map("/".join),
+    st.lists(CHUNKS, min_size=1, max_size=4).map(lambda chunks: "/".join([PREFIX, *chunks])),
+    st.lists(CHUNKS, min_size=1, max_size=3).map(lambda chunks: "/".join([PREFIX, "w", *chunks])),
+)
+
+
+@settings(max_examples=40)
+@given(wirings())
+def test_on_each_key_its_ends_may_do_what_the_wiring_gives_and_nobody_anything_else(wiring: Wiring) -> None:
+    access = rules(wiring)
+    says = {(leg.key, leg.publisher.node) for _, leg in wiring.legs()}
+    hears = {(key, subscriber) for key, _, subscriber in wiring.flows()}
+    expected = {
+        ("ingress", "put"): says,
+        ("egress", "declare_subscriber"): says,  # else a publisher never learns that somebody listens, and is silent
+        ("ingress", "declare_subscriber"): hears,
+        ("egress", "put"): hears,
+    }
+    for key, node in itertools.product(wiring.keys(), NODES):
+        for flow, message in itertools.product(("ingress", "egress"), MESSAGES):
+            allowed = allows(access, NAMES[node], flow, message, f"{PREFIX}/{key}")
+            assert allowed == ((key, node) in expected.get((flow, message), ())), (node, flow, message, key)
+
+
+@settings(max_examples=200)
+@given(wirings(), EXPRESSIONS, st.sampled_from(MESSAGES), st.sampled_from(["ingress", "egress"]))
+def test_what_the_wiring_does_not_give_is_refused(wiring: Wiring, expression: str, message: str, flow: str) -> None:
+    try:
+        zenoh.KeyExpr(expression)
+    except zenoh.ZError:
+        return
+    access = rules(wiring)
+    says = {(leg.publisher.node, f"{PREFIX}/{leg.key}") for _, leg in wiring.legs()}
+    hears = {(subscriber, f"{PREFIX}/{key}") for key, _, subscriber in wiring.flows()}
+    wanted = says if (flow, message) in (("ingress", "put"), ("egress", "declare_subscriber")) else hears
+    data = message in ("put", "declare_subscriber")
+    for node in NODES:
+        if "@control" not in expression and not expression.startswith(f"{PREFIX}/alive"):
+            given_ = data and (node, expression) in wanted
+            assert allows(access, NAMES[node], flow, message, expression) == given_, node
+
+
+@given(wirings(), st.sampled_from(NODES[1:]), st.sampled_from(MESSAGES), EXPRESSIONS)
+def test_a_node_that_does_not_drive_controls_nobody(wiring: Wiring, node: str, message: str, expression: str) -> None:
+    """Whatever it may send below @control or alive/ is about itself."""
+    access = rules(wiring)
+    controls = ("epoch", "stop", "act", "counts/*", "result/*", "leave/*", *(f"leave/{other}" for other in NODES))
+    for key in controls:
+        assert not allows(access, NAMES[node], "ingress", "put", f"{PREFIX}/@control/{key}")
+    for other in set(NODES) - {node}:
+        for message_, key in (
+            ("put", f"@control/counts/{other}"),
+            ("query", f"@control/result/{other}"),
+            ("query", f"@control/fetch/{other}"),
+            ("query", f"@control/file/{other}"),
+            ("declare_queryable", f"@control/fetch/{other}"),
+            ("liveliness_token", "@control/launcher"),
+            ("declare_queryable", f"@control/result/{other}"),
+            ("declare_subscriber", f"@control/leave/{other}"),
+            ("declare_subscriber", f"@control/counts/{other}"),
+            ("liveliness_token", f"alive/{other}"),
+        ):
+            assert not allows(access, NAMES[node], "ingress", message_, f"{PREFIX}/{key}")
+    for wild in ("**", "@control/**", "@control/*", "*/**", "alive/*", "alive/**"):
+        assert not allows(access, NAMES[node], "ingress", message, f"{PREFIX}/{wild}")
+
+
+def test_the_driver_and_the_launcher_may_do_what_steers_a_run_and_no_more() -> None:
+    access = rules(Wiring(()))
+
+    def may(node: str, message: str, key: str) -> bool:
+        return allows(access, NAMES[node], "ingress", message, f"{PREFIX}/{key}")
+
+    assert all(may(DRIVER, "put", f"@control/{key}") for key in ("epoch", "stop", "act", f"counts/{DRIVER}"))
+    assert may(DRIVER, "declare_subscriber", "@control/counts/*")
+    assert may(DRIVER, "declare_liveliness_subscriber", "alive/*")
+    assert may(DRIVER, "query", f"@control/result/{DRIVER}")
+    assert not may(DRIVER, "put", "@control/leave/n1")
+    assert all(may(LAUNCHER, "put", f"@control/{key}") for key in ("stop", "leave/n1", "leave/n4"))
+    assert may(LAUNCHER, "declare_queryable", "@control/result/*")
+    assert may(LAUNCHER, "declare_subscriber", "clock")
+    assert may(LAUNCHER, "declare_liveliness_subscriber", "alive/*")
+    for node in NAMES:
+        for message in ("query", "declare_queryable"):
+            for control in ("rewire", "intercept", f"drain/{node}"):
+                assert not may(node, message, f"@control/{control}"), "no rule could follow a new wiring"
+    assert not may(LAUNCHER, "put", "@control/epoch")
+    assert not may(LAUNCHER, "declare_subscriber", "**")
+
+
+@pytest.mark.parametrize("key", ["mast/other/w/0", "@/*/router/**", "**", "w/0"])
+def test_nothing_outside_the_run_is_allowed_to_anybody(key: str) -> None:
+    wiring = Wiring((Wire("w/0", "", "clock", (Leg("w/0", Endpoint("n0", "a"), (Endpoint("n1", "b"),)),)),))
+    access = rules(wiring)
+    for common_name in (*NAMES.values(), "n0.other", "n0", "", "@authority.r"):
+        for message in MESSAGES:
+            assert not any(allows(access, common_name, flow, message, key) for flow in ("ingress", "egress"))
+
+
+def test_the_rules_of_a_real_scenario_name_no_wildcard_but_those_of_control() -> None:
+    path, loaded = scenario.load("coordinated", ["n_infrastructure=3", "n_adversaries=2"])
+    resolved = scenario.resolve(path, loaded, frames=2, record=True)
+    names = {name: f"{name}.r" for name in (*resolved.nodes, LAUNCHER)}
+    access = access_control(Wiring.from_json(resolved.wiring), names, prefix=PREFIX, driver="simulator")
+    wild = {key for rule in access["rules"] for key in rule["key_exprs"] if "*" in key}
+    controls = (f"@control/{what}/*" for what in ("counts", "result", "fetch", "file", "leave"))
+    assert wild == {f"{PREFIX}/{key}" for key in (*controls, "alive/*")}
+    assert len({rule["id"] for rule in access["rules"]}) == len(access["rules"])
+    config = zenoh.Config()
+    config.insert_json5("access_control", json.dumps(access))  # Zenoh knows every word of it

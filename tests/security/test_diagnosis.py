@@ -1,0 +1,79 @@
+"""Why a certificate is refused is said in a sentence that names the file or the host."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from mast_zenoh.security import explain
+from mast_zenoh.security.authority import Authority
+from mast_zenoh.security.credentials import Credentials
+from mast_zenoh.security.diagnosis import Certificate, Facts, Router, reasons
+
+NOW = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
+HOUR = timedelta(hours=1)
+SOUND = Certificate("infra_1.r", NOW - HOUR, NOW + HOUR, trusted=True)
+THEIRS = replace(SOUND, common_name="@router.r", names=("router", "10.0.0.1"))
+FACTS = Facts(
+    NOW, "/keys", authority=SOUND, certificate=SOUND, key_fits=True, host="router", router=Router(certificate=THEIRS)
+)
+
+
+def test_sound_credentials_need_no_explanation() -> None:
+    assert list(reasons(FACTS)) == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"certificate": replace(SOUND, not_after=NOW - HOUR)}, "expired at 2026-11-20 11:00:00 UTC, now it is"),
+        ({"certificate": replace(SOUND, not_before=NOW + HOUR)}, "not valid before 2026-11-20 13:00:00 UTC"),
+        ({"certificate": replace(SOUND, trusted=False)}, "'infra_1.r' was issued by another authority"),
+        ({"authority": replace(SOUND, not_after=NOW - HOUR)}, "the authority's certificate has expired"),
+        ({"key_fits": False}, "the key does not belong to the certificate"),
+        ({"unusable": (("/keys/key.pem", "is missing"),)}, "/keys/key.pem: is missing"),
+        ({"too_wide": (("/keys/key.pem", 0o644),)}, "others may read it (mode 0644), expected 0600"),
+        ({"too_wide": (("/keys", 0o755),)}, "others may read it (mode 0755), expected 0700"),
+        ({"scheme": "tcp"}, "tcp/router: not encrypted"),
+        ({"host": "elsewhere"}, "not for 'elsewhere', but for router, 10.0.0.1"),
+        ({"router": Router(silent="Connection refused")}, "cannot be reached: Connection refused"),
+        ({"router": Router(plain=True)}, "does not speak TLS"),
+        ({"router": Router(certificate=replace(THEIRS, trusted=False))}, "it may be a rogue"),
+        ({"router": Router(certificate=replace(THEIRS, not_after=NOW - HOUR))}, "router's certificate has expired"),
+        ({"router": Router(certificate=THEIRS, verdict="TLSV1_ALERT_UNKNOWN_CA")}, "another authority has issued ours"),
+        ({"router": Router(certificate=THEIRS, verdict="TLSV13_ALERT_CERTIFICATE_REQUIRED")}, "none was shown"),
+        ({"router": Router(certificate=THEIRS, verdict="SSLV3_ALERT_CERTIFICATE_EXPIRED")}, "compare the clocks"),
+        ({"router": Router(certificate=THEIRS, verdict="SOMETHING_NEW")}, "SOMETHING_NEW"),
+    ],
+)
+def test_each_fault_is_said_once(changed: dict, said: str) -> None:
+    (sentence,) = reasons(replace(FACTS, **changed))
+    assert said in sentence
+
+
+def test_sound_files_need_no_explanation(tmp_path: Path) -> None:
+    assert explain(Authority("r").issue("a").write(tmp_path / "a")) == []
+
+
+def test_what_is_wrong_with_files_is_seen(tmp_path: Path) -> None:
+    authority, now = Authority("r"), datetime.now(UTC)
+
+    def of(credentials: Credentials) -> list[str]:
+        return explain(credentials.write(tmp_path / os.urandom(4).hex()))
+
+    good, other = authority.issue("a"), Authority("r").issue("a")
+    assert "has expired" in "".join(of(authority.issue("a", begins=now - 2 * HOUR, ends=now - HOUR)))
+    assert "not valid before" in "".join(of(authority.issue("a", begins=now + HOUR)))
+    assert "another authority" in "".join(of(Credentials(authority.pem, other.certificate, other.key)))
+    assert "does not belong" in "".join(of(Credentials(authority.pem, good.certificate, other.key)))
+    assert "no certificate in PEM" in "".join(of(Credentials(authority.pem, b"nonsense", good.key)))
+    assert "no private key in PEM" in "".join(of(Credentials(authority.pem, good.certificate, b"nonsense")))
+    assert "key.pem: is missing" in "".join(of(Credentials(authority.pem, good.certificate)))
+    assert "ca.pem: is missing" in "".join(explain(tmp_path / "nowhere"))
+    folder = good.write(tmp_path / "wide")
+    (folder / "key.pem").chmod(0o640)
+    assert "mode 0640" in "".join(explain(folder))

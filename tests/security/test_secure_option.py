@@ -1,0 +1,57 @@
+"""`mast run --secure`: with a level, without one, and where it cannot be."""
+
+from __future__ import annotations
+
+import pytest
+from typer.testing import CliRunner
+
+from mast_zenoh import cli
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch import local
+
+
+@pytest.fixture
+def chosen(monkeypatch: pytest.MonkeyPatch):
+    """Runs `mast run` up to where the run would begin: (the level that it would have, what was said)."""
+    levels: list[str] = []
+
+    def run(*_: object, secure: str, **__: object) -> None:
+        levels.append(secure)
+        raise RunFolderError("far enough")
+
+    monkeypatch.setattr(local, "run", run)
+
+    def invoke(*words: str) -> tuple[list[str], str]:
+        levels.clear()
+        ended = CliRunner().invoke(cli.app, ["run", *words])
+        return levels.copy(), ended.output
+
+    return invoke
+
+
+@pytest.mark.parametrize(
+    ("words", "level"),
+    [
+        (("baseline",), "open"),
+        (("--secure", "baseline"), "acl"),
+        (("baseline", "--secure"), "acl"),
+        (("baseline", "--secure", "--frames", "3"), "acl"),
+        (("baseline", "--secure", "mtls"), "mtls"),
+        (("--secure=tls", "baseline"), "tls"),
+    ],
+)
+def test_the_level_may_be_left_out(chosen, words: tuple[str, ...], level: str) -> None:
+    assert chosen(*words)[0] == [level]
+
+
+@pytest.mark.parametrize("words", [("--runtime", "inproc"), ("--endpoint", "tcp/127.0.0.1:1"), ("--secure=tlss",)])
+def test_where_there_is_nothing_to_secure_it_is_refused(chosen, words: tuple[str, ...]) -> None:
+    levels, said = chosen("baseline", "--secure", *words)
+    assert levels == []
+    assert "--secure" in said
+
+
+def test_a_study_of_an_outsider_has_no_trials() -> None:
+    ended = CliRunner().invoke(cli.app, ["study", "rogue", "--trials", "3"])
+    assert ended.exit_code == 2
+    assert "once at each level" in ended.output
