@@ -59,12 +59,6 @@ def by_one_clock(outcomes: Mapping[str, Mapping[str, Any]]) -> tuple[Sent, dict[
     return sent, arrived
 
 
-def late(results: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
-    """How many messages of each agent came after their batch had been emitted, by what the broker has handed in."""
-    counts = [outcome["collation"]["late"] for outcome in results.values() if "collation" in outcome]
-    return {agent: sum(count.get(agent, 0) for count in counts) for agent in sorted(set().union(*counts))}
-
-
 def _heard(wire: Wire) -> list[tuple[str, str]]:
     """(key, node) of those for whom the wire is, in their order, by the key on which they hear it."""
     key_of = {end: leg.key for leg in wire.every_leg for end in leg.subscribers}

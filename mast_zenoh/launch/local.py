@@ -160,7 +160,7 @@ def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], displa
             "failures": dict(host.failures),
         }
     _note_recording(record, outcomes)
-    run_folder.write_results(folder, outcomes, {"late": latency.late(outcomes)})
+    run_folder.write_results(folder, outcomes, {"late": results.late(outcomes)})
     if received:
         raise Interrupted("stopped by Ctrl-C or SIGTERM")
 
@@ -430,7 +430,7 @@ class Launch:
         self.record["message"] = "; ".join(f"{child.name} {child.ended}" for child in gone)
         handed_in = {name: outcome["results"] for name, outcome in self.outcomes.items()}
         _note_recording(self.record, handed_in)
-        measured: dict[str, Any] = {"late": latency.late(handed_in)}
+        measured: dict[str, Any] = {"late": results.late(handed_in)}
         if self.resolved.mode == "realtime":
             sent, arrived = latency.by_one_clock(self.outcomes)
             picture = latency.between(sent, arrived.get("evaluator", {}).get("cc/picture", {}))

@@ -2,8 +2,8 @@
 
 A Zenoh thread only puts samples on this process's inbox; the main thread takes them out, lets the host handle them,
 and sends what the node has published. A node that is `prompt` handles what comes in real time in Zenoh's thread at
-once, if nothing waits before it: from thread to thread costs more time than passing a message on. Control traffic lies under mast/{run}/@control/, a verbatim chunk, where no
-wildcard sees it:
+once, if nothing waits before it: from thread to thread costs more time than passing a message on. Control traffic lies
+under mast/{run}/@control/, a verbatim chunk, where no wildcard sees it:
 
     epoch            driver → all      who takes part from now on; counters start anew
     counts/{node}    node → driver     messages sent and handled by key, whenever the inbox is empty

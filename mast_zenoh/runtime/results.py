@@ -1,7 +1,8 @@
-"""Results of nodes on their way to the launcher: nested plain values and arrays, as MessagePack."""
+"""Results of nodes: on their way to the launcher, nested plain values and arrays as MessagePack; and what they say."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import msgpack
@@ -20,6 +21,12 @@ def pack(value: Any) -> bytes:
 def unpack(payload: bytes) -> Any:
     """What `pack` packed."""
     return msgpack.unpackb(payload, ext_hook=_decode, strict_map_key=False)
+
+
+def late(results: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
+    """How many messages of each agent came after their batch had been emitted, by what the broker has handed in."""
+    counts = [outcome["collation"]["late"] for outcome in results.values() if "collation" in outcome]
+    return {agent: sum(count.get(agent, 0) for count in counts) for agent in sorted(set().union(*counts))}
 
 
 def _encode(value: Any) -> Any:

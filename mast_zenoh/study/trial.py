@@ -14,6 +14,7 @@ from typing import Any
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, RunError
 from mast_zenoh.metrics import Table
+from mast_zenoh.runtime import results
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import identity
 
@@ -99,14 +100,14 @@ def _resolve(trial: Trial) -> scenario.Resolved:
 
 def _in_process(resolved: scenario.Resolved) -> tuple[Mapping[str, Any], Table]:
     process = InProcess(resolved)
-    results = process.run()
+    outcomes = process.run()
     failed = [f"{name}: {port}" for name, host in process.hosts.items() for port in host.failures]
     if failed:
         raise RunError(f"handlers failed, so the figures would not be sound: {', '.join(failed)}")
-    evaluator = next((found for found in results.values() if "metrics" in found), None)
+    evaluator = next((found for found in outcomes.values() if "metrics" in found), None)
     if evaluator is None:
         raise RunError("no node handed in metrics")
-    return evaluator["metrics"], evaluator["tables"]["metrics"]
+    return {**evaluator["metrics"], "late": results.late(outcomes)}, evaluator["tables"]["metrics"]
 
 
 def _on_a_mesh(resolved: scenario.Resolved) -> tuple[Mapping[str, Any], Table]:

@@ -3,6 +3,7 @@
 import pytest
 
 from mast_zenoh.launch import latency
+from mast_zenoh.runtime.results import late
 from mast_zenoh.wiring import Branch, Endpoint, Leg, Wire, Wiring
 
 MS = 1_000_000
@@ -61,5 +62,5 @@ def test_it_counts_behind_interposers_on_the_trunk_and_on_a_branch() -> None:
 
 def test_late_messages_are_counted_by_agent() -> None:
     results = {"broker": {"collation": {"late": {"infra_2": 3, "ego": 1}}}, "evaluator": {"metrics": {}}}
-    assert latency.late(results) == {"ego": 1, "infra_2": 3}
-    assert latency.late({"evaluator": {}}) == {}
+    assert late(results) == {"ego": 1, "infra_2": 3}
+    assert late({"evaluator": {}}) == {}
