@@ -144,6 +144,8 @@ class Driver(MeshNode):
         while True:
             if self._membership_changed():
                 self._begin_epoch()
+                if self.lockstep and self.members.keys() == {self.name}:
+                    return self._or_stopped(f"stall: nobody else is on the mesh before frame {self.frames}")
                 if self.lockstep and (reason := self._await_quiet()):
                     return reason
             if self.lockstep and (reason := self._rewire()):

@@ -85,6 +85,26 @@ def test_a_dead_command_centre_fails_the_run_with_its_own_exit_code(launch) -> N
     assert (run.out / "metrics.json").is_file(), "what was found up to then is kept"
 
 
+def test_who_drives_a_scene_that_nobody_else_is_left_to_see_does_not_play_on(launch, tmp_path: Path) -> None:
+    (tmp_path / "alone.py").write_text(
+        "from mast_zenoh import loading\n"
+        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
+        "def scenario():\n"
+        "    roles = ('broker', 'command_center', 'evaluator')\n"
+        "    made = baseline()\n"
+        "    made |= {role: made[role] | dict(on_exit='continue') for role in roles}\n"
+        "    return made | dict(run=dict(record=False))\n"
+    )
+    run: Launched = launch(str(tmp_path / "alone.py"))
+    record = at_frame(run, 5)
+    for name, node in record["nodes"].items():
+        if name != "simulator":
+            os.kill(node["pid"], signal.SIGKILL)
+    code, output = run.end()
+    assert code == 23, output
+    assert "nobody else is on the mesh" in output
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_is_stopped_keeps_what_it_has(launch, number: signal.Signals) -> None:
     run: Launched = launch("baseline", *PACED)
