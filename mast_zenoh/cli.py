@@ -8,12 +8,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console
-from typer.core import TyperCommand
 
-from mast_zenoh import scenario
+from mast_zenoh import deploying, scenario
 from mast_zenoh.errors import Interrupted, MastError
-from mast_zenoh.security import levels
+from mast_zenoh.options import (
+    Frames,
+    Mode,
+    Out,
+    Rate,
+    Record,
+    Report,
+    Scenario,
+    Secure,
+    SecureCommand,
+    Seed,
+    Settings,
+    conclude,
+)
+from mast_zenoh.options import err as _err
+from mast_zenoh.options import out as _out
 from mast_zenoh.wiring import Wiring, to_mermaid, to_text
 
 if TYPE_CHECKING:
@@ -25,34 +38,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-_out = Console(soft_wrap=True)
-_err = Console(stderr=True, soft_wrap=True)
-
-Settings = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")
-]
-Scenario = Annotated[
-    str, typer.Argument(help="A scenario file, or the name of one of ours: baseline, uncoordinated, …")
-]
-Out = Annotated[Path | None, typer.Option(help="Folder for the results; new or empty. Default: runs/NAME-TIME.")]
-Frames = Annotated[int | None, typer.Option(min=1, help="How many frames to play.")]
-Seed = Annotated[int | None, typer.Option(min=0, help="Of all random draws.")]
-Secure = Annotated[
-    Literal["open", "tls", "mtls", "acl"],
-    typer.Option("--secure", metavar="[LEVEL]", help="Secure the mesh: tls, mtls, or acl, which is meant without one."),
-]
-
-
-class SecureCommand(TyperCommand):
-    """A command whose option `--secure` may stand alone."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put in the level that was left out."""
-        spelt = list(args)
-        for index, (word, following) in enumerate(zip(args, [*args[1:], ""], strict=True)):
-            if word == "--secure" and following not in levels.LEVELS:
-                spelt[index] = f"--secure={levels.SECURE}"
-        return super().parse_args(ctx, spelt)
+app.add_typer(deploying.app, name="deploy")
+app.command()(deploying.doctor)
 
 
 @app.command(cls=SecureCommand)
@@ -62,13 +49,13 @@ def run(
     frames: Frames = None,
     seed: Seed = None,
     runtime: Annotated[Literal["mesh", "inproc"], typer.Option(help="Processes on a mesh, or one process.")] = "mesh",
-    mode: Annotated[Literal["lockstep", "realtime"] | None, typer.Option(help="Exact, or paced by the clock.")] = None,
-    rate: Annotated[float | None, typer.Option(help="Real time: how many times faster than the wall clock.")] = None,
+    mode: Mode = None,
+    rate: Rate = None,
     out: Out = None,
     endpoint: Annotated[str | None, typer.Option(help="Of a Zenoh router that runs already, tcp/HOST:PORT.")] = None,
     secure: Secure = "open",
-    report: Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")] = True,
-    record: Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")] = True,
+    report: Report = True,
+    record: Record = True,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh.launch import local
@@ -83,18 +70,7 @@ def run(
         where = f"the router at {endpoint} is another's" if endpoint else "one process has no mesh"
         raise typer.BadParameter(f"a secure mesh has a router of its own: {where}", param_hint="--secure")
     ended = local.run(resolved, out, runtime=runtime, endpoint=endpoint, secure=secure, console=_out)
-    from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
-
-    if (ended.folder / "metrics.json").is_file():
-        terminal.show(_out, {resolved.name: ended.folder})
-    if report:
-        _out.print(f"report: {html.write_report(ended.folder)}", highlight=False)
-    else:
-        _out.print(f"run folder: {ended.folder}", highlight=False)
-    if ended.record["message"] and not ended.error:
-        _out.print(f"[yellow]note: {ended.record['message']}", highlight=False)
-    if ended.error:
-        raise ended.error
+    conclude(ended, report=report)
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Writes the pages of docs/ that say what the code says: `python -m mast_zenoh.documentation docs`."""
+"""Writes what says what the code says, pages and examples: `python -m mast_zenoh.documentation docs`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from mast_zenoh import errors
+from mast_zenoh.deploy.compose.examples import EXAMPLES, example
 from mast_zenoh.messages import SCHEMAS
 from mast_zenoh.states import CLASSES
 
@@ -78,9 +79,11 @@ PAGES = {"messages.md": messages_page, "exit_codes.md": exit_codes_page}
 
 
 def main(folder: Path) -> None:
-    """Write all pages."""
+    """Write all pages, and the examples in deploy/compose/ beside the folder."""
     for name, page in PAGES.items():
         (folder / name).write_text(page(), encoding="utf-8")
+    for name in EXAMPLES:
+        (folder.parent / "deploy" / "compose" / f"{name}.yml").write_text(example(name), encoding="utf-8")
 
 
 if __name__ == "__main__":

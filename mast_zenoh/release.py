@@ -13,7 +13,8 @@ from mast_zenoh import __version__
 _PACKAGE = Path(__file__).resolve().parent
 
 #: What no node runs, or what is given to each node with the run.
-_OUTSIDE = {"bundled", "study", "report", "launch", "deploy", "checks", "cli.py", "documentation.py", "__main__.py"}
+_OUTSIDE = {"bundled", "study", "report", "launch", "deploy", "checks"}
+_OUTSIDE |= {"cli.py", "options.py", "deploying.py", "documentation.py", "__main__.py"}
 
 
 @cache

@@ -35,7 +35,7 @@ import msgpack
 import zenoh
 
 from mast_zenoh import errors, release
-from mast_zenoh.errors import MastError, RunError
+from mast_zenoh.errors import MastError, RunError, StartError
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.runtime import hosting
 from mast_zenoh.runtime.mesh import prefix
@@ -51,6 +51,9 @@ PATIENCE_S = 30.0
 
 #: There while a node is on the mesh of its launcher: for health checks.
 UP = "mast-up"
+
+#: Seconds within which a node must find the router, at least: everything is only just coming up.
+JOIN_S = 60.0
 
 _GRACE_S = 2.0  # for a node that leaves without a launcher; the router goes that much later
 _HAND_IN_EVERY_S = 1.0
@@ -101,7 +104,7 @@ def _host(arguments: argparse.Namespace) -> None:
     """Fetch what the node needs, host it until it is told to stop, hand in what it has written."""
     credentials = Credentials.read(arguments.credentials) if arguments.credentials else None
     run, name = arguments.run, arguments.name
-    with tempfile.TemporaryDirectory(prefix="mast-") as own, hosting.join(arguments.endpoint, credentials) as session:
+    with tempfile.TemporaryDirectory(prefix="mast-") as own, _join(arguments, credentials) as session:
         leave: list[Callable[[], None]] = [lambda: os._exit(3)]  # nothing to hand in yet
         with Launcher(session, run, arguments.patience, lambda: leave[0]()):
             folder, depot = Path(own), Depot(session, run, name)
@@ -122,6 +125,23 @@ def _host(arguments: argparse.Namespace) -> None:
             leave[0] = orphaned
             with HandIn(depot, folder, written_by(resolved, name, built)):
                 hosted.run_until_stopped()
+
+
+def _join(arguments: argparse.Namespace, credentials: Credentials | None) -> zenoh.Session:
+    """A session on the mesh; ends the process when there is no router for too long."""
+    seconds = max(JOIN_S, arguments.patience)
+
+    def give_up() -> None:
+        log.error("the router at %s cannot be reached within %.0f s: leaving", arguments.endpoint, seconds)
+        os._exit(StartError.exit_code)
+
+    deadline = threading.Timer(seconds, give_up)
+    deadline.daemon = True
+    deadline.start()
+    try:
+        return hosting.join(arguments.endpoint, credentials)
+    finally:
+        deadline.cancel()
 
 
 def written_by(resolved: Resolved, name: str, built: Any = None) -> tuple[str, ...]:

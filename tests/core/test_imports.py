@@ -10,7 +10,7 @@ PACKAGE = ROOT / "mast_zenoh"
 
 #: From the top down. Modules of one line may import each other.
 LAYERS = (
-    ("__main__", "cli", "documentation"),
+    ("__main__", "cli", "deploying", "options", "documentation"),
     ("study",),
     ("report",),
     ("deploy",),

@@ -1,0 +1,226 @@
+"""The nodes of a run as containers, which are there already: this starts, watches, pauses, kills and ends them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.deploy.docker import docker
+from mast_zenoh.errors import EngineError
+from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.scenario import NodeSpec
+
+_AT_A_TIME = 4  # commands to the engine
+_LOG_GRACE_S = 5.0  # from the end of a container to the end of its log
+_END_S = 30.0  # from a SIGKILL to the end of a container, at most
+
+
+class Container(Child):
+    """A node's container; see Child."""
+
+    def __init__(self, name: str, spec: NodeSpec, container: str) -> None:
+        super().__init__(name, spec)
+        self.container = container
+        self.code: int | None = None
+        self.ended_now = threading.Event()
+        self.log: subprocess.Popen[bytes] | None = None
+
+    @property
+    def exit(self) -> int | None:
+        """See Child. What a signal has ended says 128 and its number."""
+        code = self.code
+        return code if code is None or code <= 128 else 128 - code
+
+    def where(self) -> dict[str, Any]:
+        """See Child."""
+        return {"container": self.container}
+
+
+class Containers(Supervisor):
+    """A context: entered, it knows of every container that ends.
+
+    label: `KEY=VALUE` that all containers of the run have; container: a node's container's name
+    logs:  folder for what the nodes say
+    """
+
+    def __init__(self, label: str, container: Callable[[str], str], logs: Path) -> None:
+        super().__init__()
+        self._container = container
+        self._logs = logs
+        self._by_container: dict[str, Container] = {}
+        self._events = _Events(label, self._died)
+
+    def __enter__(self) -> Containers:
+        self._events.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._events.close()
+        for child in self.children.values():
+            self.let_go(child)
+
+    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
+        """See Supervisor. Raises EngineError for a node that has no container."""
+        self.start_all({name: spec}, without)
+
+    def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
+        """See Supervisor; several at a time."""
+        children = []
+        for name, spec in specs.items():
+            self.without[name] = sorted(without)
+            child = Container(name, spec, self._container(name))
+            self._by_container[child.container] = child
+            self.children[name] = child
+            children.append(child)
+        with ThreadPoolExecutor(_AT_A_TIME) as pool:
+            list(pool.map(self._run, children))
+
+    def _start_again(self, child: Child, without: Iterable[str]) -> None:
+        assert isinstance(child, Container)
+        self.without[child.name] = sorted(without)
+        self._await_log(child)
+        child.code = None
+        child.ended_now.clear()
+        self._run(child)
+
+    def _run(self, child: Container) -> None:
+        since = f"{time.time():.6f}"
+        try:
+            docker("start", child.container)
+        except EngineError as error:
+            child.notes.append(str(error))
+            child.code = 125  # as `docker run` says it
+            child.ended_now.set()
+            with (self._logs / f"{child.name}.log").open("a") as log:
+                log.write(f"{error}\n")
+            return
+        with (self._logs / f"{child.name}.log").open("ab") as log:
+            child.log = subprocess.Popen(
+                ["docker", "logs", "--follow", "--since", since, child.container],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def end_now(self, child: Child) -> None:
+        """See Supervisor."""
+        assert isinstance(child, Container)
+        self.resume([child])  # who stands still cannot be killed
+        docker("kill", child.container, check=False)
+        if not child.ended_now.wait(_END_S):
+            raise EngineError(f"the container {child.container} does not end")
+
+    def pause(self, child: Child) -> None:
+        """See Supervisor."""
+        assert isinstance(child, Container)
+        docker("pause", child.container)
+        child.paused = True
+
+    def resume(self, children: Iterable[Child]) -> None:
+        """See Supervisor."""
+        for child in children:
+            assert isinstance(child, Container)
+            if child.paused:
+                child.paused = False
+                docker("unpause", child.container, check=False)
+
+    def wait(self, child: Child, seconds: float) -> bool:
+        """See Supervisor."""
+        assert isinstance(child, Container)
+        return child.ended_now.wait(seconds)
+
+    def newly_ended(self) -> list[Child]:
+        """See Supervisor; what they have said last is in their logs."""
+        ended = super().newly_ended()
+        for child in ended:
+            self._await_log(child)
+        return ended
+
+    def let_go(self, child: Child) -> None:
+        """See Supervisor."""
+        self._await_log(child)
+
+    def end(self, grace_s: float) -> None:
+        """End all: those that stand still go on; SIGTERM, wait, SIGKILL."""
+        self.resume(self.running())
+        for word in ("TERM", "KILL"):
+            running = [child for child in self.running() if isinstance(child, Container)]
+            if not running:
+                break
+            for child in running:
+                child.notes.append(f"told to leave by SIG{word}")
+            docker("kill", "--signal", word, *(child.container for child in running), check=False)
+            deadline = time.monotonic() + (grace_s if word == "TERM" else _END_S)
+            for child in running:
+                child.ended_now.wait(max(0.0, deadline - time.monotonic()))
+
+    def _died(self, container: str, code: int) -> None:
+        child = self._by_container.get(container)
+        if child is not None and child.code is None:
+            child.code = code
+            child.ended_now.set()
+
+    def _await_log(self, child: Child) -> None:
+        assert isinstance(child, Container)
+        log, child.log = child.log, None
+        if log is None:
+            return
+        try:
+            log.wait(_LOG_GRACE_S)
+        except subprocess.TimeoutExpired:
+            log.kill()
+            log.wait()
+
+
+class _Events:
+    """Hears from the engine which containers of a run die, from when it is started."""
+
+    def __init__(self, label: str, died: Callable[[str, int], None]) -> None:
+        self._label = label
+        self._died = died
+        self._since = time.time()
+        self._closed = False
+        self._process: subprocess.Popen[str] | None = None
+        self._thread = threading.Thread(target=self._listen, name="container events")
+
+    def start(self) -> None:
+        """From now on."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """No more."""
+        self._closed = True
+        if self._process is not None:
+            self._process.kill()
+        self._thread.join()
+
+    def _listen(self) -> None:
+        """The command may end before we do, when the engine is started again: then it is begun anew."""
+        words = ["docker", "events", "--filter", f"label={self._label}", "--filter", "event=die"]
+        while not self._closed:
+            since = ["--since", f"{self._since:.6f}"]
+            self._process = subprocess.Popen(
+                [*words, *since, "--format", "{{json .}}"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                start_new_session=True,
+            )
+            if self._closed:
+                self._process.kill()
+            assert self._process.stdout is not None
+            with self._process, self._process.stdout as lines:
+                for line in lines:
+                    event = json.loads(line)
+                    self._since = event["timeNano"] * 1e-9 + 2e-6  # not this one again
+                    told = event["Actor"]["Attributes"]
+                    self._died(told["name"], int(told["exitCode"]))
+            threading.Event().wait(0.0 if self._closed else 0.5)

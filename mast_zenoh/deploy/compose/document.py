@@ -1,0 +1,160 @@
+"""A resolved scenario as a compose file: a router, and a service for every node. Pure.
+
+Nodes have nothing of the host but their credentials, and reach nothing but the router: two networks of the run's own,
+without a way out, `wired` for what stands still and `wireless` for mobile agents and what sits on their wires.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from mast_zenoh.deploy.image import USER
+from mast_zenoh.deploy.yamltext import Anchored, Merged, dump
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.runtime.elsewhere import UP
+from mast_zenoh.scenario import NodeSpec, Resolved
+from mast_zenoh.security import levels
+from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, KEY
+
+FILE = "compose.yml"
+CREDENTIALS = "credentials"  # folder beside the file
+ROUTER = "router"
+ROUTER_SETTINGS = "router.json"
+PORT = 7447
+LABEL = "org.mast-zenoh.run"  # on all that belongs to a run
+
+_SECRETS = "/run/secrets"
+_NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
+
+
+def project(run: str) -> str:
+    """What Compose calls all of a run: lower case letters, digits, `_` and `-`."""
+    return "mast-" + re.sub(r"[^a-z0-9_-]", "-", run.lower())
+
+
+def container(run: str, node: str) -> str:
+    """The name of a node's container."""
+    return f"{project(run)}-{node}"
+
+
+def document(
+    resolved: Resolved,
+    run: str,
+    *,
+    image: str,
+    secure: str = "open",
+    user: str = USER,
+    environment: Mapping[str, str] | None = None,
+    patience_s: float = 10.0,
+    cpus: float = 1.0,
+    memory: str = "1g",
+) -> dict[str, Any]:
+    """The compose file of a run as plain values.
+
+    user:     UID:GID of all processes inside; on a secure mesh the credentials must be theirs
+    environment: variables of all processes inside, besides the image's own
+    patience_s: how long everybody stays without a launcher, s
+    cpus, memory: at most, for each container
+
+    Raises ConfigurationError for a node's name that is none in Compose.
+    """
+    check_names(resolved)
+    endpoint = levels.endpoint(secure, f"tcp/{ROUTER}:{PORT}")
+    common = Anchored(
+        "node",
+        {
+            "image": image,
+            "user": user,
+            **({"environment": dict(environment)} if environment else {}),
+            "init": True,
+            "read_only": True,
+            "tmpfs": ["/tmp:mode=1777"],
+            "cap_drop": ["ALL"],
+            "security_opt": ["no-new-privileges:true"],
+            "restart": "no",
+            "cpus": cpus,
+            "mem_limit": memory,
+            "pids_limit": 200,
+            "healthcheck": {
+                "test": ["CMD", "test", "-e", f"/tmp/{UP}"],
+                "interval": "10s",
+                "timeout": "10s",
+                "retries": 3,
+                "start_period": "60s",
+            },
+        },
+    )
+    waits = ["--patience", f"{patience_s:g}"]
+    listen = levels.endpoint(secure, f"tcp/0.0.0.0:{PORT}")
+    command = ["--router", "--run", run, "--listen", listen, *waits]
+    services: dict[str, Any] = {}
+    files: dict[str, str] = {}
+
+    def secrets(service: str, names: tuple[str, ...]) -> list[dict[str, str]]:
+        told = []
+        for name in names:
+            files[f"{service}_{name}"] = f"./{CREDENTIALS}/{service}/{name}"
+            told.append({"source": f"{service}_{name}", "target": name})
+        return told
+
+    services[ROUTER] = {
+        "<<": Merged("node"),
+        "container_name": container(run, ROUTER),
+        "labels": {LABEL: run},
+        "command": command if secure == "open" else [*command, "--settings", f"{_SECRETS}/{ROUTER_SETTINGS}"],
+        "ports": [f"127.0.0.1::{PORT}"],
+        "networks": ["launcher", "wired", "wireless"],
+    }
+    if secure != "open":
+        services[ROUTER]["secrets"] = secrets(ROUTER, (ROUTER_SETTINGS,))
+    shown = (AUTHORITY,) if secure == "tls" else (AUTHORITY, CERTIFICATE, KEY)
+    for name in resolved.nodes:
+        command = ["--name", name, "--run", run, "--endpoint", endpoint, *waits]
+        services[name] = {
+            "<<": Merged("node"),
+            "container_name": container(run, name),
+            "labels": {LABEL: run},
+            "depends_on": [ROUTER],
+            "command": command if secure == "open" else [*command, "--credentials", _SECRETS],
+            "networks": ["wireless" if is_mobile(resolved, name) else "wired"],
+        }
+        if secure != "open":
+            services[name]["secrets"] = secrets(name, shown)
+    networks = {name: {"internal": True, "labels": {LABEL: run}} for name in ("wired", "wireless")}
+    content = {
+        "x-node": common,
+        "services": services,
+        "networks": {"launcher": {"labels": {LABEL: run}}, **networks},
+    }
+    return content | ({"secrets": {name: {"file": file} for name, file in files.items()}} if files else {})
+
+
+def text(resolved: Resolved, run: str, **options: Any) -> str:
+    """The compose file of a run; the options are those of `document`."""
+    secure = options.get("secure", "open")
+    told = (
+        f"# The run {run} of the scenario {resolved.name}, security level {secure}. `mast deploy up` has written this\n"
+        "# and starts it: a node gets what it needs from the launcher, over the mesh, and gives back what it found.\n"
+    )
+    return told + dump(document(resolved, run, **options))
+
+
+def check_names(resolved: Resolved) -> None:
+    """Raise ConfigurationError for a node that cannot be a service."""
+    for name in resolved.nodes:
+        if not _NAME.fullmatch(name) or name == ROUTER:
+            what = "the router's name" if name == ROUTER else "no name for a container"
+            raise ConfigurationError(f"node {name!r}: {what}; expected letters, digits, `_`, `.` and `-`")
+
+
+def is_mobile(resolved: Resolved, name: str) -> bool:
+    """Whether a node is a mobile agent, or sits on the wires of one."""
+    spec = resolved.nodes[name]
+    agent = resolved.nodes.get(str(spec.config.get("agent")))
+    return _moves(spec) or (agent is not None and _moves(agent))
+
+
+def _moves(spec: NodeSpec) -> bool:
+    return spec.role == "agent" and bool(spec.config.get("mobile"))

@@ -1,0 +1,166 @@
+"""`mast deploy up --engine compose`: the nodes of a run as containers of this machine, made by docker-compose."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from mast_zenoh.deploy import arithmetic, credentials, image
+from mast_zenoh.deploy import docker as engine
+from mast_zenoh.deploy.compose import document
+from mast_zenoh.deploy.compose.containers import Containers
+from mast_zenoh.deploy.docker import docker
+from mast_zenoh.deploy.joining import join
+from mast_zenoh.errors import EngineError
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.engine import Engine
+from mast_zenoh.launch.local import Launch
+from mast_zenoh.launch.supervisor import Supervisor
+from mast_zenoh.scenario import Resolved
+from mast_zenoh.security import levels
+
+_ROUTER_S = 60.0  # for the router to come up
+_MAKE_S = 600.0  # for docker-compose to make networks and containers
+
+
+class Compose(Engine):
+    """Containers of this machine.
+
+    image:      that they are made from; see `image.build`
+    patience_s: how long they stay when the launcher has gone, s
+    """
+
+    name = "compose"
+
+    def __init__(self, image: str = image.TAG, patience_s: float = 10.0) -> None:
+        self.image = image
+        self.patience_s = patience_s
+
+    def check(self, resolved: Resolved, secure: str) -> None:
+        """See Engine."""
+        engine.check()
+        command()
+        image.check(self.image)
+        document.check_names(resolved)
+
+    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
+        """See Engine."""
+        run, folder = launch.record["id"], launch.folder
+        launch.record["deployment"] = {"engine": self.name, "image": self.image, "label": f"{document.LABEL}={run}"}
+        run_folder.write_json(folder / "run.json", launch.record)
+        stack.callback(self.down, folder, launch.record)
+        deployment = launch.deployment = stack.enter_context(credentials.deployment(launch))
+        user = _user()
+        if deployment.folder is not None:
+            _hand_over(deployment.folder, deployment.router, user)
+        content = document.text(
+            launch.resolved,
+            run,
+            image=self.image,
+            secure=launch.secure,
+            user=user,
+            environment=arithmetic.environment(),
+            patience_s=self.patience_s,
+        )
+        (folder / document.FILE).write_text(content, encoding="utf-8")
+        project = [*command(), "--project-name", document.project(run), "--file", str(folder / document.FILE)]
+        engine.run([*project, "up", "--no-start"], timeout=_MAKE_S)
+        supervisor = stack.enter_context(
+            Containers(f"{document.LABEL}={run}", lambda name: document.container(run, name), folder / "logs")
+        )
+        router = document.container(run, document.ROUTER)
+        # By Compose itself: 1.29 connects a container with its further networks when it starts it.
+        engine.run([*project, "up", "--detach", "--no-deps", document.ROUTER], timeout=_MAKE_S)
+        stack.callback(_keep_log, router, folder / "logs" / f"{document.ROUTER}.log")
+        endpoint = levels.endpoint(launch.secure, f"tcp/{_published(router)}")
+        launch.record["endpoint"] = endpoint
+        session = join(endpoint, deployment.launcher, _ROUTER_S, lambda: launch.signals)
+        return stack.enter_context(session), supervisor
+
+    @classmethod
+    def status(cls, folder: Path, record: dict[str, Any]) -> list[dict[str, str]]:
+        """See Engine."""
+        label = record["deployment"]["label"]
+        lines = docker("ps", "--all", "--filter", f"label={label}", "--format", "{{.Names}}\t{{.Status}}").splitlines()
+        found = (line.partition("\t") for line in sorted(lines))
+        start = len(document.container(record["id"], ""))
+        return [{"node": name[start:], "state": state, "where": name} for name, _, state in found]
+
+    @classmethod
+    def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
+        """See Engine. What containers have said that are gone is in the run folder."""
+        there = {entry["node"]: entry["where"] for entry in cls.status(folder, record)}
+        names = [node] if node else sorted(path.stem for path in (folder / "logs").glob("*.log")) or list(there)
+        if follow and node in there:
+            subprocess.run(["docker", "logs", "--follow", there[node]], check=False, stdin=subprocess.DEVNULL)
+            return
+        for name in names:
+            path = folder / "logs" / f"{name}.log"
+            lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
+            if not lines and name in there:
+                lines = docker("logs", there[name], check=False).splitlines()
+            sys.stdout.writelines(f"{name}  {line}\n" for line in lines)
+
+    @classmethod
+    def down(cls, folder: Path, record: dict[str, Any]) -> None:
+        """See Engine."""
+        shutil.rmtree(folder / document.CREDENTIALS, ignore_errors=True)
+        label = f"label={record['deployment']['label']}"
+        if containers := docker("ps", "--all", "--quiet", "--filter", label).split():
+            docker("rm", "--force", "--volumes", *containers)
+        for kind in ("network", "volume"):
+            if left := docker(kind, "ls", "--quiet", "--filter", label).split():
+                docker(kind, "rm", *left)
+
+
+def command() -> list[str]:
+    """What calls Compose here; raises EngineError where there is none."""
+    if shutil.which("docker-compose"):
+        return ["docker-compose"]
+    try:
+        docker("compose", "version", timeout=20.0)
+    except EngineError:
+        raise EngineError("there is no docker-compose on this machine: install docker-compose, 1.29 or newer") from None
+    return ["docker", "compose"]
+
+
+def _user() -> str:
+    """Whose the processes inside are: ours, so that they can read what is ours alone, unless we are root."""
+    return f"{os.getuid()}:{os.getgid()}" if os.getuid() else image.USER
+
+
+def _hand_over(folder: Path, router: dict[str, Any], user: str) -> None:
+    """Write the router's settings, its key in them, and give all credentials to the user inside."""
+    credentials.write_settings(folder, router)
+    if not os.getuid():
+        uid, gid = map(int, user.split(":"))
+        for path in folder.rglob("*"):
+            os.chown(path, uid, gid)
+
+
+def _published(router: str) -> str:
+    """Address and port on this machine at which the router is reached."""
+    deadline = time.monotonic() + _ROUTER_S
+    while not (found := docker("port", router, f"{document.PORT}/tcp", check=False).split()):
+        if time.monotonic() > deadline:
+            said = docker("logs", "--tail", "1", router, check=False).strip()
+            raise EngineError(f"the router's container {router} does not run{f': {said}' if said else ''}")
+        threading.Event().wait(0.2)
+    return found[0]
+
+
+def _keep_log(router: str, path: Path) -> None:
+    """What the router has said, which nobody needs before the end."""
+    done = subprocess.run(
+        ["docker", "logs", router], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False, timeout=60
+    )
+    path.write_bytes(done.stdout)

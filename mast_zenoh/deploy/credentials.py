@@ -1,0 +1,39 @@
+"""What secures a run whose router is in a container: certificates for its names, and its settings as a file."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.deploy.compose.document import CREDENTIALS, ROUTER, ROUTER_SETTINGS
+from mast_zenoh.launch.local import Launch
+from mast_zenoh.runtime.mesh import prefix
+from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.wiring import Wiring
+
+
+def deployment(launch: Launch) -> Deployment:
+    """Certificates for all nodes of a run, in its folder; nodes reach the router by its name, the launcher here."""
+    run, nodes = launch.record["id"], launch.resolved.nodes
+    return Deployment(
+        launch.secure,
+        run,
+        Wiring.from_json(launch.resolved.wiring),
+        nodes,
+        prefix=prefix(run),
+        driver=next((name for name, spec in nodes.items() if spec.role == "simulator"), ""),
+        hosts=[ROUTER, "127.0.0.1"],
+        folder=launch.folder / CREDENTIALS,
+    )
+
+
+def write_settings(folder: Path, router: dict[str, Any]) -> Path:
+    """The router's settings, its key in them, in a folder of its own beside those of the nodes: 0700 and 0600."""
+    own = folder / ROUTER
+    own.mkdir(mode=0o700)
+    handle = os.open(own / ROUTER_SETTINGS, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        json.dump(router, file, separators=(",", ":"))
+    return own / ROUTER_SETTINGS

@@ -1,0 +1,23 @@
+"""Which engines there are. An engine is loaded when it is asked for: what it needs may not be installed."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from mast_zenoh.errors import EngineError, nearest
+from mast_zenoh.launch.engine import Engine
+
+ENGINES = {
+    "compose": "mast_zenoh.deploy.compose.engine:Compose",
+    "ssh": "mast_zenoh.deploy.ssh.engine:Ssh",
+    "swarm": "mast_zenoh.deploy.swarm.engine:Swarm",
+}
+
+
+def load(name: str) -> type[Engine]:
+    """The engine of this name; raises EngineError."""
+    if name not in ENGINES:
+        raise EngineError(f"there is no engine {name!r}{nearest(name, ENGINES)}")
+    module, _, attribute = ENGINES[name].partition(":")
+    found: type[Engine] = getattr(import_module(module), attribute)
+    return found

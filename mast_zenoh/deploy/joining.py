@@ -1,0 +1,42 @@
+"""The launcher's session on a mesh whose router is elsewhere, and comes up about now."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import zenoh
+
+from mast_zenoh.errors import CredentialsError, EngineError, Interrupted
+from mast_zenoh.runtime.session import open_client
+from mast_zenoh.security import explain
+from mast_zenoh.security.credentials import UNREACHED, Credentials
+
+_TRY_MS = 2000
+
+
+def join(
+    endpoint: str, credentials: Credentials | None, seconds: float, stopped: Callable[[], object] = lambda: False
+) -> zenoh.Session:
+    """A client of the router at an endpoint, as soon as there is one.
+
+    stopped: whether somebody wants all of it to end
+
+    Raises Interrupted, EngineError when it is not there in time, CredentialsError when it and we do not get along.
+    """
+    deadline = time.monotonic() + seconds
+    while True:
+        if stopped():
+            raise Interrupted("stopped by Ctrl-C or SIGTERM")
+        try:
+            return open_client(endpoint, credentials, try_ms=_TRY_MS)
+        except zenoh.ZError as error:
+            why = str(error)
+        if credentials is not None:
+            reasons = explain(credentials, endpoint)
+            if any(UNREACHED not in reason for reason in reasons) and time.monotonic() > deadline:
+                raise CredentialsError("; ".join(reasons))
+        if time.monotonic() > deadline:
+            raise EngineError(f"the router at {endpoint} cannot be reached within {seconds:.0f} s: {why}")
+        threading.Event().wait(0.1)

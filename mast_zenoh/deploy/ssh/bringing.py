@@ -1,0 +1,300 @@
+"""From hosts that let us in to a mesh whose nodes can be started: what `Ssh.join` does."""
+
+from __future__ import annotations
+
+import json
+import posixpath
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import zenoh
+
+from mast_zenoh.deploy import arithmetic
+from mast_zenoh.deploy.joining import join
+from mast_zenoh.deploy.ssh import connection, hostsfile, installation
+from mast_zenoh.deploy.ssh.attachment import Attachment, attaching
+from mast_zenoh.deploy.ssh.connection import Loop, connected, make_folder, together, write_file
+from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, Host
+from mast_zenoh.deploy.ssh.installation import Cargo, Installed
+from mast_zenoh.deploy.ssh.nodes import RemoteNodes
+from mast_zenoh.errors import EngineError, Interrupted
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.local import Launch
+from mast_zenoh.launch.processes import ENVIRONMENT
+from mast_zenoh.launch.supervisor import Supervisor
+from mast_zenoh.runtime.mesh import prefix
+from mast_zenoh.runtime.session import open_router
+from mast_zenoh.security import levels
+from mast_zenoh.security.credentials import ROUTER
+from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.wiring import Wiring
+
+if TYPE_CHECKING:
+    import asyncssh
+
+_ROUTER_S = 60.0  # for a router on a host to come up
+_ATTACH_S = 60.0
+_LEAVE_S = 20.0  # for a host to end what it still runs and to remove its folder
+_LATER_S = 5.0  # the warden stays so much longer without a launcher than the nodes
+_SETTINGS = "router.json"
+
+
+class Bringing:
+    """What brings up a run, one step after the other. All that it makes is taken away by the stack.
+
+    told: what hosts.toml says; hosts: those of them that are used
+    """
+
+    def __init__(self, told: hostsfile.Hosts, hosts: dict[str, Host], launch: Launch, stack: ExitStack) -> None:
+        self.told = told
+        self.hosts = hosts
+        self.launch = launch
+        self.stack = stack
+        self.run: str = launch.record["id"]
+        self.placed = told.placed(launch.resolved.nodes)
+        self.loop = stack.enter_context(Loop(launch.signals))
+        self.changed = threading.Condition()
+        self.attachments: dict[str, Attachment] = {}
+        self.installed: dict[str, Installed] = {}
+        self.reached_from: dict[str, str] = {}  # our address, as each host sees it
+        self.endpoints: dict[str, str] = {}
+
+    def bring(self) -> tuple[zenoh.Session, Supervisor]:
+        """The launcher's session, and who starts the nodes."""
+        with tempfile.TemporaryDirectory(prefix="mast-wheel-") as folder:
+            cargo = Cargo(Path(folder))
+            self._on_all(lambda host, ssh: self._install(host, ssh, cargo))
+        self.launch.record["deployment"] = {"engine": "ssh", "hosts": {n: self._place(n) for n in self.hosts}}
+        run_folder.write_json(self.launch.folder / "run.json", self.launch.record)
+        self.stack.callback(self._leave)
+        self._on_all(self._start_warden, whole=True)
+        self._attach()
+        self._until(lambda: all(a.attached for a in self.attachments.values()), _ATTACH_S, self._not_attached)
+        session = self._route()
+        self._on_all(self._bring_credentials)
+        if self.launch.deployment is not None:
+            self.launch.deployment.close()  # they are where they are needed
+        self._on_all(self._reach_router)
+        return session, RemoteNodes(
+            self.attachments, self.placed, self._command, self.launch.folder / "logs", self.changed
+        )
+
+    def _on_all(self, do: Callable[[Host, asyncssh.SSHClientConnection], Any], *, whole: bool = False) -> None:
+        async def on(host: Host) -> None:
+            async with connected(host) as ssh:
+                await do(host, ssh)
+
+        self.loop.run(together(*(on(host) for host in self.hosts.values())), whole=whole)
+
+    # -- hosts ---------------------------------------------------------------------------------------------------
+
+    async def _install(self, host: Host, ssh: asyncssh.SSHClientConnection, cargo: Cargo) -> None:
+        self.installed[host.name] = await installation.install(ssh, host, cargo)
+        self.reached_from[host.name] = ssh.get_extra_info("sockname")[0]
+
+    def _folder(self, name: str) -> str:
+        return posixpath.join(self.installed[name].folder, "runs", self.run, name)
+
+    def _place(self, name: str) -> dict[str, Any]:
+        """All that is needed to find the run on this host again."""
+        reach = asdict(self.hosts[name])
+        reach |= {key: str(Path(reach[key]).expanduser().resolve()) for key in ("key", "known_hosts") if reach[key]}
+        nodes = [node for node, host in self.placed.items() if host == name]
+        nodes += [ROUTER] if self.told.router_on == name else []
+        return {
+            "reach": reach | {"nodes": [], "roles": []},
+            "run_folder": self._folder(name),
+            "python": self.installed[name].python,
+            "release": self.installed[name].release,
+            "nodes": nodes,
+        }
+
+    async def _start_warden(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
+        installed = self.installed[host.name]
+        words = ["env", f"PYTHONPATH={installed.release}", installed.python, "-m", "mast_zenoh.deploy.ssh.warden"]
+        patience_s = self.told.patience_s + _LATER_S
+        await connection.run(ssh, host, [*words, self._folder(host.name), str(patience_s)])
+
+    def _attach(self) -> None:
+        for name, host in self.hosts.items():
+            command = attaching(self.launch.record["deployment"]["hosts"][name])
+            self.attachments[name] = Attachment(host, command, self.changed, self._log)
+            self.loop.begin(self.attachments[name].stay())
+
+    def _log(self, name: str, offset: int, piece: bytes) -> None:
+        """Called in the event loop. A host does not choose where we write."""
+        if posixpath.basename(name) != name:
+            return
+        path = self.launch.folder / "logs" / f"{name}.log"
+        with path.open("r+b" if path.exists() else "xb") as file:
+            file.seek(offset)
+            file.write(piece)
+
+    async def _bring_credentials(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
+        import asyncssh
+
+        deployment = self.launch.deployment
+        if deployment is None or deployment.folder is None:
+            return
+        there = posixpath.join(self._folder(host.name), "credentials")
+        try:
+            async with ssh.start_sftp_client() as sftp:
+                await make_folder(sftp, there)
+                for node in (node for node, on in self.placed.items() if on == host.name):
+                    own = deployment.of(node)
+                    assert own is not None
+                    await make_folder(sftp, posixpath.join(there, node))
+                    for file in own.iterdir():
+                        await write_file(sftp, posixpath.join(there, node, file.name), file.read_bytes())
+        except (asyncssh.Error, OSError) as error:
+            raise EngineError(f"{host.called}: {there}: {error}") from None
+
+    async def _reach_router(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
+        endpoint = self.endpoints[host.name]
+        address, _, port = endpoint.partition("/")[2].rpartition(":")
+        answer = await connection.ask(ssh, host, "reach", address.strip("[]"), port)
+        if answer["refused"]:
+            raise EngineError(
+                f"{host.called}: cannot reach the router at {endpoint}: {answer['refused']}; name an address that it "
+                "can reach, or a host for the router to be on, in hosts.toml (router.address, router.on)"
+            )
+
+    def _leave(self) -> None:
+        """Have every host end what still runs and remove its folder. Who is out of reach does so by itself."""
+        if not self.attachments:
+            self._attach()
+        there = [attachment for attachment in self.attachments.values() if not attachment.gone]
+        for attachment in there:
+            attachment.leave(grace_s=2.0)
+        for name, attachment in self.attachments.items():
+            self.launch.record["deployment"]["hosts"][name]["reattached"] = max(0, attachment.reattached)
+        deadline = time.monotonic() + _LEAVE_S
+        late = [a.host.called for a in there if not a.has_left(deadline - time.monotonic())]
+        if late:
+            self.launch.display.say(
+                f"[yellow]out of reach at the end: {', '.join(late)}: nothing is left there after "
+                f"{self.told.patience_s + _LATER_S:.0f} s, or `mast deploy down {self.launch.folder}`"
+            )
+
+    # -- the router ----------------------------------------------------------------------------------------------
+
+    def _route(self) -> zenoh.Session:
+        """The router, here or on its host, and the launcher's session with it."""
+        on, launch = self.told.router_on, self.launch
+        if on == LAUNCHER:
+            addresses = {n: self.told.address or self.reached_from[n] for n in self.hosts}
+        else:
+            addresses = dict.fromkeys(self.hosts, self.told.address or self.hosts[on].address)
+        port = self.told.port or _free_port()
+        self.endpoints = {n: levels.endpoint(launch.secure, f"tcp/{_spelt(a)}:{port}") for n, a in addresses.items()}
+        endpoints = list(dict.fromkeys(self.endpoints.values()))
+        launch.record["endpoint"] = endpoints[0]
+        nodes = launch.resolved.nodes
+        driver = next((name for name, spec in nodes.items() if spec.role == "simulator"), "")
+        wiring = Wiring.from_json(launch.resolved.wiring)
+        reached_by = levels.hosts(endpoints)
+        deployment = launch.deployment = self.stack.enter_context(
+            Deployment(launch.secure, self.run, wiring, nodes, prefix=prefix(self.run), driver=driver, hosts=reached_by)
+        )
+        if on != LAUNCHER:
+            return self.stack.enter_context(self._router_on(self.hosts[on], port, deployment, endpoints[0]))
+        if self.told.address and not _is_ours(self.told.address):  # such as that of a gateway which passes it on
+            endpoints = [levels.endpoint(launch.secure, f"tcp/0.0.0.0:{port}")]
+        try:
+            session, _ = open_router(*endpoints, security=deployment.router)
+        except (zenoh.ZError, OSError) as error:
+            raise EngineError(f"the router cannot listen at {', '.join(endpoints)}: {error} (router.port)") from None
+        return self.stack.enter_context(session)
+
+    def _router_on(self, host: Host, port: int, deployment: Deployment, endpoint: str) -> zenoh.Session:
+        attachment, listen = self.attachments[host.name], levels.endpoint(self.launch.secure, f"tcp/0.0.0.0:{port}")
+        argv = [*self._mast_node(host.name), "--router", "--listen", listen]
+        if deployment.router:
+            settings = posixpath.join(self._folder(host.name), _SETTINGS)
+            argv += ["--settings", settings]
+
+            async def settle(to: Host, ssh: asyncssh.SSHClientConnection) -> None:
+                if to is host:
+                    async with ssh.start_sftp_client() as sftp:
+                        await write_file(sftp, settings, json.dumps(deployment.router).encode())
+
+            self._on_all(settle)
+        start = attachment.tell("start", name=ROUTER, argv=argv, env=self._environment(host.name))
+
+        def ended() -> bool:
+            found = attachment.state(ROUTER, start)
+            return found is not None and found["exit"] is not None
+
+        log = self.launch.folder / "logs" / f"{ROUTER}.log"
+        self._until(lambda: ended() or (log.is_file() and b"router at" in log.read_bytes()), _ROUTER_S, lambda: "")
+        if ended():
+            lines = log.read_text(errors="replace").strip().splitlines() if log.is_file() else []
+            raise EngineError(f"{host.called}: the router did not start: {lines[-1] if lines else 'it said nothing'}")
+        return join(endpoint, deployment.launcher, _ROUTER_S, lambda: bool(self.launch.signals))
+
+    # -- nodes ---------------------------------------------------------------------------------------------------
+
+    def _command(self, node: str, name: str) -> tuple[Sequence[str], dict[str, str]]:
+        """What starts a node on its host, and in which environment."""
+        argv = [
+            *self._mast_node(name),
+            "--name",
+            node,
+            "--endpoint",
+            self.launch.detours.get(node, self.endpoints[name]),
+        ]
+        if self.launch.deployment is not None and self.launch.secure != "open":
+            argv += ["--credentials", posixpath.join(self._folder(name), "credentials", node)]
+        return argv, self._environment(name)
+
+    def _mast_node(self, name: str) -> list[str]:
+        patience = ["--patience", str(self.told.patience_s)]
+        return [self.installed[name].python, "-m", "mast_zenoh.runtime.elsewhere", "--run", self.run, *patience]
+
+    def _environment(self, name: str) -> dict[str, str]:
+        return {"PYTHONPATH": self.installed[name].release, **ENVIRONMENT, **arithmetic.environment()}
+
+    # -- waiting -------------------------------------------------------------------------------------------------
+
+    def _not_attached(self) -> str:
+        return "; ".join(a.trouble or a.host.called for a in self.attachments.values() if not a.attached)
+
+    def _until(self, condition: Callable[[], bool], seconds: float, who: Callable[[], str]) -> None:
+        deadline = time.monotonic() + seconds
+        with self.changed:
+            while not condition():
+                if self.launch.signals:
+                    raise Interrupted("stopped by Ctrl-C or SIGTERM")
+                if time.monotonic() > deadline:
+                    raise EngineError(f"not ready within {seconds:.0f} s: {who()}")
+                self.changed.wait(0.1)
+
+
+def _spelt(address: str) -> str:
+    return f"[{address}]" if ":" in address else address
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _is_ours(address: str) -> bool:
+    """Whether this machine can listen there."""
+    try:
+        found = socket.getaddrinfo(address, 0, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, where = found[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.bind(where)
+    except OSError:
+        return False
+    return True

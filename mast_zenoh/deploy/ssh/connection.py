@@ -1,0 +1,189 @@
+"""SSH to a host: what goes wrong in words; programs, files. The event loop has a thread of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import contextlib
+import json
+import os
+import shlex
+import threading
+from collections.abc import AsyncIterator, Coroutine, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from mast_zenoh.deploy.ssh import onhost
+from mast_zenoh.deploy.ssh.hostsfile import Host
+from mast_zenoh.errors import EngineError, Interrupted
+
+if TYPE_CHECKING:
+    import asyncssh
+
+T = TypeVar("T")
+
+_CONNECT_S = 10.0
+_LOGIN_S = 30.0
+_PROGRAM_S = 300.0
+_KEEPALIVE_S = 3.0  # three of them without an answer: the connection is lost
+_POLL_S = 0.05
+
+
+class Loop:
+    """An event loop in a thread, and who waits for what is done there: a context.
+
+    signals: those that have come; one more ends the waiting
+    """
+
+    def __init__(self, signals: Sequence[int] = ()) -> None:
+        self._signals = signals
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="ssh", daemon=True)
+
+    def __enter__(self) -> Loop:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        asyncio.run_coroutine_threadsafe(self._cancel_all(), self._loop).result()
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    async def _cancel_all(self) -> None:
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
+        await asyncio.gather(*others, return_exceptions=True)
+
+    def begin(self, coroutine: Coroutine[Any, Any, T]) -> concurrent.futures.Future[T]:
+        """Have something done there; a cancelled future cancels it."""
+        return asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+
+    def run(self, coroutine: Coroutine[Any, Any, T], *, whole: bool = False) -> T:
+        """Have something done there, and wait for it. Raises Interrupted when a signal comes meanwhile.
+
+        whole: what must not be half done is finished before
+        """
+        before, future = len(self._signals), self.begin(coroutine)
+        while True:
+            with contextlib.suppress(concurrent.futures.TimeoutError):
+                return future.result(_POLL_S)
+            if future.done():
+                return future.result()  # its own TimeoutError
+            if len(self._signals) > before:
+                if whole:
+                    future.result()
+                future.cancel()
+                raise Interrupted("stopped by Ctrl-C or SIGTERM")
+
+
+async def together(*coroutines: Coroutine[Any, Any, T]) -> list[T]:
+    """All at the same time; the first error is raised when all are done, so that nothing is half done."""
+    results = await asyncio.gather(*coroutines, return_exceptions=True)
+    for result in results:
+        if isinstance(result, BaseException):
+            raise result
+    return [result for result in results if not isinstance(result, BaseException)]
+
+
+@contextlib.asynccontextmanager
+async def connected(host: Host) -> AsyncIterator[asyncssh.SSHClientConnection]:
+    """A connection; its host key is one that is known, or EngineError says what is wrong, as for all else."""
+    try:
+        import asyncssh
+    except ImportError:
+        raise EngineError("asyncssh is not installed: pip install 'mast-zenoh[deploy]'") from None
+    known_hosts = Path(host.known_hosts).expanduser()
+    key = Path(host.key).expanduser() if host.key else None
+    for what, file in (("known_hosts", known_hosts), ("key", key)):
+        if file is not None and not os.access(file, os.R_OK):
+            raise EngineError(f"{host.called}: {what}: {file} is missing or cannot be read")
+    options: dict[str, Any] = {"client_keys": [str(key)], "agent_path": None} if key else {}
+    options |= {"username": host.user} if host.user else {}
+    try:
+        connection = await asyncssh.connect(
+            host.address,
+            host.port,
+            known_hosts=str(known_hosts),
+            config=None,
+            preferred_auth="publickey",
+            connect_timeout=_CONNECT_S,
+            login_timeout=_LOGIN_S,
+            keepalive_interval=_KEEPALIVE_S,
+            keepalive_count_max=3,
+            **options,
+        )
+    except (asyncssh.Error, OSError, ValueError, TimeoutError) as error:
+        raise EngineError(f"{host.called}: {_why(error, known_hosts, key)}") from None
+    try:
+        yield connection
+    finally:
+        connection.abort()
+
+
+def _why(error: BaseException, known_hosts: Path, key: Path | None) -> str:
+    import asyncssh
+
+    if isinstance(error, asyncssh.HostKeyNotVerifiable):
+        return (
+            f"its host key is not the one in {known_hosts} ({error.reason}): somebody else may answer there, or it is "
+            "new; compare its fingerprint (ssh-keygen -lf on the host), then add what ssh-keyscan says"
+        )
+    if isinstance(error, asyncssh.PermissionDenied):
+        return f"does not let us in with {key or 'any key of the agent or of ~/.ssh'}: put the public key there"
+    if isinstance(error, (asyncssh.KeyImportError, asyncssh.KeyEncryptionError)):
+        return f"key: {key}: {error}; a key with a passphrase belongs into the SSH agent"
+    if isinstance(error, TimeoutError):
+        return f"out of reach: no answer within {_CONNECT_S:.0f} s"
+    return f"out of reach: {getattr(error, 'strerror', None) or error or type(error).__name__}"
+
+
+async def run(
+    ssh: asyncssh.SSHClientConnection, host: Host, words: Sequence[str], given: str = "", seconds: float = _PROGRAM_S
+) -> str:
+    """What a program there says on standard output; raises EngineError when it fails."""
+    import asyncssh
+
+    try:
+        done = await ssh.run(shlex.join(words), input=given, timeout=seconds, errors="replace")
+    except (asyncssh.Error, OSError) as error:
+        raise EngineError(f"{host.called}: {words[0]}: {error or type(error).__name__}") from None
+    if done.exit_status == 127:
+        raise EngineError(f"{host.called}: there is no {words[0]}: install it, or name another in hosts.toml (python)")
+    if done.exit_status:
+        lines = str(done.stderr).strip().splitlines() or [f"exit code {done.exit_status}"]
+        raise EngineError(f"{host.called}: {lines[-1]}")
+    return str(done.stdout)
+
+
+async def heard(process: asyncssh.SSHClientProcess[str]) -> AsyncIterator[dict[str, Any]]:
+    """The lines of JSON that a process writes; one that a lost connection has cut off does not count."""
+    async for line in process.stdout:
+        if line.endswith("\n"):
+            yield json.loads(line)
+
+
+async def ask(ssh: asyncssh.SSHClientConnection, host: Host, *words: str) -> dict[str, Any]:
+    """What `onhost` says there. Raises EngineError."""
+    said = await run(ssh, host, [host.python, "-", *words], Path(onhost.__file__).read_text(encoding="utf-8"))
+    try:
+        answer: dict[str, Any] = json.loads(said.strip().rpartition("\n")[2])
+    except ValueError:
+        raise EngineError(f"{host.called}: {host.python} said {said.strip()[-200:]!r}, expected JSON") from None
+    return answer
+
+
+async def make_folder(sftp: asyncssh.SFTPClient, path: str) -> None:
+    """A new folder that nobody else may enter."""
+    import asyncssh
+
+    await sftp.mkdir(path, asyncssh.SFTPAttrs(permissions=0o700))
+
+
+async def write_file(sftp: asyncssh.SFTPClient, path: str, content: bytes) -> None:
+    """A new file that nobody else may read, from its first byte on."""
+    import asyncssh
+
+    async with sftp.open(path, "xb", asyncssh.SFTPAttrs(permissions=0o600)) as file:
+        await file.write(content)

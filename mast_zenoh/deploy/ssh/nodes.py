@@ -1,0 +1,142 @@
+"""The nodes of a run on hosts that are reached by SSH: the hosts' wardens start, watch, pause, kill and end them."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.deploy.ssh.attachment import Attachment
+from mast_zenoh.errors import EngineError
+from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.scenario import NodeSpec
+
+#: From a command to its answer: a lost connection must have come back by then.
+_ANSWER_S = 30.0
+
+#: From SIGTERM to SIGKILL: a node hands in what it has, over a network.
+_GRACE_S = 5.0
+
+
+class RemoteNode(Child):
+    """A node's process on a host; see Child. start: id of the command that has started it last."""
+
+    def __init__(self, name: str, spec: NodeSpec, attachment: Attachment) -> None:
+        super().__init__(name, spec)
+        self.attachment = attachment
+        self.start = ""
+
+    @property
+    def exit(self) -> int | None:
+        """See Child. Whose host has lost its supervisor has ended with it."""
+        found = self.attachment.state(self.name, self.start)
+        if found is not None and found["exit"] is not None:
+            code: int = found["exit"]
+            return code
+        return -int(signal.SIGKILL) if self.attachment.gone else None
+
+    def where(self) -> dict[str, Any]:
+        """See Child."""
+        found = self.attachment.state(self.name, self.start)
+        return {"host": self.attachment.host.name, "pid": found["pid"] if found else None}
+
+
+class RemoteNodes(Supervisor):
+    """The nodes of a run on all its hosts.
+
+    attachments: by host; placed: the host of each node; a node that comes later goes to the first
+    command: of a node, as its host runs it: words, and environment
+    logs: folder for what they say; changed: notified by the attachments
+    """
+
+    def __init__(
+        self,
+        attachments: Mapping[str, Attachment],
+        placed: Mapping[str, str],
+        command: Callable[[str, str], tuple[Sequence[str], dict[str, str]]],
+        logs: Path,
+        changed: threading.Condition,
+    ) -> None:
+        super().__init__()
+        self._logs = logs
+        self._attachments = attachments
+        self._placed = placed
+        self._command = command
+        self._changed = changed
+
+    def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
+        """See Supervisor; waits until the hosts have started them."""
+        super().start_all(specs, without)
+        deadline = time.monotonic() + _ANSWER_S
+        for name in specs:
+            child = self.children[name]
+            assert isinstance(child, RemoteNode)
+            child.attachment.answer(child.start, max(0.0, deadline - time.monotonic()))
+
+    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
+        """See Supervisor; does not wait for the host."""
+        child = RemoteNode(name, spec, self._attachments[self._placed.get(name, next(iter(self._attachments)))])
+        self.children[name] = child
+        (self._logs / f"{name}.log").touch()
+        self._start_again(child, without)
+
+    def _start_again(self, child: Child, without: Iterable[str]) -> None:
+        assert isinstance(child, RemoteNode)
+        self.without[child.name] = sorted(without)
+        argv, env = self._command(child.name, child.attachment.host.name)
+        child.start = child.attachment.tell("start", name=child.name, argv=list(argv), env=env)
+
+    def end_now(self, child: Child) -> None:
+        """See Supervisor. Raises EngineError when the host does not answer."""
+        self._signal([child], signal.SIGKILL)
+        if not self.wait(child, _ANSWER_S):
+            raise EngineError(f"{child.name} does not end")
+
+    def pause(self, child: Child) -> None:
+        """See Supervisor."""
+        child.paused = True
+        self._signal([child], signal.SIGSTOP)
+
+    def resume(self, children: Iterable[Child]) -> None:
+        """See Supervisor."""
+        paused = [child for child in children if child.paused]
+        for child in paused:
+            child.paused = False
+        self._signal(paused, signal.SIGCONT)
+
+    def wait(self, child: Child, seconds: float) -> bool:
+        """See Supervisor."""
+        with self._changed:
+            return self._changed.wait_for(lambda: child.exit is not None, seconds)
+
+    def let_go(self, child: Child) -> None:
+        """See Supervisor. Its host keeps nothing of it but its log."""
+
+    def end(self, grace_s: float) -> None:
+        """See Supervisor. What a host that is out of reach still runs ends by itself, and is noted."""
+        asked = {}
+        for child in self.running():
+            assert isinstance(child, RemoteNode)
+            child.notes.append("told to leave by SIGTERM")
+            if child.attachment not in asked:
+                asked[child.attachment] = child.attachment.tell("end", grace_s=max(grace_s, _GRACE_S))
+        deadline = time.monotonic() + max(grace_s, _GRACE_S) * 2
+        for attachment, which in asked.items():
+            attachment.answer(which, max(0.0, deadline - time.monotonic()))
+        for child in self.running():
+            assert isinstance(child, RemoteNode)
+            child.notes.append(f"{child.attachment.host.called} is out of reach")
+
+    def _signal(self, children: Sequence[Child], number: int) -> None:
+        """Send a signal, and wait until the hosts have done so. Raises EngineError when one does not answer."""
+        named: dict[Attachment, list[str]] = {}
+        for child in children:
+            assert isinstance(child, RemoteNode)
+            named.setdefault(child.attachment, []).append(child.name)
+        asked = {a: a.tell("signal", names=names, number=int(number)) for a, names in named.items()}
+        for attachment, which in asked.items():
+            if attachment.answer(which, _ANSWER_S) is None and not attachment.gone:
+                raise EngineError(f"{attachment.host.called}: has not answered within {_ANSWER_S:.0f} s")

@@ -1,0 +1,196 @@
+"""`mast deploy up --engine swarm`: the nodes of a run as services, which Docker places on the machines of a swarm."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from mast_zenoh.deploy import arithmetic, credentials
+from mast_zenoh.deploy import docker as dockerd
+from mast_zenoh.deploy import image as images
+from mast_zenoh.deploy.docker import docker
+from mast_zenoh.deploy.joining import join
+from mast_zenoh.deploy.swarm import document, placement, tasks
+from mast_zenoh.deploy.swarm import stack as stacks
+from mast_zenoh.deploy.swarm.services import Services, keep_log
+from mast_zenoh.errors import EngineError
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.engine import Engine
+from mast_zenoh.launch.local import Launch
+from mast_zenoh.launch.supervisor import Supervisor
+from mast_zenoh.runtime.timetable import Timetable
+from mast_zenoh.scenario import Resolved
+from mast_zenoh.security import levels
+
+_ROUTER_S = 90.0  # for the router to come up
+
+
+class Swarm(Engine):
+    """Services of the swarm that this machine manages.
+
+    image:      that they are made from; see `image.build`
+    patience_s: how long they stay when the launcher or the router has gone, s: Docker starts the router again
+    place:      by pattern of nodes' names, the value of the label `mast.host` of the machine that they are to be on;
+                Docker spreads the others
+    """
+
+    name = "swarm"
+
+    def __init__(
+        self, image: str = images.TAG, patience_s: float = 30.0, place: Mapping[str, str] | None = None
+    ) -> None:
+        self.image = image
+        self.patience_s = patience_s
+        self.place = dict(place or {})
+
+    def check(self, resolved: Resolved, secure: str) -> None:
+        """See Engine."""
+        dockerd.check()
+        check_here()
+        check_manager()
+        images.check(self.image)
+        document.check_names(resolved)
+        place = placement.resolve(self.place, resolved.nodes)
+        placement.check(placement.machines(), place, placement.pinned(resolved.steps))
+
+    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
+        """See Engine."""
+        run, folder, resolved = launch.record["id"], launch.folder, launch.resolved
+        name = document.stack(run)
+        launch.record["deployment"] = {"engine": self.name, "image": self.image, "stack": name}
+        run_folder.write_json(folder / "run.json", launch.record)
+        stack.callback(self.down, folder, launch.record)
+        deployment = launch.deployment = stack.enter_context(credentials.deployment(launch))
+        if deployment.folder is not None:
+            check_size(credentials.write_settings(deployment.folder, deployment.router))
+        here, port = placement.machines()[0], _free_port()
+        content = document.text(
+            resolved,
+            run,
+            image=reference(self.image),
+            port=port,
+            here=here.id,
+            secure=launch.secure,
+            place=placement.resolve(self.place, resolved.nodes),
+            pinned=placement.pinned(resolved.steps),
+            absent=Timetable(resolved, lockstep=resolved.mode == "lockstep").absent,
+            environment=arithmetic.environment(),
+            patience_s=self.patience_s,
+        )
+        (folder / document.FILE).write_text(content, encoding="utf-8")
+        docker("stack", "deploy", "--compose-file", str(folder / document.FILE), *_at_once(), name)
+        stack.callback(keep_log, document.service(run, document.ROUTER), folder / "logs" / f"{document.ROUTER}.log")
+        deployment.close()  # from now on the swarm keeps the keys, until the stack is removed
+        endpoint = launch.record["endpoint"] = levels.endpoint(launch.secure, f"tcp/127.0.0.1:{port}")
+        try:
+            session = join(endpoint, deployment.launcher, _ROUTER_S, lambda: launch.signals)
+        except EngineError as error:
+            said = [task.error for task in tasks.of(name).get(document.ROUTER, []) if task.error]
+            raise EngineError(f"{error}{f'; Docker says: {said[0]}' if said else ''}") from None
+        logs = folder / "logs"
+        supervisor = Services(name, lambda node: document.service(run, node), here.name, logs, resolved.mode)
+        return stack.enter_context(session), supervisor
+
+    @classmethod
+    def status(cls, folder: Path, record: dict[str, Any]) -> list[dict[str, str]]:
+        """See Engine."""
+        found = tasks.of(record["deployment"]["stack"])
+        return [
+            {"node": node, "state": f"{of[0].state} {of[0].error}".strip(), "where": of[0].machine}
+            for node, of in sorted(found.items())
+        ]
+
+    @classmethod
+    def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
+        """See Engine. What a stack has said that is gone is in the run folder."""
+        there = tasks.of(record["deployment"]["stack"])
+        names = [node] if node else sorted({*there, *(path.stem for path in (folder / "logs").glob("*.log"))})
+        if follow and node in there:
+            words = ["docker", "service", "logs", "--raw", "--follow", document.service(record["id"], node)]
+            subprocess.run(words, check=False, stdin=subprocess.DEVNULL)
+            return
+        for name in names:
+            path = folder / "logs" / f"{name}.log"
+            lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
+            if name in there:
+                told = ["docker", "service", "logs", "--raw", document.service(record["id"], name)]
+                done = subprocess.run(
+                    told, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60
+                )
+                lines = done.stdout.splitlines()
+            sys.stdout.writelines(f"{name}  {line}\n" for line in lines)
+
+    @classmethod
+    def down(cls, folder: Path, record: dict[str, Any]) -> None:
+        """See Engine."""
+        shutil.rmtree(folder / document.CREDENTIALS, ignore_errors=True)
+        stacks.remove(record["deployment"]["stack"])
+
+
+def check_here(ours: Mapping[str, str] = os.environ) -> None:
+    """Raise EngineError when the engine that we speak to is another machine's: the router would be there."""
+    where = ours.get("DOCKER_HOST", "")
+    if where and not where.startswith(("unix://", "npipe://")):
+        raise EngineError(f"DOCKER_HOST is {where}: expected the engine of this machine; start the run on that one")
+
+
+def check_manager() -> None:
+    """Raise EngineError when this machine manages no swarm."""
+    state, _, manages = docker("info", "--format", "{{.Swarm.LocalNodeState}} {{.Swarm.ControlAvailable}}").partition(
+        " "
+    )
+    if state == "inactive":
+        raise EngineError(
+            "this machine is in no swarm: make one by `docker swarm init --advertise-addr 127.0.0.1`, or with an "
+            "address that other machines reach"
+        )
+    if state != "active":
+        raise EngineError(f"the swarm of this machine is {state}: expected active; see `docker info`")
+    if manages.strip() != "true":
+        raise EngineError(
+            "this machine is a worker of its swarm: start the run on a manager, or `docker node promote` it"
+        )
+
+
+def reference(image: str) -> str:
+    """What stands for this very image on every machine: its digest where a registry has it, else its id.
+
+    By its name alone, every machine would ask a registry for it.
+    """
+    digests, _, identity = docker("image", "inspect", "--format", "{{json .RepoDigests}}\t{{.Id}}", image).partition(
+        "\t"
+    )
+    known = json.loads(digests)
+    return str(known[0]) if known else identity.strip()
+
+
+def check_size(settings: Path) -> None:
+    """Raise EngineError for settings of a router that no swarm keeps: they are a secret, and grow with the wiring."""
+    if (found := settings.stat().st_size) > document.LARGEST_SECRET:
+        raise EngineError(
+            f"the router's settings, with the rights of all nodes, are {found} bytes: a secret of a swarm is at most "
+            f"{document.LARGEST_SECRET}; the security level mtls needs no rights, fewer nodes need fewer"
+        )
+
+
+def _free_port() -> int:
+    """A port of this machine that nobody listens at."""
+    with socket.socket() as found:
+        found.bind(("", 0))
+        return int(found.getsockname()[1])
+
+
+def _at_once() -> list[str]:
+    """Have `docker stack deploy` not wait, where it would, and not ask a registry."""
+    client = docker("version", "--format", "{{.Client.Version}}").partition(".")[0]
+    return ["--resolve-image", "never", *(["--detach=true"] if client.isdigit() and int(client) >= 26 else [])]

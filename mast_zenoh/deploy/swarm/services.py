@@ -1,0 +1,305 @@
+"""The nodes of a run as services of a swarm, which are there already: Docker starts them, and starts them again.
+
+A service has one task at a time. When a task has failed and Docker makes another, the node has ended once more and
+goes on at once; what the scenario does itself, it does by scaling the service, between 0 and 1.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.deploy.docker import docker
+from mast_zenoh.deploy.swarm import tasks
+from mast_zenoh.deploy.swarm.document import ROUTER, STOP_GRACE_S, router_exit
+from mast_zenoh.deploy.swarm.tasks import Task
+from mast_zenoh.errors import EngineError
+from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
+from mast_zenoh.scenario import NodeSpec
+
+_LOOK_EVERY_S = 0.5
+_AT_A_TIME = 4  # commands to the engine
+_CHANGED_S = 60.0  # for Docker to carry out what it was told, at most
+_UNPLACED_S = 30.0  # for Docker to find a machine for a node, at most
+_SILENT_S = 30.0  # without a word of Docker, at most
+_ROUTERLESS_S = 5.0  # from the router's end to another task for it, where Docker makes one
+_LOG_S = 30.0
+
+
+class Service(Child):
+    """A node's service; see Child.
+
+    tasks: all that there are of it, the newest first;  over: ids of those whose end has been dealt with
+    """
+
+    def __init__(self, name: str, spec: NodeSpec, service: str) -> None:
+        super().__init__(name, spec)
+        self.service = service
+        self.tasks: list[Task] = []
+        self.over: set[str] = set()
+        self.scaled = 1
+        self.last: int | None = None  # how it ended, where no task says so any more
+        self.waits_since: float | None = None  # for a machine, on the monotonic clock
+
+    @property
+    def task(self) -> Task | None:
+        """The task that it is about: of those whose end has not been dealt with, the first."""
+        return next((task for task in reversed(self.tasks) if task.id not in self.over), None)
+
+    @property
+    def exit(self) -> int | None:
+        """See Child."""
+        return self.last if self.task is None else self.task.exit
+
+    @property
+    def ended(self) -> str:
+        """See Child; Docker says more than a code where it could not start it."""
+        return f"{super().ended}: {self.task.refused}" if self.task and self.task.refused else super().ended
+
+    def where(self) -> dict[str, Any]:
+        """See Child."""
+        return {"service": self.service, "host": next((task.machine for task in self.tasks if task.machine), None)}
+
+    def container(self) -> str:
+        """The name of the container that it runs in now; raises EngineError when there is none."""
+        if self.task is None:
+            raise EngineError(f"{self.name}: Docker has no task for the service {self.service}")
+        return f"{self.service}.1.{self.task.id}"
+
+
+class Services(Supervisor):
+    """The services of one stack.
+
+    service: a node's service's name;  here: what the swarm calls this machine
+    logs:    folder for what the nodes say
+    mode:    of the run: in lock-step it does not survive its router
+    """
+
+    def __init__(self, stack: str, service: Callable[[str], str], here: str, logs: Path, mode: str) -> None:
+        super().__init__()
+        self._stack = stack
+        self._service = service
+        self._here = here
+        self._logs = logs
+        self._router_returns = router_exit(mode) == "restart"
+        self._router: Task | None = None
+        self._routerless_since: float | None = None
+        self._kept: set[str] = set()
+        self._looked = float("-inf")  # when Docker has answered last
+
+    def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
+        """See Supervisor. Raises EngineError for a node that is not in the stack."""
+        child = self._child(name, spec, without)
+        if not docker("service", "inspect", "--format", "{{.ID}}", child.service, check=False).strip():
+            del self.children[name]
+            raise EngineError(f"{name}: the stack {self._stack} has no such service, and gets none while it runs")
+        self._scale(child, 1)
+
+    def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
+        """See Supervisor: they came with the stack, and were waiting for the launcher."""
+        for name, spec in specs.items():
+            self._child(name, spec, without)
+
+    def _child(self, name: str, spec: NodeSpec, without: Iterable[str]) -> Service:
+        self.without[name] = sorted(without)
+        self.children[name] = child = Service(name, spec, self._service(name))
+        (self._logs / f"{name}.log").touch()
+        return child
+
+    def _start_again(self, child: Child, without: Iterable[str]) -> None:
+        assert isinstance(child, Service)
+        self.without[child.name] = sorted(without)
+        task = child.task
+        self._keep_logs([child])
+        if task is not None and task.exit and child.spec.on_exit == "restart" and child.scaled:
+            child.over.add(task.id)  # Docker has made another, or will
+        else:
+            self._scale(child, 0)
+            self._until_gone(child)
+            child.over |= {each.id for each in child.tasks}
+            self._scale(child, 1)
+        child.last = child.waits_since = None
+
+    def end_now(self, child: Child) -> None:
+        """See Supervisor."""
+        assert isinstance(child, Service)
+        self.resume([child])  # who stands still cannot be killed
+        self._look()
+        if child.exit is None:
+            container = self._container(child, "killed")
+            self._keep_logs([child])
+            docker("kill", container)
+        child.last = -9 if child.exit is None else child.exit
+        self._scale(child, 0)  # or Docker would start it again
+        self._until_gone(child)
+
+    def pause(self, child: Child) -> None:
+        """See Supervisor."""
+        assert isinstance(child, Service)
+        docker("pause", self._container(child, "paused"))
+        child.paused = True
+
+    def resume(self, children: Iterable[Child]) -> None:
+        """See Supervisor."""
+        for child in children:
+            assert isinstance(child, Service)
+            if child.paused:
+                child.paused = False
+                docker("unpause", child.container(), check=False)
+
+    def wait(self, child: Child, seconds: float) -> bool:
+        """See Supervisor."""
+        deadline = time.monotonic() + seconds
+        while child.exit is None and time.monotonic() < deadline:
+            threading.Event().wait(0.1)
+            self._look(_LOOK_EVERY_S)
+        return child.exit is not None
+
+    def let_go(self, child: Child) -> None:
+        """See Supervisor."""
+        assert isinstance(child, Service)
+        self._keep_logs([child])
+
+    def running(self) -> list[Child]:
+        """See Supervisor. Raises EngineError when Docker finds no machine for one, or the router has ended for good."""
+        self._look(_LOOK_EVERY_S)
+        self._check_router()
+        for child in self.children.values():
+            assert isinstance(child, Service)
+            task = child.task
+            if child.exit is not None or (task is not None and not task.waits):
+                child.waits_since = None
+            elif child.waits_since is None:
+                child.waits_since = time.monotonic()
+            elif time.monotonic() - child.waits_since > _UNPLACED_S:
+                why = task.error if task else "it has made no task of it"
+                raise EngineError(f"{child.name}: Docker has found no machine for it in {_UNPLACED_S:.0f} s: {why}")
+        return super().running()
+
+    def newly_ended(self) -> list[Child]:
+        """See Supervisor; what they have said is in their logs."""
+        ended = super().newly_ended()
+        self._keep_logs(ended)
+        return ended
+
+    def end(self, grace_s: float) -> None:
+        """End all: those that stand still go on; all are asked to leave. Who does not is killed with the stack."""
+        self._look()
+        running = self.running_now()
+        self.resume(running)
+        for child in running:
+            child.notes.append("told to leave by SIGTERM")
+        here = [child for child in running if child.task is not None and child.task.machine == self._here]
+        if here:  # their containers stay, and what they say last
+            docker("kill", "--signal", "TERM", *(child.container() for child in here), check=False)
+        if elsewhere := [child for child in running if child not in here]:
+            self._keep_logs(elsewhere)
+            self._scale_all(elsewhere, 0)
+        deadline = time.monotonic() + max(grace_s, STOP_GRACE_S)
+        while self.running_now() and time.monotonic() < deadline:
+            threading.Event().wait(0.1)
+            self._look(_LOOK_EVERY_S)
+        for child in self.running_now():
+            child.notes.append("told to leave by SIGKILL")
+            child.last = -9
+        self._keep_logs(self.children.values())
+
+    def running_now(self) -> list[Service]:
+        """Those that run, as it was seen last."""
+        return [child for child in self.children.values() if isinstance(child, Service) and child.exit is None]
+
+    def _look(self, every_s: float = 0.0) -> None:
+        """What Docker says of the tasks, unless it was asked just now."""
+        if time.monotonic() - self._looked < every_s:
+            return
+        try:
+            found = tasks.of(self._stack)
+        except EngineError:
+            if time.monotonic() - self._looked > _SILENT_S:
+                raise
+            return
+        self._looked = time.monotonic()
+        self._router = next(iter(found.get(ROUTER, ())), None)
+        for child in self.children.values():
+            assert isinstance(child, Service)
+            gone, child.tasks = child.task, found.get(child.name, [])
+            if gone is not None and child.task is None and child.last is None and not child.scaled:
+                child.last = gone.exit if gone.exit is not None else tasks.ASKED_TO_END
+
+    def _check_router(self) -> None:
+        router = self._router
+        if router is None or router.exit is None:
+            self._routerless_since = None
+            return
+        if self._routerless_since is None:
+            self._routerless_since = time.monotonic()
+        if not self._router_returns or time.monotonic() - self._routerless_since > _ROUTERLESS_S:
+            raise EngineError(
+                f"the router has ended: {router.refused or how_ended(router.exit)}; see logs/{ROUTER}.log"
+            )
+
+    def _scale(self, child: Service, to: int) -> None:
+        self._scale_all([child], to)
+
+    def _scale_all(self, children: Iterable[Service], to: int) -> None:
+        changed = [child for child in children if child.scaled != to or to]
+        for child in changed:
+            child.scaled = to
+        if changed:
+            docker("service", "scale", "--detach", *(f"{child.service}={to}" for child in changed))
+
+    def _until_gone(self, child: Service) -> None:
+        """Wait until Docker has forgotten its newest task: scaled up before, the service would get no other."""
+        deadline = time.monotonic() + _CHANGED_S
+        newest = {task.id for task in child.tasks[:1]}
+        while True:
+            self._look()
+            if not newest & {task.id for task in child.tasks} and all(task.exit is not None for task in child.tasks):
+                return
+            if time.monotonic() > deadline:
+                raise EngineError(f"{child.name}: the service {child.service} does not end")
+            threading.Event().wait(0.2)
+
+    def _container(self, child: Service, done: str) -> str:
+        machine = child.task.machine if child.task else ""
+        if machine != self._here:
+            where = f"it is on {machine}" if machine else "it is on no machine yet"
+            raise EngineError(f"{child.name} cannot be {done}: Docker does that on its own machine only, and {where}")
+        return child.container()
+
+    def _keep_logs(self, children: Iterable[Child]) -> None:
+        """Append what the tasks that they are about have said, to their logs: each task once."""
+        wanted = []
+        for child in children:
+            assert isinstance(child, Service)
+            if child.task is not None and child.task.id not in self._kept:
+                self._kept.add(child.task.id)
+                wanted.append((child.task.id, self._logs / f"{child.name}.log", child.task.refused))
+        if wanted:
+            with ThreadPoolExecutor(_AT_A_TIME) as pool:
+                list(pool.map(lambda each: keep_log(*each), wanted))
+
+
+def keep_log(task: str, path: Path, refused: str = "") -> None:
+    """Append what a task, or a service, has said to a file, and why Docker has not started it."""
+    with path.open("ab") as log:
+        if refused:
+            log.write(f"{refused}\n".encode())
+            return
+        try:
+            subprocess.run(
+                ["docker", "service", "logs", "--raw", task],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                check=False,
+                timeout=_LOG_S,
+                start_new_session=True,
+            )
+        except subprocess.TimeoutExpired:
+            log.write(b"(Docker has not given all of it)\n")

@@ -1,0 +1,133 @@
+"""Wheels for other hosts: this package as it is here, and what its nodes need, in the versions installed here."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import platform
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, distribution, version
+from pathlib import Path
+
+import mast_zenoh
+from mast_zenoh import bundle
+from mast_zenoh.errors import EngineError
+
+REQUIREMENTS = "node-requirements.txt"
+_PACKAGE = Path(mast_zenoh.__file__).resolve().parent
+_KINDS = ("nodes", "keyexpr_maps", "scenarios", "studies", "deploy")
+_SUFFIXES = (".py", ".j2", ".toml", ".txt", ".yml", ".json")
+_OLDEST = (1980, 1, 1, 0, 0, 0)  # that a zip file can say: the same content gives the same bytes
+
+
+def build(folder: Path) -> Path:
+    """This package as a wheel in a folder: from a checkout or an installation, without a build tool."""
+    name = f"mast_zenoh-{mast_zenoh.__version__}"
+    target = folder / f"{name}-py3-none-any.whl"
+    records = []
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+
+        def add(path: str, content: bytes) -> None:
+            entry = zipfile.ZipInfo(path, _OLDEST)
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, content, zipfile.ZIP_DEFLATED)
+            digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).rstrip(b"=").decode()
+            records.append(f"{path},sha256={digest},{len(content)}")
+
+        for path, file in sorted(_content()):
+            add(path, file.read_bytes())
+        for path, text in _metadata().items():
+            add(f"{name}.dist-info/{path}", text.encode())
+        records.append(f"{name}.dist-info/RECORD,,")
+        archive.writestr(zipfile.ZipInfo(f"{name}.dist-info/RECORD", _OLDEST), "\n".join(records) + "\n")
+    return target
+
+
+def requirements() -> list[str]:
+    """What a node needs besides, each as `name==version` of what is installed here."""
+    lines = (bundle.ROOT / "deploy" / REQUIREMENTS).read_text(encoding="utf-8").splitlines()
+    try:
+        return [f"{line}=={version(line)}" for line in lines if line and not line.startswith("#")]
+    except PackageNotFoundError as error:
+        raise EngineError(f"{error.name} is not installed here: run `pip install mast-zenoh`") from None
+
+
+def third_party(folder: Path, python: str = "", machine: str = "") -> list[Path]:
+    """The wheels of `requirements` in a folder; those that are there already are not downloaded again.
+
+    python: of the host that they are for, "3.12"; machine: its processor, as `uname -m` says; empty: as here
+
+    Raises EngineError when they cannot be had.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    missing = [wanted for wanted in requirements() if not _there(folder, wanted)]
+    if missing:
+        command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
+        command += ["--only-binary=:all:", "--dest", str(folder), *_for(python, machine), *missing]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+            raise EngineError(f"wheels for nodes cannot be had: {lines[-1]}; put them into {folder}")
+    return [wheel for wanted in requirements() for wheel in _there(folder, wanted)[:1]]
+
+
+def cache(python: str = "", machine: str = "") -> Path:
+    """Where wheels are kept between builds, by what they are for."""
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return home / "mast-zenoh" / "wheels" / f"{python or _here()}-{machine or platform.machine()}"
+
+
+def _there(folder: Path, wanted: str) -> list[Path]:
+    name, _, release = wanted.partition("==")
+    return sorted(folder.glob(f"{re.sub('[-_.]+', '_', name)}-{release}-*.whl"))
+
+
+def _here() -> str:
+    return f"{sys.version_info.major}.{sys.version_info.minor}"
+
+
+def _for(python: str, machine: str) -> Iterator[str]:
+    """pip's options for wheels of another interpreter or processor than this one."""
+    python, machine = python or _here(), machine or platform.machine()
+    if (python, machine) == (_here(), platform.machine()):
+        return
+    tag = f"cp{python.replace('.', '')}"
+    yield from ("--python-version", python, "--implementation", "cp", "--abi", tag, "--abi", "abi3", "--abi", "none")
+    for glibc in range(36, 16, -1):
+        yield from ("--platform", f"manylinux_2_{glibc}_{machine}")
+    yield from ("--platform", f"manylinux2014_{machine}")
+
+
+def _content() -> Iterator[tuple[str, Path]]:
+    for path in _PACKAGE.rglob("*"):
+        name = path.relative_to(_PACKAGE)
+        if path.is_file() and name.parts[0] != "bundled" and path.suffix in _SUFFIXES:
+            yield f"mast_zenoh/{name.as_posix()}", path
+    for kind in _KINDS:
+        for path in (bundle.ROOT / kind).rglob("*"):
+            if path.is_file() and (path.suffix in _SUFFIXES or path.name == "Dockerfile"):
+                yield f"mast_zenoh/bundled/{path.relative_to(bundle.ROOT).as_posix()}", path
+
+
+def _metadata() -> dict[str, str]:
+    """The files of the dist-info but RECORD: from a checkout's pyproject.toml, else from what is installed."""
+    wheel = "Wheel-Version: 1.0\nGenerator: mast-zenoh\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+    project = bundle.ROOT / "pyproject.toml"
+    if not project.is_file():
+        installed = distribution("mast-zenoh")
+        texts = {name: installed.read_text(name) or "" for name in ("METADATA", "entry_points.txt")}
+        return texts | {"WHEEL": wheel}
+    told = tomllib.loads(project.read_text(encoding="utf-8"))["project"]
+    lines = ["Metadata-Version: 2.1", f"Name: {told['name']}", f"Version: {told['version']}"]
+    lines += [
+        f"Requires-Python: {told['requires-python']}",
+        *(f"Requires-Dist: {each}" for each in told["dependencies"]),
+    ]
+    scripts = "".join(f"{name} = {target}\n" for name, target in told["scripts"].items())
+    return {"METADATA": "\n".join(lines) + "\n", "entry_points.txt": f"[console_scripts]\n{scripts}", "WHEEL": wheel}

@@ -1,0 +1,65 @@
+"""What several commands of the command line share: options, the two consoles, how a run is concluded."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+from typer.core import TyperCommand
+
+from mast_zenoh.security import levels
+
+if TYPE_CHECKING:
+    from mast_zenoh.launch.local import Run
+
+out = Console(soft_wrap=True)
+err = Console(stderr=True, soft_wrap=True)
+
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")
+]
+Scenario = Annotated[
+    str, typer.Argument(help="A scenario file, or the name of one of ours: baseline, uncoordinated, …")
+]
+Out = Annotated[Path | None, typer.Option(help="Folder for the results; new or empty. Default: runs/NAME-TIME.")]
+Frames = Annotated[int | None, typer.Option(min=1, help="How many frames to play.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Of all random draws.")]
+Secure = Annotated[
+    Literal["open", "tls", "mtls", "acl"],
+    typer.Option("--secure", metavar="[LEVEL]", help="Secure the mesh: tls, mtls, or acl, which is meant without one."),
+]
+Mode = Annotated[Literal["lockstep", "realtime"] | None, typer.Option(help="Exact, or paced by the clock.")]
+Rate = Annotated[float | None, typer.Option(help="Real time: how many times faster than the wall clock.")]
+Report = Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")]
+Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
+
+
+class SecureCommand(TyperCommand):
+    """A command whose option `--secure` may stand alone."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put in the level that was left out."""
+        spelt = list(args)
+        for index, (word, following) in enumerate(pairwise([*args, ""])):
+            if word == "--secure" and following not in levels.LEVELS:
+                spelt[index] = f"--secure={levels.SECURE}"
+        return super().parse_args(ctx, spelt)
+
+
+def conclude(ended: Run, *, report: bool) -> None:
+    """Show what a run has found, and raise what it failed by."""
+    from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
+
+    if (ended.folder / "metrics.json").is_file():
+        terminal.show(out, {ended.record["name"]: ended.folder})
+    if report:
+        out.print(f"report: {html.write_report(ended.folder)}", highlight=False)
+    else:
+        out.print(f"run folder: {ended.folder}", highlight=False)
+    if ended.record["message"] and not ended.error:
+        out.print(f"[yellow]note: {ended.record['message']}", highlight=False)
+    if ended.error:
+        raise ended.error

@@ -1,0 +1,87 @@
+"""An engine whose nodes live elsewhere as processes beside the launcher: they have nothing of it but the mesh."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from mast_zenoh.launch.engine import Engine
+from mast_zenoh.launch.local import Launch
+from mast_zenoh.launch.processes import Processes
+from mast_zenoh.launch.supervisor import Supervisor
+from mast_zenoh.runtime.mesh import prefix
+from mast_zenoh.runtime.session import open_router
+from mast_zenoh.scenario import NodeSpec, Resolved
+from mast_zenoh.security import levels
+from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.wiring import Wiring
+
+
+class BesideProcesses(Processes):
+    """Processes of mast-node; `code` is run in each before."""
+
+    def __init__(self, *arguments: Any, code: str = "", patience_s: float = 10.0, **more: Any) -> None:
+        super().__init__(*arguments, **more)
+        self.code = code
+        self.patience_s = patience_s
+
+    def command(self, name: str, spec: NodeSpec) -> list[str]:
+        code = f"from mast_zenoh.runtime import elsewhere\n{self.code}\nelsewhere.main()"
+        words = ["--name", name, "--run", self.run, "--endpoint", self.endpoint, "--patience", str(self.patience_s)]
+        return [sys.executable, "-c", code, *words, *self.told(name), *self.inside(name)]
+
+
+class Beside(Engine):
+    """code: by node, Python that runs in its process before it is a node."""
+
+    name = "beside"
+
+    def __init__(self, code: Mapping[str, str] | None = None, patience_s: float = 10.0) -> None:
+        self.code = "".join(f"if {name!r} in __import__('sys').argv: {line}\n" for name, line in (code or {}).items())
+        self.patience_s = patience_s
+
+    def check(self, resolved: Resolved, secure: str) -> None:
+        pass
+
+    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
+        run, nodes = launch.record["id"], launch.resolved.nodes
+        driver = next(name for name, spec in nodes.items() if spec.role == "simulator")
+        launch.deployment = stack.enter_context(
+            Deployment(
+                launch.secure,
+                run,
+                Wiring.from_json(launch.resolved.wiring),
+                nodes,
+                prefix=prefix(run),
+                driver=driver,
+                hosts=["127.0.0.1"],
+            )
+        )
+        listen = levels.endpoint(launch.secure, "tcp/127.0.0.1:0")
+        session, launch.record["endpoint"] = open_router(listen, security=launch.deployment.router)
+        launch.record["deployment"] = {"engine": self.name}
+        return stack.enter_context(session), BesideProcesses(
+            launch.folder,
+            run,
+            launch.record["endpoint"],
+            told=launch.deployment.arguments,
+            code=self.code,
+            patience_s=self.patience_s,
+        )
+
+    @classmethod
+    def status(cls, folder: Path, record: dict[str, Any]) -> list[dict[str, str]]:
+        return []
+
+    @classmethod
+    def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
+        pass
+
+    @classmethod
+    def down(cls, folder: Path, record: dict[str, Any]) -> None:
+        pass

@@ -1,0 +1,1 @@
+"""Nodes that live elsewhere; see beside.py for an elsewhere that is here."""

@@ -1,0 +1,68 @@
+"""The launcher of a run over SSH, as a program, because it is to be where the hosts can be reached.
+
+python ssh_launch.py run   HOSTS.toml OUT '{"frames": 20, "secure": "acl", "n_infrastructure": 7, "steps": [], …}'
+python ssh_launch.py check HOSTS.toml...      what is wrong with each: {file: [exit code, message]}
+python ssh_launch.py status|logs|down OUT     as `mast deploy` does, from the run folder alone
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh import scenario
+from mast_zenoh.deploy.ssh.engine import Ssh
+from mast_zenoh.errors import MastError
+from mast_zenoh.faults.steps import ProcessStep
+from mast_zenoh.launch import local
+from mast_zenoh.scenario import Resolved
+
+
+def resolved(
+    frames: int = 20, mode: str = "lockstep", n_infrastructure: int = 7, steps: tuple[tuple[int, str, str], ...] = ()
+) -> Resolved:
+    """n_infrastructure + 1 agents."""
+    path, loaded = scenario.load("baseline", [f"n_infrastructure={n_infrastructure}"])
+    found = scenario.resolve(path, loaded, frames=frames, mode=mode, record=True)
+    return replace(found, steps=tuple(ProcessStep(*step) for step in steps))
+
+
+def run(hosts: str, out: str, options: str) -> None:
+    told: dict[str, Any] = json.loads(options)
+    secure = told.pop("secure", "open")
+    ended = local.run(resolved(**told), Path(out), engine=Ssh(Path(hosts)), secure=secure)
+    if ended.error:
+        sys.stderr.write(f"{type(ended.error).__name__}: {ended.error}\n")
+        sys.exit(ended.error.exit_code)
+
+
+def check(*files: str) -> None:
+    found = {}
+    for file in files:
+        try:
+            Ssh(Path(file)).check(resolved(2, n_infrastructure=1), "open")
+            found[Path(file).stem] = [0, ""]
+        except MastError as error:
+            found[Path(file).stem] = [error.exit_code, str(error)]
+    sys.stdout.write(json.dumps(found))
+
+
+def afterwards(what: str, out: str) -> None:
+    folder = Path(out)
+    record = json.loads((folder / "run.json").read_text())
+    if what == "status":
+        sys.stdout.write(json.dumps(Ssh.status(folder, record)))
+    elif what == "logs":
+        Ssh.logs(folder, record, None, follow=False)
+    else:
+        Ssh.down(folder, record)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] in ("status", "logs", "down"):
+        afterwards(*sys.argv[1:])
+    else:
+        {"run": run, "check": check}[sys.argv[1]](*sys.argv[2:])

@@ -1,0 +1,39 @@
+"""The launcher of a run in a swarm, as a program, because it is to be interrupted and killed.
+
+python swarm_launch.py IMAGE OUT '{"frames": 60, "mode": "realtime", "secure": "acl", "faults": [], …}'
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh import scenario
+from mast_zenoh.deploy.swarm.engine import Swarm
+from mast_zenoh.launch import local
+from mast_zenoh.scenario import Resolved
+
+
+def resolved(
+    frames: int = 5,
+    mode: str = "lockstep",
+    faults: Sequence[dict[str, Any]] = (),
+    name: str = "uncoordinated",
+    settings: Sequence[str] = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1"),
+) -> Resolved:
+    path, loaded = scenario.load(name, settings)
+    loaded = loaded | (dict(faults=list(faults)) if faults else {})
+    return scenario.resolve(path, loaded, frames=frames, mode=mode, record=True)
+
+
+if __name__ == "__main__":
+    image, out, options = sys.argv[1:]
+    told: dict[str, Any] = json.loads(options)
+    secure = told.pop("secure", "open")
+    ended = local.run(resolved(**told), Path(out), engine=Swarm(image, patience_s=5.0), secure=secure)
+    if ended.error:
+        sys.stderr.write(f"{type(ended.error).__name__}: {ended.error}\n")
+        sys.exit(ended.error.exit_code)

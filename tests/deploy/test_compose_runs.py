@@ -1,0 +1,157 @@
+"""A composed run is the same run, and nothing of it is left, however it ends. Needs a Docker engine."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from containers import Up, built, left, mast
+
+from mast_zenoh import scenario
+from mast_zenoh.deploy.docker import docker
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.reader import read
+
+pytestmark = [pytest.mark.mesh, pytest.mark.timeout(600)]
+SMALL = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1")
+FAULTED = ("n_infrastructure=2", "attack_start_s=0.1", "partition_s=0.2", "partition_until_s=0.4", "kill_s=0.5")
+
+
+def eventually(condition: Callable[[], Any], what: str, seconds: float = 180.0) -> Any:
+    deadline = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < deadline, f"not within {seconds:.0f} s: {what}"
+        threading.Event().wait(0.2)
+    return value
+
+
+@pytest.fixture
+def up(tmp_path: Path) -> Iterator[Callable[..., Up]]:
+    """Starts composed runs; takes down those that the test has left."""
+    runs: list[Up] = []
+    tag = built()
+
+    def start(*words: str) -> Up:
+        runs.append(Up(tmp_path / f"run_{len(runs)}", *words, "--engine", "compose", "--image", tag))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        if run.process.poll() is None:
+            run.process.kill()
+            run.process.communicate()
+        if "deployment" in run.record():
+            mast("deploy", "down", str(run.out))
+            assert not left(run.record()["id"])
+
+
+def settings(of: tuple[str, ...]) -> list[str]:
+    return [word for setting in of for word in ("--set", setting)]
+
+
+def here(name: str, of: tuple[str, ...], frames: int, out: Path) -> local.Run:
+    path, loaded = scenario.load(name, of)
+    ended = local.run(scenario.resolve(path, loaded, frames=frames, record=True), out, runtime="inproc")
+    assert ended.error is None
+    return ended
+
+
+def test_a_secure_composed_run_equals_the_local_one_to_the_last_digit(up, tmp_path: Path) -> None:
+    run = up("uncoordinated", "--frames", "5", "--secure", *settings(SMALL))
+    plain = here("uncoordinated", SMALL, 5, tmp_path / "here")
+    code, output = run.end()
+    assert code == 0, output
+    assert json.loads((run.out / "metrics.json").read_text()) == json.loads((plain.folder / "metrics.json").read_text())
+    found = compare(plain.folder, run.out, taps=True)
+    assert found.first is None, "\n".join(explain(found))
+    assert found.equal > 0
+    record = run.record()
+    assert record["security"] == "acl"
+    assert all(node["exit"] == 0 and node["container"] and node["clock"] for node in record["nodes"].values())
+    assert not left(record["id"])
+
+
+def test_a_node_that_is_killed_and_started_again_takes_part_as_it_does_here(up, tmp_path: Path) -> None:
+    words = [*FAULTED, "restart_after_s=0.3"]
+    run = up("attack_during_partition", "--frames", "10", *settings(tuple(words)))
+    plain = here("attack_during_partition", tuple(words), 10, tmp_path / "here")
+    code, output = run.end()
+    assert code == 0, output
+    assert [step["action"] for step in run.record()["steps"]] == ["kill", "start"]
+    assert run.record()["nodes"]["infra_2"]["restarts"] == 1
+    found = compare(plain.folder, run.out, taps=True)
+    assert found.first is None, "\n".join(explain(found))
+    assert not left(run.record()["id"])
+
+
+PAUSED = """
+from mast_zenoh import scenario as ours
+
+
+def scenario():
+    _, loaded = ours.load("baseline", ["n_infrastructure=1"])
+    return loaded | dict(faults=[dict(type="Pause", at=0.5, until=2.0, node="infra_1")])
+"""
+
+
+def test_a_node_that_is_paused_stands_still_and_goes_on(up, tmp_path: Path) -> None:
+    (tmp_path / "paused.py").write_text(PAUSED)
+    run = up(str(tmp_path / "paused.py"), "--mode", "realtime", "--frames", "40")
+    code, output = run.end()
+    assert code == 0, output
+    assert [step["action"] for step in run.record()["steps"]] == ["pause", "resume"]
+    spoken = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
+    assert max(spoken) > 30, "it goes on"
+    assert not left(run.record()["id"])
+
+
+def test_ctrl_c_keeps_what_there_is_and_leaves_nothing_running(up) -> None:
+    run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", *settings(("n_infrastructure=1",)))
+    recording = run.out / "messages.mcap"
+    eventually(lambda: recording.is_file() and recording.stat().st_size > 20_000, "a recording that grows here")
+    record = run.record()
+    inside = docker("exec", record["nodes"]["ego"]["container"], "stat", "-c", "%a %u", "/run/secrets/key.pem").split()
+    assert inside == ["600", docker("exec", record["nodes"]["ego"]["container"], "id", "-u").strip()]
+    assert inside[1] != "0", "nobody in there is root"
+    assert "PRIVATE" not in docker("inspect", *(node["container"] for node in record["nodes"].values()))
+    reached = docker("network", "inspect", "--format", "{{.Internal}}", f"mast-{record['id']}_wired")
+    assert reached.strip() == "true", "nodes reach nothing but the router"
+    said = mast("deploy", "status", str(run.out)).stdout
+    assert all(name in said for name in (*record["nodes"], "router")), said
+    run.process.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == 130, output
+    assert not left(record["id"])
+    assert run.record()["status"] == "interrupted"
+    assert json.loads((run.out / "metrics.json").read_text())["frames"] > 0
+    assert sum(1 for _ in read(recording)) > 0
+    assert not [path for path in run.out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
+    assert not (run.out / "credentials").exists()
+
+
+def test_what_a_killed_launcher_has_started_leaves_by_itself_and_down_takes_away_the_rest(up) -> None:
+    words = settings(("n_infrastructure=1",))
+    run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", "--patience", "2", *words)
+    eventually(lambda: (run.out / "messages.mcap").is_file(), "the run goes on")
+    record = run.record()
+    os.kill(run.process.pid, signal.SIGKILL)
+    run.process.communicate()
+    label = f"label=org.mast-zenoh.run={record['id']}"
+    eventually(
+        lambda: not docker("ps", "--quiet", "--filter", label).split(), "all containers have ended by themselves"
+    )
+    assert left(record["id"]), "which are still there, for whoever wants to read their logs"
+    done = mast("deploy", "down", str(run.out))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert not left(record["id"])
+    assert not (run.out / "credentials").exists()
+    assert mast("deploy", "down", str(run.out)).returncode == 0, "again does no harm"

@@ -1,0 +1,108 @@
+"""A node that lives elsewhere needs nothing of the launcher's machine but the mesh, and gives the same results."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from beside import Beside
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import VersionMismatch
+from mast_zenoh.launch import latency, local
+from mast_zenoh.launch.depot import belongings
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.scenario import Resolved
+
+pytestmark = pytest.mark.mesh
+
+
+def small(frames: int = 5, **run: object) -> Resolved:
+    path, loaded = scenario.load("uncoordinated", ["n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1"])
+    return scenario.resolve(path, loaded, frames=frames, record=True, **run)
+
+
+@pytest.mark.parametrize("level", ["open", "acl"])
+def test_a_run_whose_nodes_live_elsewhere_equals_the_one_in_this_process(tmp_path: Path, level: str) -> None:
+    resolved = small()
+    here = local.run(resolved, tmp_path / "here", runtime="inproc")
+    there = local.run(resolved, tmp_path / "there", engine=Beside(), secure=level)
+    assert there.error is None
+    found = compare(here.folder, there.folder, taps=True)
+    assert found.first is None, "\n".join(explain(found))
+    assert found.equal > 0
+    metrics = [json.loads((run.folder / "metrics.json").read_text()) for run in (here, there)]
+    assert metrics[0] == metrics[1]
+    for node in there.record["nodes"].values():
+        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "it is the same clock"
+        assert node["versions"]["numpy"] == there.record["versions"]["numpy"]
+
+
+def test_a_node_of_another_version_is_refused_and_both_are_named(tmp_path: Path) -> None:
+    other = Beside({"ego": "elsewhere.release.named = lambda: '0.0.9 (sources beef)'"})
+    ended = local.run(small(), tmp_path / "run", engine=other)
+    assert isinstance(ended.error, VersionMismatch)
+    assert "ego runs mast-zenoh 0.0.9 (sources beef), the launcher 0.1.0 (sources " in str(ended.error)
+    assert ended.record["nodes"]["ego"]["exit"] == VersionMismatch.exit_code
+
+
+SCENARIO = """
+from mast_zenoh import scenario as ours
+from mast_zenoh.fusion.clustering import SampledAssignmentClusterer
+from numbers_of_mine import RADIUS
+
+
+class MyClusterer(SampledAssignmentClusterer):
+    def __init__(self):
+        super().__init__(assign_radius=RADIUS)
+
+
+def scenario(n_infrastructure=1):
+    _, loaded = ours.load("baseline", [f"n_infrastructure={n_infrastructure}"])
+    loaded["command_center"]["pipeline"]["clustering"] = dict(type="MyClusterer")
+    loaded["agents"] = {"*": loaded["agents"]["*"] | dict(file="my_agent.py")}
+    return loaded
+"""
+NODE = """
+from mast_zenoh.bundle import ROOT
+from mast_zenoh.loading import node_class
+from numbers_of_mine import RADIUS
+
+
+class MyAgent(node_class(ROOT / "nodes" / "agent.py")):
+    radius = RADIUS
+"""
+
+
+def test_a_users_own_files_and_what_they_import_from_beside_reach_the_nodes(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    for name, text in (("my_scenario", SCENARIO), ("my_agent", NODE), ("numbers_of_mine", "RADIUS = 2.5")):
+        (folder / f"{name}.py").write_text(text)
+    path, loaded = scenario.load(str(folder / "my_scenario.py"), [])
+    resolved = scenario.resolve(path, loaded, frames=3, record=True)
+    here = local.run(resolved, tmp_path / "here", runtime="inproc")
+    assert here.error is None
+    sent = {name: dict(belongings(resolved, name, here.folder)) for name in ("ego", "command_center")}
+    assert {path for path in sent["ego"] if path.endswith(".py")} == {
+        "files/0/my_agent.py",
+        "files/0/my_scenario.py",
+        "files/0/numbers_of_mine.py",
+    }
+    there = local.run(resolved, tmp_path / "there", engine=Beside())
+    assert there.error is None, there.error
+    found = compare(here.folder, there.folder)
+    assert found.first is None, "\n".join(explain(found))
+
+
+def test_arrivals_on_a_clock_that_is_ahead_count_from_the_launchers() -> None:
+    outcomes = {
+        "simulator": {"sent_ns": {0: 1_000_000}, "clock": {"offset_ms": 1.0, "round_trip_ms": 0.1}},
+        "evaluator": {"arrived_ns": {"cc/picture": {0: 9_000_000}}, "clock": {"offset_ms": -2.5, "round_trip_ms": 0.1}},
+        "ego": {"arrived_ns": {"clock": {0: 5}}},
+    }
+    sent, arrived = latency.by_one_clock(outcomes)
+    assert sent == {0: 0}
+    assert arrived == {"simulator": {}, "evaluator": {"cc/picture": {0: 11_500_000}}, "ego": {"clock": {0: 5}}}

@@ -1,0 +1,90 @@
+"""The image holds what nodes need, and nothing else."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+from containers import base, built
+
+from mast_zenoh import release
+from mast_zenoh.deploy import image, wheel
+from mast_zenoh.deploy.docker import docker
+from mast_zenoh.errors import EngineError
+
+ROOT = Path(__file__).parents[2]
+LARGEST = 350_000_000
+
+#: Refuses what a node may not need; runs every node's file and what is loaded late.
+PROBE = """
+import pathlib, sys
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {refused}:
+            raise ModuleNotFoundError(f"a node needs {{name}}")
+sys.meta_path.insert(0, Refuse())
+from mast_zenoh import loading
+from mast_zenoh.runtime import elsewhere
+for file in sorted(pathlib.Path({nodes!r}).glob("*.py")):
+    loading.module(file)
+import filterpy.kalman, mcap.writer, mast_zenoh.security.diagnosis, mast_zenoh.tracking.filterpy_tracker
+"""
+
+
+def needed() -> set[str]:
+    return {requirement.partition("==")[0] for requirement in wheel.requirements()}
+
+
+def test_nodes_need_nothing_but_the_requirements_of_nodes() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    all_of_it = {line.partition(">")[0].partition("[")[0] for line in project["dependencies"]}
+    more = all_of_it - needed()
+    assert {"pyarrow", "matplotlib", "jinja2", "rich", "typer"} <= more
+    refused = {*more, "dask", "distributed", "rerun", "yaml", "asyncssh", "psutil"}
+    code = PROBE.format(refused=refused, nodes=str(ROOT / "nodes"))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_wheel_has_the_same_sources_every_time_and_its_entry_points(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in "ab"]
+    for folder in folders:
+        folder.mkdir()
+    first, second = (wheel.build(folder) for folder in folders)
+    assert first.read_bytes() == second.read_bytes()
+    with zipfile.ZipFile(first) as archive:
+        names = archive.namelist()
+        info = next(name.split("/")[0] for name in names if ".dist-info/" in name)
+        assert "mast-node = mast_zenoh.runtime.elsewhere:main" in archive.read(f"{info}/entry_points.txt").decode()
+        recorded = {line.split(",")[0] for line in archive.read(f"{info}/RECORD").decode().splitlines()}
+    assert recorded == set(names)
+    assert {"mast_zenoh/bundled/deploy/Dockerfile", "mast_zenoh/bundled/nodes/agent.py"} <= recorded
+
+
+@pytest.mark.mesh
+@pytest.mark.timeout(600)
+def test_the_image_is_small_and_holds_these_sources_and_no_more_than_nodes_need() -> None:
+    on, tag = base(), built()
+    assert image.size_over_base(tag, on) < LARGEST
+    assert docker("image", "inspect", "--format", "{{.Config.User}} {{.Config.Entrypoint}}", tag).split() == [
+        image.USER,
+        "[mast-node]",
+    ]
+    code = (
+        "import importlib.metadata as m\n"
+        "from mast_zenoh import release\n"
+        "print(release.fingerprint(), *{d.name.lower() for d in m.distributions()})"
+    )
+    fingerprint, *there = docker("run", "--rm", "--network=none", "--entrypoint=python3", tag, "-c", code).split()
+    assert fingerprint == release.fingerprint()
+    assert set(there) - {"pip", "setuptools", "wheel", "mast-zenoh"} == needed()
+
+
+@pytest.mark.mesh
+def test_an_image_of_other_sources_is_refused_and_both_are_named() -> None:
+    with pytest.raises(EngineError, match=r"holds mast-zenoh .*\(sources unknown\), this is .*mast deploy image"):
+        image.check(base())

@@ -1,0 +1,141 @@
+"""What makes a deployment impossible is said before anything is started or written."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mast_zenoh import scenario
+from mast_zenoh.deploy import doctor, engines, space
+from mast_zenoh.errors import DiskFull, EngineError, RunError
+from mast_zenoh.launch.depot import belongings, with_neighbours
+from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.runtime.elsewhere import _below, written_by
+from mast_zenoh.scenario import Resolved
+
+
+def small(name: str = "baseline") -> Resolved:
+    path, loaded = scenario.load(name, ["n_infrastructure=1"])
+    return scenario.resolve(path, loaded, frames=2, record=True)
+
+
+def up(out: Path, environment: Mapping[str, str], *words: str) -> subprocess.CompletedProcess[str]:
+    command = [
+        sys.executable,
+        "-m",
+        "mast_zenoh",
+        "deploy",
+        "up",
+        "baseline",
+        "--frames",
+        "2",
+        "--out",
+        str(out),
+        *words,
+    ]
+    return subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, **environment}, timeout=120, check=False
+    )
+
+
+def test_an_engine_that_cannot_be_reached_is_said_to_be(tmp_path: Path) -> None:
+    docker = tmp_path / "bin" / "docker"
+    docker.parent.mkdir()
+    docker.write_text("#!/bin/sh\necho 'Cannot connect to the Docker daemon' >&2; exit 1\n")
+    docker.chmod(0o755)
+    done = up(tmp_path / "run", {"PATH": f"{docker.parent}:{os.environ['PATH']}"})
+    assert done.returncode == EngineError.exit_code, done.stdout + done.stderr
+    assert "the Docker engine cannot be reached" in done.stderr
+    assert "Cannot connect to the Docker daemon" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_machine_without_an_engine_is_told_what_to_install(tmp_path: Path) -> None:
+    done = up(tmp_path / "run", {"PATH": str(tmp_path)})
+    assert done.returncode == EngineError.exit_code
+    assert "there is no `docker` on this machine: install docker.io" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_full_disk_is_said_before_anything_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needed = space.needed(small())
+    monkeypatch.setattr(os, "statvfs", lambda path: SimpleNamespace(f_bavail=needed // 512, f_frsize=512))
+    space.check(tmp_path / "not" / "there", needed)
+    with pytest.raises(DiskFull, match=r"MiB are free, \d+ MiB may be needed"):
+        space.check(tmp_path / "not" / "there", needed + 512)
+    assert not (tmp_path / "not").exists()
+
+
+def test_an_option_that_an_engine_does_not_have_is_a_wrong_word(tmp_path: Path) -> None:
+    done = up(tmp_path / "run", {}, "--hosts", "hosts.toml")
+    assert done.returncode == 2
+    assert "engine compose has no such option" in " ".join(done.stderr.split())
+
+
+def test_an_unknown_engine_is_named_with_the_nearest() -> None:
+    with pytest.raises(EngineError, match="did you mean 'compose'"):
+        engines.load("composed")
+
+
+def test_the_doctor_finds_the_mesh_and_says_what_to_do_about_the_rest() -> None:
+    found = {finding.name: finding for finding in doctor.examine()}
+    assert found["python"].ok
+    assert found["zenoh"].ok
+    assert all(finding.fix for finding in found.values() if not finding.ok)
+
+
+def test_the_doctor_explains_a_certificate(tmp_path: Path) -> None:
+    *_, last = doctor.examine(tmp_path)
+    assert last.name == "certificates"
+    assert last.ok is False
+    assert "is missing" in last.said
+
+
+# -- what nodes elsewhere get, and may give ------------------------------------------------------------------------
+
+
+def test_a_node_gets_its_own_file_with_what_it_imports_and_nobody_elses(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("import near, package.inside\nfrom os import path\n")
+    (tmp_path / "near.py").write_text("from further import x\n")
+    (tmp_path / "further.py").write_text("import mine\nx = 1\n")
+    (tmp_path / "secret.py").write_text("")
+    (tmp_path / "package").mkdir()
+    for name in ("__init__", "inside"):
+        (tmp_path / "package" / f"{name}.py").write_text("")
+    names = {path.relative_to(tmp_path).as_posix() for path in with_neighbours(tmp_path / "mine.py")}
+    assert names == {"mine.py", "near.py", "further.py", "package/__init__.py", "package/inside.py"}
+
+
+def test_the_scene_goes_to_whoever_drives_it_and_to_nobody_else(tmp_path: Path) -> None:
+    resolved = small()
+    files = {name: {path for path, _ in belongings(resolved, name, tmp_path)} for name in resolved.nodes}
+    assert files["simulator"] == {"scenario.json", "wiring.json", "files/0/simulator.py", "scene.npz"}
+    assert files["ego"] == {"scenario.json", "wiring.json", "files/0/agent.py"}
+    told = dict(belongings(resolved, "ego", tmp_path))["scenario.json"]
+    assert isinstance(told, bytes)
+    assert str(Path(__file__).parents[2]).encode() not in told, "no path of the launcher's machine"
+
+
+def test_only_who_writes_a_log_may_give_one() -> None:
+    resolved = small()
+    assert {name: written_by(resolved, name) for name in resolved.nodes if written_by(resolved, name)} == {
+        "recorder": (str(MessageLog().path),)
+    }
+
+
+@given(st.text(st.sampled_from("./ab~\\"), min_size=1, max_size=12))
+def test_no_name_of_a_file_leads_out_of_the_folder(name: str) -> None:
+    folder = Path("/tmp/somewhere")
+    try:
+        found = _below(folder, name)
+    except RunError:
+        return
+    assert found.is_relative_to(folder)

@@ -1,0 +1,127 @@
+"""hosts.toml: strictly read, wrong ones named with the path inside them; who goes where."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mast_zenoh.bundle import ROOT
+from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, Hosts, parse, read
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenario import NodeSpec
+
+TWO = '[hosts.alpha]\naddress = "a"\n[hosts.beta]\naddress = "b"\n'
+
+
+def spec(role: str) -> NodeSpec:
+    return NodeSpec(role, f"{role}.py", role, {}, "fail")
+
+
+NODES = {
+    "simulator": spec("simulator"),
+    "ego": spec("agent"),
+    "infra_1": spec("agent"),
+    "infra_2": spec("agent"),
+    "broker": spec("broker"),
+}
+
+
+def test_the_example_is_a_hosts_file_that_places_every_node() -> None:
+    hosts = read(ROOT / "deploy" / "hosts.toml")
+    assert set(hosts.placed(NODES)) == set(NODES)
+
+
+def test_what_a_host_does_not_say_is_said_by_the_defaults() -> None:
+    hosts = parse('[defaults]\nuser = "mast"\nport = 2222\n' + TWO + "port = 22\n", "h.toml")
+    assert (hosts.hosts["alpha"].user, hosts.hosts["alpha"].port) == ("mast", 2222)
+    assert (hosts.hosts["beta"].user, hosts.hosts["beta"].port) == ("mast", 22)
+    assert hosts.router_on == LAUNCHER
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "h.toml: hosts: found none, expected a table for each"),
+        ("hosts = 1", "h.toml: hosts: found 1, expected a table"),
+        ("[hosts]\nalpha = 1", "h.toml: hosts.alpha: found 1, expected a table: [hosts.alpha]"),
+        ("[hosts.alpha]", "h.toml: hosts.alpha.address: missing"),
+        ("[hosts.launcher]\naddress = 'x'", "hosts.launcher: expected a name of letters"),
+        ("[hosts.'a/b']\naddress = 'x'", "hosts.a/b: expected a name of letters"),
+        (TWO + "adress = 'x'", "h.toml: hosts.beta.adress: unknown; did you mean 'address'?"),
+        (TWO + "port = 0", "hosts.beta.port: found 0, expected 1 to 65535"),
+        (TWO + "port = '22'", "hosts.beta.port: found '22', expected a whole number"),
+        (TWO + "port = true", "hosts.beta.port: found True, expected a whole number"),
+        (TWO + "spread = 1", "hosts.beta.spread: found 1, expected true or false"),
+        (TWO + "nodes = 'ego'", "hosts.beta.nodes: found 'ego', expected a list of texts"),
+        (TWO + "roles = [1]", "hosts.beta.roles: found [1], expected a list of texts"),
+        (TWO + "folder = ''", "hosts.beta.folder: found ''"),
+        (TWO + "[defaults]\nusr = 'x'", "h.toml: defaults.usr: unknown; did you mean 'user'?"),
+        (TWO + "[defaults]\naddress = 'x'", "h.toml: defaults.address: unknown"),
+        (TWO + "[router]\non = 'alhpa'", "h.toml: router.on: no host 'alhpa'; did you mean 'alpha'?"),
+        (TWO + "[router]\nport = 70000", "router.port: found 70000, expected 0 to 65535"),
+        (TWO + "[router]\non = 'beta'\nport = 0", "router.port: found 0, expected 1 to 65535"),
+        ("patience_s = 0\n" + TWO, "h.toml: patience_s: found 0.0, expected seconds > 0"),
+        ("patience_s = nan\n" + TWO, "h.toml: patience_s: found nan, expected seconds > 0"),
+        ("[hosts", "h.toml: "),
+    ],
+)
+def test_a_wrong_file_is_refused_with_the_place_of_the_fault(text: str, expected: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        parse(text, "h.toml")
+    assert expected in str(refused.value)
+
+
+@given(st.text(max_size=200) | st.text(alphabet='[]hosts.="1\n{}', max_size=60))
+def test_no_text_does_anything_but_be_read_or_be_refused(text: str) -> None:
+    said = "h.toml: "
+    try:
+        assert isinstance(parse(text, "h.toml"), Hosts)
+    except ConfigurationError as error:
+        said = str(error)
+    assert said.startswith("h.toml: ")
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"missing\.toml: No such file"):
+        read(tmp_path / "missing.toml")
+    (tmp_path / "latin.toml").write_bytes(b"# \xff")
+    with pytest.raises(ConfigurationError, match=r"latin\.toml: is not UTF-8"):
+        read(tmp_path / "latin.toml")
+
+
+def placed(*of: str) -> dict[str, str]:
+    text = "".join(f'[hosts.h{index}]\naddress = "a"\n{more}\n' for index, more in enumerate(of))
+    return parse(text, "h.toml").placed(NODES)
+
+
+def test_nodes_go_by_name_then_by_role_and_the_rest_in_turn() -> None:
+    assert placed("", "") == {"simulator": "h0", "ego": "h1", "infra_1": "h0", "infra_2": "h1", "broker": "h0"}
+    assert placed('nodes = ["ego"]', "") == {name: "h0" if name == "ego" else "h1" for name in NODES}
+    by_role = placed('roles = ["agent"]', 'roles = ["agent"]', 'nodes = ["infra_1"]\nspread = true')
+    assert by_role == {"simulator": "h2", "ego": "h0", "infra_1": "h2", "infra_2": "h1", "broker": "h2"}
+    everywhere = placed('nodes = ["infra_*"]', 'roles = ["broker"]')
+    assert placed('nodes = ["mobile_*"]\nroles = ["recorder"]') == dict.fromkeys(NODES, "h0"), "what is not there"
+    assert everywhere == {"simulator": "h0", "ego": "h1", "infra_1": "h0", "infra_2": "h0", "broker": "h1"}
+
+
+@pytest.mark.parametrize(
+    ("of", "expected"),
+    [
+        (('nodes = ["infra_11"]',), "h.toml: hosts.h0.nodes[0]: no node 'infra_11'; did you mean 'infra_1'?"),
+        (('roles = ["agnt"]',), "h.toml: hosts.h0.roles[0]: there is no role 'agnt'; did you mean 'agent'?"),
+        (('nodes = ["ego"]', 'nodes = ["e*"]'), "h.toml: hosts.h1.nodes[0]: ego is at h0 already"),
+    ],
+)
+def test_what_does_not_go_with_the_scenario_is_refused(of: tuple[str, ...], expected: str) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        placed(*of)
+    assert expected in str(refused.value)
+
+
+@given(st.lists(st.sampled_from(["", "spread = true", 'roles = ["agent"]', 'nodes = ["ego"]']), min_size=1, max_size=5))
+def test_every_node_has_one_host(of: list[str]) -> None:
+    if of.count('nodes = ["ego"]') < 2:
+        assert set(placed(*of)) == set(NODES)

@@ -1,0 +1,305 @@
+"""Runs on three hosts that are reached by SSH: what they give, what they survive, and that nothing is left of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import stat
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import ssh_hosts
+import ssh_launch
+from ssh_hosts import NAMES, SshHosts
+
+from mast_zenoh.errors import EngineError, Interrupted
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messagelog.reader import read
+
+pytestmark = [pytest.mark.mesh, pytest.mark.timeout(300)]
+PROGRAM = [sys.executable, ssh_launch.__file__]
+PLACES = {"beta": 'nodes = ["ego", "infra_4", "infra_5"]', "gamma": 'nodes = ["infra_[1-3]"]'}
+
+
+@pytest.fixture(scope="module")
+def hosts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshHosts]:
+    ssh_hosts.require()
+    with SshHosts(tmp_path_factory.mktemp("hosts")) as made:
+        yield made
+
+
+class Launching:
+    """A run over SSH in a process of its own."""
+
+    def __init__(self, hosts: SshHosts, out: Path, temporary: Path, toml: Path, options: dict[str, Any]) -> None:
+        self.hosts = hosts
+        self.out = out
+        command = [*hosts.inside, *PROGRAM, "run", str(toml), str(out), json.dumps(options)]
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env={**os.environ, "TMPDIR": str(temporary)},
+        )
+
+    def record(self) -> dict[str, Any]:
+        path = self.out / "run.json"
+        return json.loads(path.read_text()) if path.is_file() else {}
+
+    def until(self, condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
+        """Wait for something that comes while the run goes on."""
+
+        def happened() -> Any:
+            assert self.process.poll() is None or condition(), self.process.communicate()[0]
+            return condition()
+
+        return eventually(happened, what, seconds)
+
+    def recorded(self) -> bool:
+        """Whether the recorder has handed in something: frames are played."""
+        path = self.out / "messages.mcap"
+        return path.is_file() and path.stat().st_size > 0
+
+    def end(self, seconds: float = 150.0) -> tuple[int, str]:
+        output, _ = self.process.communicate(timeout=seconds)
+        return self.process.returncode, output
+
+
+def eventually(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
+    """Wait until `condition` is true and return its value; fail when the deadline passes."""
+    pause, deadline = threading.Event(), time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < deadline, f"not within {seconds:.0f} s: {what}"
+        pause.wait(0.05)
+    return value
+
+
+def left(hosts: SshHosts) -> list[str]:
+    """What there is of runs: processes in hosts, but those of the SSH server, and files."""
+    found = []
+    for name in NAMES:
+        words = [" ".join(_cmdline(process)) for process in hosts.processes(name)]
+        found += [f"{name}: {line}" for line in words if not line.startswith("sshd:")]
+        found += [str(path) for path in (hosts.home(name) / "runs").glob("*")]
+        found += [str(path) for path in hosts.home(name).rglob("*.pem") if "certifi" not in path.parts]
+    return found
+
+
+def _cmdline(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.NoSuchProcess:
+        return []
+
+
+@pytest.fixture
+def launch(hosts: SshHosts, tmp_path: Path) -> Iterator[Callable[..., Launching]]:
+    """Starts runs; fails if anything is left of them when the test is over."""
+    runs: list[Launching] = []
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+
+    def start(text: str = "", places: dict[str, str] | None = None, **options: Any) -> Launching:
+        toml = hosts.hosts_toml("hosts.toml", text, **(PLACES if places is None else places))
+        runs.append(Launching(hosts, tmp_path / f"run_{len(runs)}", temporary, toml, options))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        if run.process.poll() is None:
+            run.process.kill()
+            run.process.communicate()
+    eventually(lambda: not left(hosts), f"nothing is left: {left(hosts)}", 30.0)
+    assert [path for path in temporary.rglob("*") if path.suffix in (".pem", ".whl")] == []
+
+
+def test_a_secure_run_on_three_hosts_equals_the_one_in_this_process(launch, hosts: SshHosts, tmp_path: Path) -> None:
+    """With a router on one of the hosts, and with nodes that are killed, leave and come back."""
+    steps = ((5, "kill", "infra_1"), (6, "leave", "infra_2"), (9, "start", "infra_2"), (10, "start", "infra_1"))
+    run: Launching = launch('[router]\non = "beta"', secure="acl", frames=15, steps=steps)
+    keys = run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/credentials/*/key.pem")], "keys come to hosts")
+    modes = {stat.S_IMODE(os.stat(place).st_mode) for key in keys for place in (key.parent, key.parent.parent)}
+    assert modes == {0o700}
+    assert {stat.S_IMODE(os.stat(key).st_mode) for key in keys} == {0o600}
+    code, output = run.end()
+    assert code == 0, output
+    record = run.record()
+    assert [step["node"] for step in record["steps"]] == ["infra_1", "infra_2", "infra_2", "infra_1"]
+    assert {name: node["restarts"] for name, node in record["nodes"].items() if node["restarts"]} == {
+        "infra_1": 1,
+        "infra_2": 1,
+    }
+    assert {node["host"] for node in record["nodes"].values()} == set(NAMES)
+    assert sum(node["role"] == "agent" for node in record["nodes"].values()) == 8
+    for node in record["nodes"].values():
+        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "it is the same clock"
+    here = local.run(ssh_launch.resolved(15, steps=steps), tmp_path / "here", runtime="inproc")
+    found = compare(here.folder, run.out)
+    assert found.first is None, "\n".join(explain(found))
+    assert found.equal > 0
+    told = [json.loads((folder / "metrics.json").read_text()) for folder in (here.folder, run.out)]
+    assert told[0] == told[1]
+    assert "router at tls/" in (run.out / "logs" / "@router.log").read_text()
+
+
+def test_a_host_that_is_cut_off_for_five_seconds_takes_part_again(launch, hosts: SshHosts) -> None:
+    """And a lost connection of SSH alone is nothing at all: it comes again, and the host's nodes have not noticed."""
+    steps = ((20, "pause", "infra_7"), (30, "resume", "infra_7"))
+    run: Launching = launch(mode="realtime", frames=110, steps=steps)
+    run.until(run.recorded, "frames are played")
+    pids = {name: node["pid"] for name, node in run.record()["nodes"].items()}
+    assert hosts.drop_connections("beta") > 0
+    hosts.link("gamma", "down")
+    threading.Event().wait(5.0)
+    hosts.link("gamma", "up")
+    code, output = run.end()
+    assert code == 0, output
+    record = run.record()
+    assert {node["exit"] for node in record["nodes"].values()} == {0}
+    assert {node["restarts"] for node in record["nodes"].values()} == {0}
+    assert {name: node["pid"] for name, node in record["nodes"].items() if pids[name]}.items() <= {
+        name: node["pid"] for name, node in record["nodes"].items()
+    }.items()
+    assert record["deployment"]["hosts"]["beta"]["reattached"] >= 1
+    assert sorted(step["action"] for step in record["steps"]) == ["pause", "resume"]
+    frames: dict[str, set[int]] = {}
+    for message in read(run.out):
+        if message.wire.endswith("/tracks"):
+            frames.setdefault(message.publisher, set()).add(message.frame)
+    away = range(min(frames["infra_1"]) + 1, max(frames["infra_1"]))
+    missing = [frame for frame in away if frame not in frames["infra_1"]]
+    assert len(missing) >= 20, "it was away"
+    assert frames["ego"].intersection(missing), "the others went on"
+    assert max(frames["infra_1"]) > max(missing), "it is back"
+    for name in ("infra_1", "infra_2", "infra_3"):
+        assert record["nodes"][name]["last_frame"] == 109
+
+
+def test_what_a_killed_launcher_has_left_is_shown_and_can_be_taken_away(launch, hosts: SshHosts) -> None:
+    """Also where hosts share a home."""
+    shared = {name: f'folder = "{hosts.home("alpha")}"' for name in ("beta", "gamma")}
+    run: Launching = launch("patience_s = 600", mode="realtime", frames=5000, n_infrastructure=1, places=shared)
+    run.until(run.recorded, "frames are played")
+    run.process.kill()
+    run.process.communicate()
+    shown = json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)
+    assert {entry["state"] for entry in shown} == {"running"}
+    assert {entry["node"] for entry in shown} == set(run.record()["nodes"])
+    before = hosts.run(*PROGRAM, "logs", str(run.out))
+    assert before.returncode == 0, before.stderr
+    for _ in range(2):  # what is not there cannot be taken away: nothing happens
+        done = hosts.run(*PROGRAM, "down", str(run.out))
+        assert done.returncode == 0, done.stderr
+        assert left(hosts) == []
+    assert {entry["state"] for entry in json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)} == {"not there"}
+
+
+def test_what_a_killed_launcher_has_left_ends_by_itself(launch, hosts: SshHosts) -> None:
+    """Also a node that stands still, which cannot see that the launcher has gone."""
+    run: Launching = launch("patience_s = 1", mode="realtime", frames=5000, n_infrastructure=1, places={}, secure="acl")
+    run.until(run.recorded, "frames are played")
+    os.kill(run.until(lambda: run.record()["nodes"]["infra_1"]["pid"], "its process is known"), signal.SIGSTOP)
+    run.process.kill()
+    run.process.communicate()
+    eventually(lambda: not left(hosts), "nothing is left", 60.0)
+
+
+def test_ctrl_c_while_hosts_are_made_ready_leaves_nothing(launch, hosts: SshHosts) -> None:
+    run: Launching = launch(n_infrastructure=1, places={}, secure="acl")
+    run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/control")], "the first supervisor is there")
+    run.process.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == Interrupted.exit_code, output
+    assert run.record()["status"] == "interrupted"
+
+
+def test_a_supervisor_that_is_killed_takes_its_nodes_with_it_and_the_run_says_so(launch, hosts: SshHosts) -> None:
+    run: Launching = launch(mode="realtime", frames=5000, n_infrastructure=1, places={"beta": 'nodes = ["broker"]'})
+    run.until(run.recorded, "frames are played")
+    for process in hosts.processes("beta"):
+        if "mast_zenoh.deploy.ssh.warden" in _cmdline(process):
+            process.kill()
+    code, output = run.end()
+    assert code == 22, output
+    assert "broker killed by signal 9" in output
+    assert hosts.run(*PROGRAM, "down", str(run.out)).returncode == 0, "its folder"
+
+
+def test_a_router_that_a_host_cannot_reach_is_said_before_nodes_start(launch) -> None:
+    run: Launching = launch('[router]\naddress = "10.78.0.99"', n_infrastructure=1, places={})
+    code, output = run.end()
+    assert code == EngineError.exit_code, output
+    assert "cannot reach the router at tcp/10.78.0.99:7447" in output
+    assert "router.address" in output
+    assert run.record()["nodes"] == {}
+
+
+def test_hosts_that_cannot_take_nodes_are_refused_before_anything_starts(hosts: SshHosts, tmp_path: Path) -> None:
+    old = tmp_path / "old_python"
+    old.write_text("#!/bin/sh\necho 3.9 x86_64\n")
+    old.chmod(0o755)
+    (tmp_path / "closed").write_text("")
+    codecs = {path: path.read_text() for path in hosts.home("alpha").glob("releases/*/mast_zenoh/codec.py")}
+    assert codecs, "a run before this one has brought it there"
+    broken = {
+        "fine": "",
+        "key": f'known_hosts = "{hosts.swap_keys("alpha", "beta")}"',
+        "unknown": f'known_hosts = "{tmp_path}/closed"',
+        "refused": f'key = "{hosts.folder}/alpha_host"',
+        "port": "port = 2222",
+        "nowhere": "",
+        "python": 'python = "python4"',
+        "old": f'python = "{old}"',
+        "full": "",
+        "closed": "",
+    }
+    files = {name: hosts.hosts_toml(f"{name}.toml", alpha=more) for name, more in broken.items()}
+    _replace(files["nowhere"], '"10.78.0.2"', '"10.78.0.77"')
+    _replace(files["full"], str(hosts.home("alpha")), str(hosts.full))
+    _replace(files["closed"], str(hosts.home("alpha")), f"{tmp_path}/closed")
+    try:
+        done = hosts.run(*PROGRAM, "check", *map(str, files.values()))
+        assert done.returncode == 0, done.stderr
+        for codec in codecs:
+            codec.write_text(codec.read_text() + "\n")
+        other = hosts.run(*PROGRAM, "check", str(files["fine"]))
+    finally:
+        for codec, text in codecs.items():
+            codec.write_text(text)
+    found = json.loads(done.stdout)
+    assert found.pop("fine") == [0, ""]
+    assert found.pop("full")[0] == 28, "DiskFull"
+    assert {code for code, _ in found.values()} == {EngineError.exit_code}, found
+    assert all("host alpha (root@10.78.0." in message for _, message in found.values())
+    expected = {
+        "key": "its host key is not the one in",
+        "unknown": "its host key is not the one in",
+        "refused": "does not let us in with",
+        "port": "out of reach",
+        "nowhere": "out of reach",
+        "python": "there is no python4",
+        "old": "is Python 3.9, expected 3.11 or newer",
+        "closed": "Not a directory",
+    }
+    assert {name: expected[name] for name, (_, message) in found.items() if expected[name] in message} == expected
+    (code, message) = json.loads(other.stdout)["fine"]
+    assert code == 29, "VersionMismatch"
+    assert message.count("(sources ") == 2, "both are named"
+    assert left(hosts) == []
+
+
+def _replace(file: Path, old: str, new: str) -> None:
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new))

@@ -1,0 +1,212 @@
+"""A host's supervisor by itself, without SSH: what it does is done once, and nothing is left when it goes."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+pytestmark = pytest.mark.mesh
+SLEEP = [sys.executable, "-c", "import signal, sys; print('up', flush=True); signal.pause()"]
+
+
+class Attached:
+    """A connection to a supervisor, as the launcher has one."""
+
+    def __init__(self, folder: Path, **offsets: int) -> None:
+        self.there = socket.socket(socket.AF_UNIX)
+        self.there.settimeout(30.0)
+        self.there.connect(str(folder / "control"))
+        self.lines = self.there.makefile("r")
+        self.heard: list[dict[str, Any]] = []
+        self.tell({"as": "launcher", "logs": offsets})
+        self.wait(lambda said: "warden" in said)
+
+    def tell(self, said: dict[str, Any]) -> None:
+        self.there.sendall(json.dumps(said).encode() + b"\n")
+
+    def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """The first thing heard that is so, from now on."""
+        for line in self.lines:
+            self.heard.append(json.loads(line))
+            if condition(self.heard[-1]):
+                return self.heard[-1]
+        raise AssertionError(f"the connection has ended; heard {self.heard}")
+
+    def do(self, which: str, do: str, **more: Any) -> dict[str, Any]:
+        """Have something done; the answer."""
+        self.tell({"id": which, "do": do, **more})
+        return self.wait(lambda said: said.get("answer") == which)
+
+    def ended(self) -> bool:
+        """Wait until the other side has closed the connection."""
+        for line in self.lines:
+            self.heard.append(json.loads(line))
+        return True
+
+    def close(self) -> None:
+        self.lines.close()
+        self.there.close()
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Path]]:
+    """Starts supervisors, in short folders: a socket's path may not be long."""
+    top = Path(tempfile.mkdtemp(prefix="mast_w"))
+
+    def start(patience_s: float = 600.0) -> Path:
+        folder = top / "runs" / "r" / "h"
+        (top / "runs").mkdir()
+        subprocess.run(
+            [sys.executable, "-m", "mast_zenoh.deploy.ssh.warden", str(folder), str(patience_s)], check=True, timeout=60
+        )
+        return folder
+
+    yield start
+    deadline = time.monotonic() + 20.0
+    while (left := of(top)) and time.monotonic() < deadline:
+        threading.Event().wait(0.05)
+    for process in left:
+        process.kill()
+    shutil.rmtree(top)
+    assert not left
+
+
+def of(top: Path) -> list[psutil.Process]:
+    """The supervisors and nodes in a folder that run."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            words = [*process.cmdline(), process.environ().get("TMPDIR", "")]
+            if process.status() != psutil.STATUS_ZOMBIE and any(str(top) in word for word in words):
+                found.append(process)
+    return found
+
+
+def started(attached: Attached, name: str, *argv: str) -> int:
+    answer = attached.do(f"start {name}", "start", name=name, argv=list(argv or SLEEP), env={"WORD": "given"})
+    return int(answer["pid"])
+
+
+def gone(pid: int) -> bool:
+    """Wait until a process has ended."""
+    deadline = time.monotonic() + 30.0
+    while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
+        if time.monotonic() > deadline:
+            return False
+        threading.Event().wait(0.05)
+    return True
+
+
+def test_a_command_that_is_told_again_is_not_done_again(serve) -> None:
+    folder = serve()
+    first = Attached(folder)
+    pid = started(first, "ego")
+    first.close()  # the answer may have been lost
+    again = Attached(folder)
+    assert started(again, "ego") == pid
+    assert again.do("another", "start", name="ego", argv=SLEEP, env={})["error"] == "ego runs already"
+    assert "error" in again.do("none", "start", name="other", argv=["/does/not/exist"], env={})
+    again.do("leave", "leave", grace_s=10.0)
+    assert again.ended()
+    assert gone(pid)
+    assert not folder.parent.exists(), "nothing is left but what other runs may need"
+    assert folder.parent.parent.exists()
+
+
+def test_nodes_have_their_environment_and_a_folder_and_end_with_the_code_that_is_told(serve) -> None:
+    folder = serve()
+    attached = Attached(folder)
+    program = "import os, sys; print(os.environ['WORD'], os.environ['TMPDIR'], os.getcwd(), flush=True); sys.exit(5)"
+    started(attached, "ego", sys.executable, "-c", program)
+    assert attached.wait(lambda said: said.get("node") == "ego")["exit"] == 5
+    said = "".join(line["text"] for line in attached.heard if line.get("log") == "ego")
+    assert said == f"given {folder}/tmp/ego {folder}\n", "what it has said comes before its end"
+    attached.do("leave", "leave", grace_s=1.0)
+    attached.close()
+
+
+def test_logs_go_on_where_the_last_connection_has_ended(serve) -> None:
+    folder = serve()
+    first = Attached(folder)
+    program = "for i in range(10_000): print(i, 'ä' * 20)\nprint('end', flush=True)\nimport signal; signal.pause()"
+    started(first, "ego", sys.executable, "-c", program)
+    pieces = [first.wait(lambda said: "log" in said)]
+    first.close()
+    offset = pieces[0]["offset"] + len(pieces[0]["text"].encode("latin-1"))
+    second = Attached(folder, ego=offset)
+    content = pieces[0]["text"]
+    while not content.endswith("end\n"):
+        content += second.wait(lambda said: "log" in said)["text"]
+    expected = "".join(f"{i} {'ä' * 20}\n" for i in range(10_000)) + "end\n"
+    assert content.encode("latin-1").decode() == expected
+    second.do("leave", "leave", grace_s=1.0)
+    second.close()
+
+
+def test_who_does_not_leave_is_killed_after_the_grace_and_who_stands_still_as_well(serve) -> None:
+    attached = Attached(serve())
+    program = (
+        "import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\nwhile 1: signal.pause()"
+    )
+    pids = [started(attached, "deaf", sys.executable, "-c", program), started(attached, "still")]
+    for _ in range(2):
+        attached.wait(lambda said: said.get("text") == "up\n")
+    attached.do("stop", "signal", names=["still"], number=int(signal.SIGSTOP))
+    attached.do("end", "end", grace_s=0.5)
+    codes = {said["node"]: said["exit"] for said in attached.heard if "node" in said}
+    assert codes == {"deaf": -signal.SIGKILL, "still": -signal.SIGTERM}
+    assert all(gone(pid) for pid in pids)
+    attached.do("leave", "leave", grace_s=1.0)
+    attached.close()
+
+
+def test_without_a_launcher_it_ends_all_even_if_a_node_that_stands_still_has_seen_one(serve) -> None:
+    folder = serve(patience_s=1.0)
+    attached = Attached(folder)
+    pid = started(attached, "ego")
+    (folder / "tmp" / "ego" / "mast-up").touch()
+    attached.wait(lambda said: said.get("text") == "up\n")
+    os.kill(pid, signal.SIGSTOP)
+    attached.close()
+    assert gone(pid)
+    deadline = time.monotonic() + 30.0
+    while folder.exists() and time.monotonic() < deadline:
+        threading.Event().wait(0.05)
+    assert not folder.exists()
+
+
+def test_it_stays_without_a_connection_as_long_as_a_node_sees_the_launcher(serve) -> None:
+    folder = serve(patience_s=0.5)
+    attached = Attached(folder)
+    started(attached, "ego")
+    (folder / "tmp" / "ego" / "mast-up").touch()
+    attached.close()
+    threading.Event().wait(2.0)  # several times its patience
+    again = Attached(folder)
+    assert again.do("state", "state")["nodes"][0]["exit"] is None
+    again.do("leave", "leave", grace_s=1.0)
+    again.close()
+
+
+def test_when_it_is_killed_its_nodes_are_killed(serve) -> None:
+    folder = serve()
+    attached = Attached(folder)
+    pid = started(attached, "ego")
+    os.kill(attached.heard[0]["warden"], signal.SIGKILL)
+    assert gone(pid)
+    attached.close()

@@ -1,0 +1,401 @@
+"""What a stack file says, what Docker says of a stack, and what follows from both: no engine is asked."""
+
+from __future__ import annotations
+
+import contextlib
+import string
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mast_zenoh import scenario
+from mast_zenoh.deploy import arithmetic
+from mast_zenoh.deploy.compose import document as compose
+from mast_zenoh.deploy.swarm import document, engine, placement, services, stack, tasks
+from mast_zenoh.deploy.swarm.placement import Machine
+from mast_zenoh.deploy.swarm.services import Services
+from mast_zenoh.deploy.swarm.tasks import Task
+from mast_zenoh.errors import ConfigurationError, EngineError
+from mast_zenoh.faults.steps import ProcessStep
+from mast_zenoh.scenario import Resolved
+
+RUN = "uncoordinated-00c0ffee"
+HERE = Machine("id-here", "here", True, {"mast.host": "west"})
+THERE = Machine("id-there", "there", True, {"mast.host": "east"})
+
+
+@pytest.fixture(scope="module")
+def resolved() -> Resolved:
+    path, loaded = scenario.load("uncoordinated", ["n_infrastructure=2", "n_adversaries=1", "n_mobile=1"])
+    found = scenario.resolve(path, loaded, frames=2)
+    changed = {"infra_2": replace(found.nodes["infra_2"], on_exit="restart")}
+    return replace(found, nodes=found.nodes | changed)
+
+
+def stacked(resolved: Resolved, **options: Any) -> dict[str, Any]:
+    return document.document(resolved, RUN, image="sha256:1", port=7000, here="id-here", **options)
+
+
+def test_every_node_is_a_service_with_one_task_and_a_limit(resolved: Resolved) -> None:
+    found = stacked(resolved, absent=["infra_1"])["services"]
+    assert found.keys() == {"router", *resolved.nodes}
+    for name, service in found.items():
+        told = service["deploy"]
+        assert told["replicas"] == (0 if name == "infra_1" else 1)
+        assert told["endpoint_mode"] == "dnsrr", "a kernel without IPVS has no virtual addresses"
+        assert told["resources"]["limits"].keys() == {"cpus", "memory", "pids"}
+
+
+def test_a_stack_has_no_word_that_only_compose_knows(resolved: Resolved) -> None:
+    content = stacked(resolved, secure="acl", environment={"OPENBLAS_CORETYPE": "Haswell"})
+    known = {"image", "user", "init", "read_only", "cap_drop", "healthcheck", "volumes", "stop_grace_period"}
+    known |= {"command", "networks", "ports", "secrets", "deploy", "environment", "<<"}
+    assert set(content["x-node"]) <= known
+    assert content["x-node"]["environment"] == {"OPENBLAS_CORETYPE": "Haswell"}
+    for service in content["services"].values():
+        assert set(service) <= known
+
+
+def test_nodes_are_told_the_same_as_by_compose(resolved: Resolved) -> None:
+    composed = compose.document(resolved, RUN, image="sha256:1", secure="acl")["services"]
+    for name, service in stacked(resolved, secure="acl")["services"].items():
+        assert service["command"] == composed[name]["command"]
+        assert service["networks"] == composed[name]["networks"]
+
+
+def test_docker_starts_again_whom_the_scenario_wants_back_and_nobody_else(resolved: Resolved) -> None:
+    found = {name: s["deploy"]["restart_policy"] for name, s in stacked(resolved)["services"].items()}
+    assert found.pop("infra_2") == {"condition": "on-failure", "delay": "2s", "max_attempts": 5}
+    assert {policy["condition"] for policy in found.values()} == {"none"}
+
+
+def test_a_router_comes_back_in_real_time_only(resolved: Resolved) -> None:
+    for mode, condition in (("lockstep", "none"), ("realtime", "on-failure")):
+        found = stacked(replace(resolved, mode=mode))["services"]["router"]
+        assert found["deploy"]["restart_policy"]["condition"] == condition
+
+
+def test_agents_that_move_are_on_a_network_of_their_own_and_no_node_has_a_way_out(resolved: Resolved) -> None:
+    content = stacked(resolved)
+    assert {network["driver"] for network in content["networks"].values()} == {"overlay"}
+    assert content["networks"]["wired"]["internal"]
+    assert content["networks"]["wireless"]["internal"]
+    found = {name: service["networks"] for name, service in content["services"].items()}
+    assert found.pop("router") == ["launcher", "wired", "wireless"]
+    assert {name for name, networks in found.items() if networks == ["wireless"]} == {"ego", "mobile_1"}
+
+
+def test_the_router_and_whom_the_scenario_kills_are_on_the_launchers_machine(resolved: Resolved) -> None:
+    steps = (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"), ProcessStep(4, "leave", "broker"))
+    place = placement.resolve({"infra_*": "west"}, resolved.nodes)
+    services = stacked(resolved, place=place, pinned=placement.pinned(steps))["services"]
+    found = {name: s["deploy"].get("placement", {}).get("constraints", []) for name, s in services.items()}
+    west = "node.labels.mast.host == west"
+    assert found["router"] == ["node.id == id-here"]
+    assert found["infra_1"] == ["node.id == id-here", west]
+    assert found["infra_2"] == [west]
+    assert found["broker"] == [], "whoever is asked to leave may be anywhere"
+
+
+def test_secrets_are_for_the_processes_user_alone_and_named_by_their_files(resolved: Resolved) -> None:
+    content = stacked(resolved, secure="acl")
+    for name, service in content["services"].items():
+        names = {"router.json"} if name == "router" else {"ca.pem", "certificate.pem", "key.pem"}
+        assert {secret["target"] for secret in service["secrets"]} == names
+        assert {(s["uid"], s["gid"], s["mode"]) for s in service["secrets"]} == {("10001", "10001", 0o600)}
+        assert all(content["secrets"][secret["source"]]["file"].startswith("./") for secret in service["secrets"])
+    assert "secrets" not in stacked(resolved)
+
+
+def test_the_router_is_healthy_soon_because_its_name_is_known_only_then(resolved: Resolved) -> None:
+    found = stacked(resolved)
+    assert found["services"]["router"]["healthcheck"]["interval"] == "2s"
+    assert found["services"]["router"]["healthcheck"]["test"] == found["x-node"]["healthcheck"]["test"]
+
+
+@given(name=st.text(alphabet=string.ascii_letters + string.digits + "_-.é ", min_size=1, max_size=60))
+def test_a_name_that_is_taken_is_a_label_of_a_domain_name(resolved: Resolved, name: str) -> None:
+    one = replace(resolved, nodes={name: resolved.nodes["broker"]})
+    label = document.service(RUN, name)
+    with contextlib.suppress(ConfigurationError):
+        document.check_names(one)
+        assert len(label) <= 63
+        assert label.replace("_", "").replace("-", "").isascii()
+        assert label.replace("_", "").replace("-", "").isalnum()
+        assert label[-1].isalnum()
+
+
+def test_a_pattern_that_fits_nobody_is_refused_with_the_nearest_name(resolved: Resolved) -> None:
+    with pytest.raises(ConfigurationError, match=r"--place brokr: there is no such node; did you mean 'broker'\?"):
+        placement.resolve({"brokr": "west"}, resolved.nodes)
+    assert placement.resolve({"infra_1": "east", "infra_*": "west"}, ["infra_1", "infra_2", "ego"]) == {
+        "infra_1": "east",
+        "infra_2": "west",
+    }
+
+
+def test_a_host_that_no_machine_is_labelled_with_is_refused() -> None:
+    with pytest.raises(EngineError, match=r"infra_1: no machine .* mast.host=wst; did you mean 'west'\?.*label-add"):
+        placement.check([HERE, THERE], {"infra_1": "wst"}, ())
+    drained = THERE._replace(usable=False)
+    with pytest.raises(EngineError, match=r"mast\.host=east"):
+        placement.check([HERE, drained], {"infra_1": "east"}, ())
+    with pytest.raises(EngineError, match="this machine takes no tasks"):
+        placement.check([HERE._replace(usable=False)], {}, ())
+    placement.check([HERE, THERE], {"infra_1": "east"}, ())
+
+
+def test_whom_the_scenario_kills_cannot_be_placed_on_another_machine() -> None:
+    with pytest.raises(
+        EngineError, match=r"infra_1: the scenario kills or pauses it, .*here.* found it placed on .*east"
+    ):
+        placement.check([HERE, THERE], {"infra_1": "east"}, {"infra_1"})
+    placement.check([HERE, THERE], {"infra_1": "west"}, {"infra_1"})
+
+
+def line(identity: str, state: str, error: str = "", node: str = "infra_1", wanted: str = "Running") -> str:
+    return f"{identity}\t{document.service(RUN, node)}.1\there\t{wanted}\t{state}\t{error}"
+
+
+@pytest.mark.parametrize(
+    ("said", "code"),
+    [
+        (("Running 3 seconds ago",), None),
+        (("Preparing less than a second ago",), None),
+        (("Complete 2 seconds ago",), 0),
+        (("Failed 2 seconds ago", '"task: non-zero exit (3)"'), 3),
+        (("Failed 2 seconds ago", '"task: non-zero exit (137)"'), -9),
+        (("Failed 1 second ago", '"task: non-zero exit (137): dockerexec: unhealthy container"'), -9),
+        (("Rejected 1 second ago", '"No such image: sha256:1"'), 125),
+        (("Shutdown 1 second ago",), -15),
+    ],
+)
+def test_how_a_task_has_ended_is_what_docker_says(said: tuple[str, ...], code: int | None) -> None:
+    found = tasks.parse(document.stack(RUN), [line("t1", *said)])
+    assert [task.exit for task in found["infra_1"]] == [code]
+
+
+def test_who_could_not_be_started_is_told_why() -> None:
+    (task,) = tasks.parse(document.stack(RUN), [line("t1", "Rejected 1 second ago", '"No such image: sha256:1"')])[
+        "infra_1"
+    ]
+    assert task.refused.startswith("here: No such image: sha256:1; no registry has it")
+    (task,) = tasks.parse(document.stack(RUN), [line("t1", "Failed 1 second ago", '"task: non-zero exit (3)"')])[
+        "infra_1"
+    ]
+    assert task.refused == ""
+
+
+@given(st.lists(st.text(max_size=80)))
+def test_whatever_docker_says_is_read_without_falling_over(lines: list[str]) -> None:
+    for found in tasks.parse(document.stack(RUN), lines).values():
+        assert all(isinstance(task.exit, int | None) and isinstance(task.refused, str) for task in found)
+
+
+class Engine:
+    """Stands for Docker: what it says of the tasks is told here, what it is told is noted."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.tasks: list[Task] = []
+        self.told: list[tuple[str, ...]] = []
+        self.now = 0.0
+        monkeypatch.setattr(services, "docker", self.docker)
+        self.router = Task("r1", "router", "here", "running", "running", "")
+        monkeypatch.setattr(tasks, "of", lambda stack: {"infra_2": list(self.tasks), "router": [self.router]})
+        monkeypatch.setattr(services, "keep_log", lambda task, path, refused: self.told.append(("log", task)))
+        monkeypatch.setattr(services.time, "monotonic", lambda: self.now)
+
+    def docker(self, *words: str, **_: Any) -> str:
+        self.told.append(words)
+        return "x"
+
+    def say(self, *said: tuple[str, str, str]) -> None:
+        self.now += 1.0
+        self.tasks = [Task(identity, "infra_2", "here", "running", state, error) for identity, state, error in said]
+
+
+@pytest.fixture
+def dockerd(monkeypatch: pytest.MonkeyPatch) -> Engine:
+    return Engine(monkeypatch)
+
+
+def supervised(resolved: Resolved, tmp_path: Path, mode: str = "lockstep") -> Services:
+    (tmp_path / "logs").mkdir()
+    found = Services(document.stack(RUN), lambda name: document.service(RUN, name), "here", tmp_path / "logs", mode)
+    found.start_all({"infra_2": resolved.nodes["infra_2"]})
+    return found
+
+
+KILLED = "task: non-zero exit (137)"
+
+
+def test_a_node_that_docker_starts_again_has_ended_and_runs_on(
+    resolved: Resolved, tmp_path: Path, dockerd: Engine
+) -> None:
+    supervisor = supervised(resolved, tmp_path)
+    (child,) = supervisor.children.values()
+    dockerd.say(("t1", "running", ""))
+    assert supervisor.running() == [child]
+    assert supervisor.newly_ended() == []
+    dockerd.say(("t2", "preparing", ""), ("t1", "failed", KILLED))
+    assert supervisor.running() == []
+    assert supervisor.newly_ended() == [child]
+    assert (child.exit, supervisor.newly_ended()) == (-9, [])
+    assert supervisor.restart(child, {"ego"})
+    assert (child.exit, child.restarts, supervisor.without["infra_2"]) == (None, 1, ["ego"])
+    assert dockerd.told == [("log", "t1")], "nobody has scaled anything"
+    dockerd.say(("t2", "complete", ""), ("t1", "failed", KILLED))
+    supervisor.running()
+    assert supervisor.newly_ended() == [child]
+    assert child.exit == 0
+
+
+def test_a_node_that_fails_twice_between_two_looks_has_ended_twice(
+    resolved: Resolved, tmp_path: Path, dockerd: Engine
+) -> None:
+    supervisor = supervised(resolved, tmp_path)
+    (child,) = supervisor.children.values()
+    dockerd.say(("t3", "running", ""), ("t2", "failed", "task: non-zero exit (3)"), ("t1", "failed", KILLED))
+    codes = []
+    while not supervisor.running():
+        assert supervisor.newly_ended() == [child]
+        codes.append(child.exit)
+        assert supervisor.restart(child)
+    assert codes == [-9, 3]
+
+
+def test_a_node_for_which_there_is_no_machine_ends_the_run_with_dockers_reason(
+    resolved: Resolved, tmp_path: Path, dockerd: Engine
+) -> None:
+    supervisor = supervised(resolved, tmp_path)
+    dockerd.say(("t1", "pending", "no suitable node (insufficient resources on 1 node)"))
+    assert supervisor.running()
+    dockerd.now += 31.0
+    with pytest.raises(
+        EngineError, match=r"infra_2: Docker has found no machine .* \(insufficient resources on 1 node\)"
+    ):
+        supervisor.running()
+
+
+def test_a_lock_step_run_does_not_survive_its_router(resolved: Resolved, tmp_path: Path, dockerd: Engine) -> None:
+    supervisor = supervised(resolved, tmp_path)
+    dockerd.say(("t1", "running", ""))
+    assert supervisor.running()
+    dockerd.router = dockerd.router._replace(state="failed", error=KILLED)
+    dockerd.say(("t1", "running", ""))
+    with pytest.raises(EngineError, match=r"the router has ended: killed by signal 9 .*; see logs/router\.log"):
+        supervisor.running()
+
+
+def test_a_real_time_run_waits_for_its_router_but_not_for_one_that_stays_away(
+    resolved: Resolved, tmp_path: Path, dockerd: Engine
+) -> None:
+    supervisor = supervised(resolved, tmp_path, "realtime")
+    there, gone = dockerd.router, dockerd.router._replace(state="failed", error=KILLED)
+    for dockerd.router in (there, gone, gone, there, gone, gone, gone):
+        dockerd.say(("t1", "running", ""))
+        assert supervisor.running()
+    dockerd.now += 10.0
+    with pytest.raises(EngineError, match="the router has ended"):
+        supervisor.running()
+
+
+def test_a_node_on_another_machine_is_not_killed_and_the_reason_is_said(
+    resolved: Resolved, tmp_path: Path, dockerd: Engine
+) -> None:
+    supervisor = supervised(resolved, tmp_path)
+    (child,) = supervisor.children.values()
+    dockerd.say(("t1", "running", ""))
+    dockerd.tasks = [task._replace(machine="there") for task in dockerd.tasks]
+    supervisor.running()
+    for doing in (supervisor.kill, supervisor.pause):
+        with pytest.raises(
+            EngineError, match=r"infra_2 cannot be .*: Docker does that on its own machine only.*on there"
+        ):
+            doing(child)
+    assert dockerd.told == []
+
+
+def test_docker_may_be_silent_for_a_while_but_not_for_long(
+    resolved: Resolved, tmp_path: Path, dockerd: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervisor = supervised(resolved, tmp_path)
+    dockerd.say(("t1", "running", ""))
+    supervisor.running()
+
+    def silent(stack: str) -> None:
+        raise EngineError("the Docker engine cannot be reached")
+
+    monkeypatch.setattr(tasks, "of", silent)
+    dockerd.now += 10.0
+    assert supervisor.running()
+    dockerd.now += 30.0
+    with pytest.raises(EngineError, match="cannot be reached"):
+        supervisor.running()
+
+
+@pytest.mark.parametrize(
+    ("said", "reason"),
+    [
+        ("inactive false", r"in no swarm: make one by `docker swarm init --advertise-addr 127\.0\.0\.1`"),
+        ("locked false", "the swarm of this machine is locked"),
+        ("active false", "is a worker of its swarm"),
+        ("active true", None),
+    ],
+)
+def test_only_a_manager_of_a_swarm_will_do(monkeypatch: pytest.MonkeyPatch, said: str, reason: str | None) -> None:
+    monkeypatch.setattr(engine, "docker", lambda *words: said + "\n")
+    if reason is None:
+        engine.check_manager()
+    else:
+        with pytest.raises(EngineError, match=reason):
+            engine.check_manager()
+
+
+def test_the_engine_of_another_machine_is_refused() -> None:
+    with pytest.raises(EngineError, match="DOCKER_HOST is tcp://there:2375: expected the engine of this machine"):
+        engine.check_here({"DOCKER_HOST": "tcp://there:2375"})
+    engine.check_here({"DOCKER_HOST": "unix:///var/run/docker.sock"})
+    engine.check_here({})
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        ('["registry.example/mast@sha256:2"]\tsha256:1\n', "registry.example/mast@sha256:2"),
+        ("[]\tsha256:1\n", "sha256:1"),
+    ],
+)
+def test_all_machines_run_the_very_same_image(monkeypatch: pytest.MonkeyPatch, said: str, expected: str) -> None:
+    monkeypatch.setattr(engine, "docker", lambda *words: said)
+    assert engine.reference("mast") == expected
+
+
+def test_settings_of_a_router_that_no_swarm_keeps_are_refused(tmp_path: Path) -> None:
+    settings = tmp_path / "router.json"
+    settings.write_bytes(b" " * 500_000)
+    engine.check_size(settings)
+    settings.write_bytes(b" " * 500_001)
+    with pytest.raises(EngineError, match="are 500001 bytes: a secret of a swarm is at most 500000"):
+        engine.check_size(settings)
+
+
+def test_a_machine_without_a_swarm_has_nothing_of_a_stack_but_containers(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def docker(*words: str, **_: Any) -> str:
+        asked.append(words[0])
+        return "inactive" if words[0] == "info" else ""
+
+    monkeypatch.setattr(stack, "docker", docker)
+    stack.remove("mast-1")
+    assert asked == ["info", "container", "network"]
+
+
+def test_nodes_elsewhere_get_what_decides_over_last_digits_and_nothing_else() -> None:
+    ours = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "2", "HOME": "/somewhere"}
+    assert arithmetic.environment(ours) == {"OPENBLAS_CORETYPE": "Haswell"}

@@ -1,0 +1,259 @@
+"""Runs in a swarm of one machine: what they give, what they survive, and that nothing is left of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import swarm_launch
+import swarms
+
+from mast_zenoh import bundle, scenario
+from mast_zenoh.deploy.docker import docker
+from mast_zenoh.deploy.swarm import document, stack
+from mast_zenoh.deploy.swarm.engine import Swarm
+from mast_zenoh.errors import EngineError
+from mast_zenoh.launch import local
+from mast_zenoh.launch.local import Run
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.explain import explain
+
+pytestmark = [pytest.mark.mesh, pytest.mark.timeout(420)]
+
+
+@pytest.fixture(scope="module")
+def image() -> Iterator[str]:
+    with swarms.swarm() as tag:
+        yield tag
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_behind(image: str) -> Iterator[None]:
+    """Nothing that belongs to a stack is there after a test that was not there before."""
+
+    def stacked() -> set[str]:
+        found = set()
+        for kind in ("service", "network", "secret", "config", "volume", "container"):
+            more = ("--all",) if kind == "container" else ()
+            form = f"{kind} {{{{.{'Names' if kind == 'container' else 'Name'}}}}}"
+            words = (kind, "ls", *more, "--filter", "label=com.docker.stack.namespace", "--format", form)
+            found |= set(docker(*words).splitlines())
+        return found
+
+    before = stacked()
+    yield
+    assert not (left := stacked() - before), f"left behind: {left}"
+
+
+def metrics(run: Run) -> Any:
+    return json.loads((run.folder / "metrics.json").read_text())
+
+
+def same(here: Run, there: Run) -> None:
+    assert there.error is None, there.error
+    assert metrics(here) == metrics(there)
+    found = compare(here.folder, there.folder, taps=True)
+    assert found.first is None, "\n".join(explain(found))
+    assert found.equal > 0
+
+
+def test_a_secure_run_gives_the_same_to_the_last_digit_and_tells_nobody_a_key(tmp_path: Path, image: str) -> None:
+    resolved = swarm_launch.resolved()
+    here = local.run(resolved, tmp_path / "here", runtime="inproc")
+    there = local.run(resolved, tmp_path / "there", engine=Swarm(image), secure="acl")
+    same(here, there)
+    for name, node in there.record["nodes"].items():
+        assert node["service"] == f"{there.record['deployment']['stack']}_{name}"
+        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "it is the same clock"
+    assert not (there.folder / document.CREDENTIALS).exists()
+    for path in there.folder.rglob("*"):
+        assert path.is_dir() or b"PRIVATE KEY" not in path.read_bytes(), path
+
+
+def test_whom_the_scenario_kills_stays_away_until_it_is_started_and_messages_are_the_same(
+    tmp_path: Path, image: str
+) -> None:
+    kill = dict(type="Kill", at=0.5, node="infra_2", restart_after=0.5)
+    resolved = swarm_launch.resolved(frames=14, faults=[kill])
+    here = local.run(resolved, tmp_path / "here", runtime="inproc")
+    there = local.run(resolved, tmp_path / "there", engine=Swarm(image))
+    same(here, there)
+    assert there.record["nodes"]["infra_2"]["restarts"] == 1
+    assert there.record["steps"] == [
+        {"frame": 5, "action": "kill", "node": "infra_2"},
+        {"frame": 10, "action": "start", "node": "infra_2"},
+    ]
+
+
+PHOENIX = """
+import os
+import signal
+
+from agent import Agent, main
+
+
+class Phoenix(Agent):
+    def on_clock(self, received, context):
+        if received.frame == 8:
+            print("burning", flush=True)
+            os.kill(os.getpid(), signal.SIGKILL)
+        super().on_clock(received, context)
+"""
+PATIENT = """
+import threading
+
+from agent import Agent, main
+
+
+class Patient(Agent):
+    seen = 0
+
+    def joined(self, node, role, context):
+        self.seen += node == "infra_2"
+
+    def on_clock(self, received, context):
+        if received.frame > 8 and self.seen < 2:
+            threading.Event().wait(0.5)  # a slow step, until it has come again
+        super().on_clock(received, context)
+"""
+SCENARIO = """
+from mast_zenoh import loading
+
+_, baseline = loading.function("scenarios", "baseline", "scenario")
+
+
+def scenario():
+    made = baseline(n_infrastructure=2)
+    each = made["agents"]["*"]
+    own = {"infra_1": each | dict(file="patient.py"), "infra_2": each | dict(file="phoenix.py", on_exit="restart")}
+    return made | dict(agents={"*": each} | own)
+"""
+
+
+def test_a_node_that_docker_starts_again_takes_part_at_the_current_frame_of_a_lock_step_run(
+    tmp_path: Path, image: str
+) -> None:
+    shutil.copyfile(bundle.find("nodes", "agent.py", tmp_path), tmp_path / "agent.py")
+    for name, content in (("phoenix", PHOENIX), ("patient", PATIENT), ("rising", SCENARIO)):
+        (tmp_path / f"{name}.py").write_text(content)
+    path, loaded = scenario.load(str(tmp_path / "rising.py"), [])
+    resolved = scenario.resolve(path, loaded, frames=150)
+    ended = local.run(resolved, tmp_path / "run", engine=Swarm(image), secure="acl")
+    assert ended.error is None, ended.error
+    node = ended.record["nodes"]["infra_2"]
+    assert (node["restarts"], node["exit"], node["last_frame"]) == (1, 0, 149)
+    assert node["ended"] == "killed by signal 9 (SIGKILL); ok"
+    assert "burning" in (ended.folder / "logs" / "infra_2.log").read_text(), "what it said before is kept"
+    assert ended.record["steps"] == [], "nobody but Docker has started it"
+
+
+class Launching:
+    """A run in a process of its own."""
+
+    def __init__(self, image: str, out: Path, **options: Any) -> None:
+        self.out = out
+        self.process = subprocess.Popen(
+            [sys.executable, swarm_launch.__file__, image, str(out), json.dumps(options)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+
+    def record(self) -> dict[str, Any]:
+        path = self.out / "run.json"
+        return json.loads(path.read_text()) if path.is_file() else {}
+
+
+@pytest.fixture
+def launch(image: str, tmp_path: Path) -> Iterator[Callable[..., Launching]]:
+    runs: list[Launching] = []
+
+    def start(**options: Any) -> Launching:
+        runs.append(Launching(image, tmp_path / f"run_{len(runs)}", **options))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        if run.process.poll() is None:
+            run.process.kill()
+            run.process.communicate()
+        if deployment := run.record().get("deployment"):
+            stack.remove(deployment["stack"])
+
+
+def on_its_way(run: Launching) -> dict[str, Any]:
+    """run.json, when frames are being played: the recorder has handed in some."""
+
+    def ready() -> bool:
+        assert run.process.poll() is None, run.process.communicate()[0]
+        log = run.out / "messages.mcap"
+        return log.is_file() and log.stat().st_size > 0
+
+    swarms.eventually(ready, "something is recorded")
+    return run.record()
+
+
+def test_a_run_in_real_time_that_is_stopped_keeps_what_it_has_and_leaves_nothing(
+    launch: Callable[..., Launching], capsys: pytest.CaptureFixture[str]
+) -> None:
+    pause = dict(type="Pause", at=1.0, until=60.0, node="infra_2")
+    run = launch(frames=900, mode="realtime", secure="acl", faults=[pause])
+    record = on_its_way(run)
+    states = {entry["node"]: entry for entry in Swarm.status(run.out, record)}
+    assert states.keys() == {"router", *record["nodes"]}
+    assert {entry["state"] for entry in states.values()} <= {"running", "starting"}
+    assert states["router"]["where"] == docker("info", "--format", "{{.Name}}").strip()
+    Swarm.logs(run.out, record, "router", follow=False)
+    assert "router at tls/" in capsys.readouterr().out
+    container = docker("ps", "--quiet", "--filter", f"name={record['nodes']['infra_2']['service']}").strip()
+
+    def paused() -> bool:
+        return docker("inspect", "--format", "{{.State.Paused}}", container).strip() == "true"
+
+    swarms.eventually(paused, "the scenario pauses infra_2")
+    run.process.send_signal(signal.SIGINT)
+    output, _ = run.process.communicate(timeout=180)
+    assert run.process.returncode == 130, output
+    record = run.record()
+    assert record["status"] == "interrupted"
+    assert {name: node["exit"] for name, node in record["nodes"].items()} == dict.fromkeys(record["nodes"], 0)
+    assert json.loads((run.out / "metrics.json").read_text())["frames"] > 10
+    assert stack.left(record["deployment"]["stack"]) == {}
+
+
+def test_what_a_killed_launcher_leaves_goes_by_itself_and_down_removes_the_rest(
+    launch: Callable[..., Launching],
+) -> None:
+    run = launch(frames=900, mode="realtime", secure="tls")
+    record = on_its_way(run)
+    os.kill(run.process.pid, signal.SIGKILL)
+    run.process.communicate()
+
+    def gone() -> bool:
+        return all(entry["state"] not in ("running", "starting") for entry in Swarm.status(run.out, record))
+
+    swarms.eventually(gone, "all tasks have ended by themselves")
+    assert stack.left(record["deployment"]["stack"]).keys() == {"service", "network", "secret", "container"}
+    for _ in range(2):
+        Swarm.down(run.out, record)
+        assert stack.left(record["deployment"]["stack"]) == {}
+    assert Swarm.status(run.out, record) == []
+
+
+def test_what_makes_a_run_impossible_is_said_before_anything_is_written(tmp_path: Path, image: str) -> None:
+    resolved = swarm_launch.resolved()
+    with pytest.raises(EngineError, match=r"there is no image mast-zenoh:nowhere: build it by `mast deploy image`"):
+        local.run(resolved, tmp_path / "run", engine=Swarm("mast-zenoh:nowhere"))
+    with pytest.raises(EngineError, match=r"has the label mast\.host=moon"):
+        local.run(resolved, tmp_path / "run", engine=Swarm(image, place={"infra_*": "moon"}))
+    assert not (tmp_path / "run").exists()
