@@ -10,7 +10,8 @@ The same message, real tracks of 20 objects, goes from a publisher to a subscrib
     wired       and with those of the profile `wired`; its delays, as the rules draw them, are taken off
 
 one message after the other, all ways in turn. Given are medians of one-way times, of blocks of messages, and what a way
-adds to the direct one as a multiple of what the relay adds.
+adds to the direct one as a multiple of what the relay adds: the median of the blocks' own ratios, because what else the
+machine does changes from block to block.
 
     python benchmarks/link.py [--messages 200] [--repeats 10] [--objects 20]
 """
@@ -24,6 +25,7 @@ import statistics
 import subprocess
 import sys
 import time
+from operator import truediv
 
 import msgpack
 import numpy as np
@@ -230,13 +232,15 @@ def main() -> None:
             process.wait()
     medians["wired"] = [found - drawn_delay_us(len(payload), 10_000) for found in medians["wired"]]
     p50 = {way: statistics.median(found) for way, found in medians.items()}
-    added = {way: p50[way] - p50["direct"] for way in WAYS[1:]}
+    added = {way: [a - b for a, b in zip(medians[way], medians["direct"], strict=True)] for way in WAYS[1:]}
     size = f"{arguments.objects} objects, {len(payload)} bytes"
     print(f"one way through a router, {size}, p50 of {arguments.messages} messages in each block")
     print(f"{'':8}{'µs (median)':>12}{'added':>8}{'of relay':>10}{'of callback':>13}   blocks")
     for way in WAYS:
-        ratios = [added[way] / added[bare] for bare in ("relay", "callback")] if way in added else []
-        beside = f"{added[way]:8.0f}{ratios[0]:10.2f}{ratios[1]:13.2f}" if ratios else " " * 31
+        beside = " " * 31
+        if way in added:
+            of = {bare: statistics.median(map(truediv, added[way], added[bare])) for bare in BARE}
+            beside = f"{statistics.median(added[way]):8.0f}{of['relay']:10.2f}{of['callback']:13.2f}"
         print(f"{way:8}{p50[way]:12.0f}{beside}   {', '.join(f'{found:.0f}' for found in medians[way])}")
 
 

@@ -299,24 +299,24 @@ class MeshNode:
 
         def on_sample(sample: zenoh.Sample) -> None:
             attachment = sample.attachment
-            event = ("sample", key, sample.payload.to_bytes(), attachment.to_bytes() if attachment else None)
-            if not (self._prompt and self._handled_at_once(event)):
+            came = (key, sample.payload.to_bytes(), attachment.to_bytes() if attachment else None)
+            if not (self._prompt and self._handled_at_once(*came)):
                 self._queued += 1
-                put(event)
+                put(("sample", *came))
 
         return on_sample
 
-    def _handled_at_once(self, event: tuple[Any, ...]) -> bool:
+    def _handled_at_once(self, key: str, payload: bytes, attachment: bytes | None) -> bool:
         """Handle a sample in the thread that brings it, unless another waits before it or the node is busy."""
         if self._queued != self._taken or not self._started or not self._inside.acquire(blocking=False):
             return False
         try:
-            self.handle(event)
+            self._sample(key, payload, attachment)
             due_s = self.host.release()
         finally:
             self._inside.release()
-        if due_s is not None:
-            self.inbox.put(("due",))  # the main thread is to see when
+        if due_s is not None or self.rewiring.asked:
+            self.inbox.put(("due",))  # the main thread is to see to it
         return True
 
     def subscribe(self, key: str, callback: Callable[[zenoh.Sample], None]) -> Any:

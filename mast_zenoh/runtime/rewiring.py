@@ -107,6 +107,11 @@ class Rewiring:
         """Whether an outlet still holds messages back."""
         return bool(self._draining)
 
+    @property
+    def asked(self) -> bool:
+        """Whether somebody waits to hear that all is passed on."""
+        return bool(self._asked)
+
     def follow(self, told: Told) -> None:
         """Do what an epoch says."""
         self._prepare(told.wiring)
