@@ -24,7 +24,8 @@ bench: .venv/ready
 docs: .venv/ready
 	$(BIN)/python -m mast_zenoh.documentation docs
 
-.venv/ready: pyproject.toml
+# Kernels are compiled when the package is installed: again when their sources have changed.
+.venv/ready: pyproject.toml hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd)
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed, this is " + sys.version'
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'

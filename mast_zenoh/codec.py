@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.errors import MessageError
+from mast_zenoh.kernels import kernel
 from mast_zenoh.messages import SCHEMAS, Body, Column, Header, Message, Schema
 from mast_zenoh.states import CLASSES
 
@@ -45,7 +46,7 @@ _MAX_PLANS = 1024
 class _Planned(NamedTuple):
     """What one column of a body of known sizes must hold; `dtype` is None for text. `limit`: see `_limit`."""
 
-    column: Column
+    name: str
     dtype: np.dtype[Any] | None
     dtype_name: str
     shape: tuple[int, ...]
@@ -60,7 +61,9 @@ def _index_limit(column: Column) -> int:
 
 
 def _limit(column: Column) -> float:
-    """What the values of a column are held to besides being finite: 0 for nothing."""
+    """What the values of a column are held to besides being finite: 0 for nothing. Of text the length."""
+    if column.dtype == "str":
+        return MAX_TEXT
     if column.dtype == "uint8":
         return _index_limit(column)
     return LEAST_QUATERNION**2 if column.dtype == "float64" and column.name.endswith("rotation") else 0.0
@@ -78,7 +81,6 @@ class _Layout:
                     self._letters.setdefault(size, (column.name, axis))
         self.sources = tuple(self._letters.values())
         self._schema = schema
-        self._checks = [(column.name, column.dtype, _limit(column)) for column in schema.columns]
         self._plans: dict[tuple[int, ...], list[_Planned]] = {}
 
     def named(self, sizes: tuple[int, ...]) -> dict[str, int]:
@@ -101,60 +103,93 @@ class _Layout:
                 dtype = _WIRE_DTYPE.get(column.dtype)
                 n_bytes = prod(shape) * (dtype.itemsize if dtype else 0)
                 name = _DTYPE_NAME[column.dtype]
-                plan.append(_Planned(column, dtype, name, shape, list(shape), n_bytes, _limit(column)))
+                plan.append(_Planned(column.name, dtype, name, shape, list(shape), n_bytes, _limit(column)))
             if len(self._plans) < _MAX_PLANS:
                 self._plans[sizes] = plan
         return plan
 
     def quick(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """The columns of a packed body with nothing odd about it; None where there is, whatever it may be."""
-        columns: dict[str, NDArray[Any]] = {}
-        floats: list[bytes] = []
         try:
             plan = self.plan(tuple([body[name][1][axis] for name, axis in self.sources]))
-            for column, dtype, dtype_name, shape, dims, n_bytes, limit in plan:
-                found_dtype, found_dims, data = body[column.name]
-                if dtype is None:
-                    columns[column.name] = _array(self._schema.name, column, body[column.name], {})
-                    continue
-                if found_dtype != dtype_name or found_dims != dims or type(data) is not bytes or len(data) != n_bytes:
-                    return None
-                for size in found_dims:
-                    if type(size) is not int:  # 3.0 and True are equal to whole numbers
-                        return None
-                columns[column.name] = array = np.ndarray(shape, dtype, data)
-                if column.dtype == "float64":
-                    floats.append(data)
-                    if limit and np.vdot(array, array) < limit:
-                        return None
-                elif limit and data and max(data) >= limit:
-                    return None
-        except (KeyError, IndexError, TypeError, ValueError, MessageError):
+        except (KeyError, IndexError, TypeError, ValueError):
             return None
-        # All numbers at once. Less than this in all is less than what a column may have by itself.
-        every = np.frombuffer(b"".join(floats))
-        return columns if np.vdot(every, every) <= _MAX_SQUARES else None
+        columns = packed_columns(body, plan)
+        return columns if columns is not None and sound_values(columns, plan) <= _MAX_SQUARES else None
 
     def sound(self, body: Body) -> bool:
         """Whether there is nothing odd about the values of a body that `conform` made; what it is, others find out."""
-        squares, n_bytes = 0.0, 0
-        for name, kind, limit in self._checks:
-            array = body[name]
-            n_bytes += array.nbytes
-            if kind == "float64":
-                own = np.vdot(array, array)
-                squares += own
-                if limit and own < limit:
-                    return False
-            elif kind == "uint8":
-                if array.size and max(array.tobytes()) >= limit:
-                    return False
-            elif kind == "str":
-                for item in array:
-                    if not isinstance(item, str) or len(item) > MAX_TEXT:
-                        return False
-        # Less than this in all is less than what a column may have by itself.
-        return n_bytes <= MAX_BYTES and bool(squares <= _MAX_SQUARES)
+        plan = self.plan(tuple([body[name].shape[axis] for name, axis in self.sources]))
+        n_bytes = sum([planned.n_bytes for planned in plan])
+        return n_bytes <= MAX_BYTES and sound_values(body, plan) <= _MAX_SQUARES
+
+
+@kernel
+def packed_columns(body: Mapping[str, Any], plan: list[_Planned]) -> dict[str, NDArray[Any]] | None:
+    """The columns of a packed body, if all are as planned; their values may be anything."""
+    columns: dict[str, NDArray[Any]] = {}
+    for planned in plan:
+        packed = body.get(planned.name)
+        if type(packed) is not list or len(packed) != 3:
+            return None
+        dtype_name, dims, data = packed
+        if dtype_name != planned.dtype_name or type(dims) is not list or dims != planned.dims:
+            return None
+        for size in dims:
+            if type(size) is not int:  # 3.0 and True are equal to whole numbers
+                return None
+        if planned.dtype is None:
+            if type(data) is not list or [len(data)] != dims or not all(type(text) is str for text in data):
+                return None
+            columns[planned.name] = array = np.empty(len(data), object)
+            array[:] = data
+        elif type(data) is not bytes or len(data) != planned.n_bytes:
+            return None
+        else:
+            columns[planned.name] = np.ndarray(planned.shape, planned.dtype, data)
+    return columns
+
+
+@kernel
+def exact_columns(body: Mapping[str, Any], plan: list[_Planned]) -> dict[str, NDArray[Any]] | None:
+    """The columns of a body, read-only, if they are arrays as planned, of contiguous memory."""
+    columns: dict[str, NDArray[Any]] = {}
+    for planned in plan:
+        array = body.get(planned.name)
+        if type(array) is not np.ndarray or array.dtype != (planned.dtype or object) or array.shape != planned.shape:
+            return None
+        if planned.dtype is not None:
+            if not array.flags.c_contiguous:
+                return None
+            if array.flags.writeable:
+                array = array.view()
+                array.setflags(write=False)
+        columns[planned.name] = array
+    return columns
+
+
+@kernel
+def sound_values(columns: Mapping[str, NDArray[Any]], plan: list[_Planned]) -> float:
+    """The sum of the squares of all that is float64; infinite where anything else is beyond its limit.
+
+    columns: arrays as planned
+    """
+    # All numbers at once. Less than the limit in all is less than what a column may have by itself.
+    squares = 0.0
+    for planned in plan:
+        array = columns[planned.name]
+        if planned.dtype is None:
+            for item in array:
+                if not isinstance(item, str) or len(item) > planned.limit:
+                    return float("inf")
+        elif planned.dtype_name == "<f8":
+            own = np.vdot(array, array)
+            squares += own
+            if own < planned.limit:
+                return float("inf")
+        elif planned.dtype_name == "|u1" and array.size and max(array.tobytes()) >= planned.limit:
+            return float("inf")
+    return float(squares)
 
 
 _LAYOUTS = {name: _Layout(schema) for name, schema in SCHEMAS.items()}
@@ -172,7 +207,11 @@ def conform(header: Header, body: Body) -> Message:
     sizes: dict[str, int] = {}
     try:
         found = tuple([body[name].shape[axis] for name, axis in layout.sources])
-        shapes = [planned.shape for planned in layout.plan(found)]
+        plan = layout.plan(found)
+        exact = exact_columns(body, plan)
+        if exact is not None:
+            return Message(header, exact)
+        shapes = [planned.shape for planned in plan]
     except (KeyError, IndexError, ValueError):
         shapes = []  # what is odd is told below
     columns: dict[str, NDArray[Any]] = {}

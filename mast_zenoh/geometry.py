@@ -14,6 +14,8 @@ from mast_zenoh.states import Bools, Floats, ObjectStates
 
 TWO_PI = 2.0 * np.pi
 
+_NO_TURN = [1.0, 0.0, 0.0, 0.0]
+
 
 def wrap_angle(angle: Floats) -> Floats:
     """Angles in rad wrapped to [-pi, pi); rounding may give pi itself."""
@@ -71,7 +73,7 @@ def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> O
 
     Sizes stay as they are; yaw turns by the frame's heading.
     """
-    if rotation[0] == 1.0 and not rotation[1:].any() and not origin.any():
+    if rotation.tolist() == _NO_TURN and not any(origin.tolist()):
         return states
     matrix = rotation_from_quaternion(rotation)
     jacobian = np.eye(9)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from mast_zenoh.kernels import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -81,7 +83,7 @@ class ObjectStates:
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
         """The states in a message body (further columns are left out)."""
-        return cls(*(columns[name] for name in STATE_COLUMNS))
+        return cls(*[columns[name] for name in STATE_COLUMNS])
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The states as message columns, by name; the arrays are shared, not copied."""
@@ -93,7 +95,7 @@ class ObjectStates:
 
     def with_(self, **columns: NDArray[Any]) -> ObjectStates:
         """A copy with some columns replaced."""
-        return replace(self, **columns)
+        return ObjectStates(**self.columns() | columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,7 @@ class Detections:
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Detections:
         """The detections in a message body (further columns are left out)."""
-        return cls(*(columns[name] for name in DETECTION_COLUMNS))
+        return cls(*[columns[name] for name in DETECTION_COLUMNS])
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The detections as message columns, by name; the arrays are shared, not copied."""
@@ -156,17 +158,20 @@ def concatenate(parts: Sequence[ObjectStates]) -> ObjectStates:
     """All rows of `parts`, in order."""
     if not parts:
         return ObjectStates.empty()
-    return ObjectStates(*(np.concatenate([getattr(part, name) for part in parts]) for name in STATE_COLUMNS))
+    return ObjectStates(*[np.concatenate([getattr(part, name) for part in parts]) for name in STATE_COLUMNS])
 
 
 def propagate(states: ObjectStates, dt: float) -> ObjectStates:
     """Objects moved `dt` seconds along their velocity (constant velocity, covariance without process noise)."""
     if len(states) == 0 or dt == 0.0:
         return states
+    position, covariance = moved(states.position, states.velocity, states.covariance, dt)
+    return states.with_(position=position, covariance=covariance)
+
+
+@kernel
+def moved(position: Floats, velocity: Floats, covariance: Floats, dt: float) -> tuple[Floats, Floats]:
+    """(n, 3) positions and (n, 9, 9) covariances, see `propagate`."""
     transition = np.eye(9)
     transition[0:3, 6:9] = np.eye(3) * dt
-    return replace(
-        states,
-        position=states.position + states.velocity * dt,
-        covariance=transition @ states.covariance @ transition.T,
-    )
+    return position + velocity * dt, transition @ covariance @ transition.T

@@ -11,6 +11,7 @@ from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.targets import Changes, Tampering, Targets
 from mast_zenoh.geometry import within_range
 from mast_zenoh.states import Floats, Ints, ObjectStates
+from mast_zenoh.tracking.neighbours import neighbours
 
 #: Part of the position error that goes into the velocity of a target whose object shows none (an α-β filter, α = 1).
 VELOCITY_GAIN = 0.2
@@ -82,13 +83,13 @@ def nearest_first(origin: Floats, goal: Floats, radius: float) -> Ints:
     The nearest pair within `radius` is joined first, then the nearest of those left; equal distances go by row.
     """
     result = np.full(len(origin), -1, np.int64)
-    distance = np.linalg.norm(origin[:, None, :] - goal[None, :, :], axis=2)
-    i, j = np.nonzero(distance <= radius)
-    free = np.ones(len(goal), bool)
-    for pair in np.lexsort((j, i, distance[i, j])):
-        if result[i[pair]] < 0 and free[j[pair]]:
-            result[i[pair]] = j[pair]
-            free[j[pair]] = False
+    i, j, dx, dy = neighbours(origin, goal, np.full(len(origin), radius))
+    nearest = np.lexsort((j, i, dx * dx + dy * dy))
+    taken: set[int] = set()
+    for a, b in zip(i[nearest].tolist(), j[nearest].tolist(), strict=True):
+        if result[a] < 0 and b not in taken:
+            result[a] = b
+            taken.add(b)
     return result
 
 

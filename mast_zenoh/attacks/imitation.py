@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import median
+
 import numpy as np
 
 from mast_zenoh.states import Floats, Ints, ObjectStates
@@ -23,9 +25,9 @@ def imitate(false: ObjectStates, real: ObjectStates) -> ObjectStates:
     if len(real):
         by_trace = np.argsort(np.trace(real.covariance, axis1=1, axis2=2), kind="stable")
         covariance = real.covariance[by_trace[(len(real) - 1) // 2]]
-        score = float(np.median(real.score))
+        score = median(real.score.tolist())
     return false.with_(
-        covariance=np.tile(covariance, (len(false), 1, 1)),
+        covariance=np.repeat(covariance[None], len(false), 0),
         score=np.full(len(false), score),
     )
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.errors import nearest
 from mast_zenoh.states import CLASS_INDEX, Floats, Ints, ObjectStates
+from mast_zenoh.tracking.neighbours import neighbours
 
 
 class Selection(ABC):
@@ -169,22 +169,23 @@ def cluster_centres(objects: ObjectStates, source: Ints, radius_m: float) -> Obj
         return objects
     order = canonical_order(objects, source)
     objects, source = objects.select(order), source[order]
-    ground = objects.position[:, :2]
-    pairs = cKDTree(ground).query_pairs(radius_m, output_type="ndarray")
-    pairs = pairs[source[pairs[:, 0]] != source[pairs[:, 1]]]
-    distance = np.linalg.norm(ground[pairs[:, 0]] - ground[pairs[:, 1]], axis=1)
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0], distance))]
-    label = np.arange(len(objects))
-    sources = [{int(s)} for s in source]
-    for i, j in pairs:
-        a, b = min(label[i], label[j]), max(label[i], label[j])
+    i, j, dx, dy = neighbours(objects.position, objects.position, np.full(len(objects), radius_m))
+    others = ((i < j) & (source[i] != source[j])).nonzero()[0]
+    nearest = others[np.lexsort((j[others], i[others], (dx * dx + dy * dy)[others]))]
+    label = list(range(len(objects)))
+    members = [[row] for row in label]
+    sources = [{s} for s in source.tolist()]
+    for p, q in zip(i[nearest].tolist(), j[nearest].tolist(), strict=True):
+        a, b = sorted((label[p], label[q]))
         if sources[a].isdisjoint(sources[b]):  # false as well when both are in one cluster already
             sources[a] |= sources[b]
-            label[label == b] = a
+            members[a] += members[b]
+            for row in members[b]:
+                label[row] = a
     first, member, size = np.unique(label, return_inverse=True, return_counts=True)
-    total = np.zeros((len(first), 6))
-    np.add.at(total, member, np.hstack([objects.position, objects.velocity]))
-    mean = total / size[:, None]
+    by_member = np.argsort(member, kind="stable")
+    both = np.concatenate([objects.position, objects.velocity], axis=1).take(by_member, 0)
+    mean = np.add.reduceat(both, np.cumsum(size) - size) / size[:, None]
     return objects.select(first).with_(position=mean[:, :3], velocity=mean[:, 3:])
 
 

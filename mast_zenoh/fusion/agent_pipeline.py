@@ -13,6 +13,7 @@ from mast_zenoh.geometry import rotation_from_quaternion
 from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
 from mast_zenoh.states import Detections, Floats, ObjectStates, concatenate
 from mast_zenoh.tracking.base import Tracker
+from mast_zenoh.tracking.neighbours import neighbours
 from mast_zenoh.tracking.view import SensorView
 
 _NO_OFFSET = np.zeros(3)
@@ -61,9 +62,11 @@ class PictureFirst(MissionEstimator):
 
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
         """See MissionEstimator."""
-        gap = np.hypot(*np.moveaxis(own.position[:, None, :2] - picture.position[None, :, :2], -1, 0))
-        alone = gap.min(axis=1, initial=np.inf) > self.radius
-        return concatenate([picture.with_(id=2 * picture.id), own.with_(id=2 * own.id + 1).select(alone)])
+        seen, _, _, _ = neighbours(own.position, picture.position, np.full(len(own), self.radius))
+        alone = np.ones(len(own), bool)
+        alone[seen] = False
+        rest = own.select(alone)
+        return concatenate([picture.with_(id=2 * picture.id), rest.with_(id=2 * rest.id + 1)])
 
 
 @dataclass(frozen=True, slots=True)

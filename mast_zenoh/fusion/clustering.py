@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from mast_zenoh.fusion.base import Clusterer
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.tracking.neighbours import TABLE, neighbours
 
@@ -101,7 +102,17 @@ def _near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
 
 def _merge(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, radius: float) -> Ints:
     """(n,) labels, in the order of first rows, after joining the pairs by distance, then i, then j."""
-    n = len(position)
+    root, rest = plain_clusters(agent, i, j)
+    if len(rest):
+        _merge_nearest_first(root, position, agent, i[rest], j[rest], squared[rest], radius)
+    label = (root == np.arange(len(root))).cumsum() - 1
+    return np.asarray(label[root])
+
+
+@kernel
+def plain_clusters(agent: Ints, i: Ints, j: Ints) -> tuple[Ints, Ints]:
+    """(n,) the first row of each row's cluster, by the pairs i < j; and which pairs are not so easily told."""
+    n = len(agent)
     root = np.arange(n)
     np.minimum.at(root, j, i)
     # Most clusters are plain: tracks of different agents, all within the radius of each other and of nothing else.
@@ -111,11 +122,7 @@ def _merge(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, rad
     plain = np.bincount(own, minlength=n) == size * (size - 1) // 2
     odd = (own != root[j]) | (agent[i] == agent[j])
     plain[own[odd]] = plain[root[j[odd]]] = False
-    rest = (~plain[own]).nonzero()[0]
-    if len(rest):
-        _merge_nearest_first(root, position, agent, i[rest], j[rest], squared[rest], radius)
-    label = (root == np.arange(n)).cumsum() - 1
-    return np.asarray(label[root])
+    return root, (~plain[own]).nonzero()[0]
 
 
 def _merge_nearest_first(

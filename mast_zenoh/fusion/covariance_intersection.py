@@ -8,6 +8,7 @@ import numpy as np
 
 from mast_zenoh.fusion.base import Fusion
 from mast_zenoh.fusion.members import Members, state_vectors
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Floats, Ints, ObjectStates
 from mast_zenoh.tracking.inversion import inverse
 
@@ -36,17 +37,26 @@ class CovarianceIntersectionFusion(Fusion):
             return ObjectStates.empty()
         if self._optimised:
             members = members.weighted(members.weight * least_trace_weights(members))
-        n = len(members.weight)
-        terms = np.empty((n, 90))
-        information = inverse(members.states.covariance)
-        information *= members.weight[:, None, None]
-        terms[:, :81] = information.reshape(n, 81)
-        terms[:, 81:] = (information @ state_vectors(members.states)[:, :, None])[:, :, 0]
-        sums = members.sum(terms)
-        fused = inverse(sums[:, :81].reshape(-1, 9, 9))
-        covariance: Floats = 0.5 * (fused + fused.transpose(0, 2, 1))
-        mean: Floats = (covariance @ sums[:, 81:, None])[:, :, 0]
-        return members.fused(mean, covariance)
+        vectors = state_vectors(members.states)
+        return members.fused(*intersection(members.states.covariance, vectors, members.weight, members.start))
+
+
+@kernel
+def intersection(covariance: Floats, state: Floats, weight: Floats, start: Ints) -> tuple[Floats, Floats]:
+    """(c, 9) means and (c, 9, 9) covariances of the intersections of n members of c clusters, see `Members`.
+
+    covariance: (n, 9, 9), positive definite; state: (n, 9)
+    """
+    n = len(weight)
+    terms = np.empty((n, 90))
+    information = inverse(covariance)
+    information *= weight[:, None, None]
+    terms[:, :81] = information.reshape(n, 81)
+    terms[:, 81:] = (information @ state[:, :, None])[:, :, 0]
+    sums = np.add.reduceat(terms, start)
+    fused = inverse(sums[:, :81].reshape(-1, 9, 9))
+    fused = 0.5 * (fused + fused.transpose(0, 2, 1))
+    return (fused @ sums[:, 81:, None])[:, :, 0], fused
 
 
 def least_trace_weights(members: Members) -> Floats:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.tracking.soundness import sound
 from mast_zenoh.tracking.tracks import known_class
@@ -66,26 +68,37 @@ class Members:
         Existence: that of the surest member, as members may share the evidence.
         """
         s = self.states
-        n = len(s)
-        # Angles doubled, opposite headings fall together; beside them, the votes.
-        terms = np.zeros((n, 2 + len(CLASSES)))
-        double = 2.0 * s.yaw
-        terms[:, 0], terms[:, 1] = np.cos(double), np.sin(double)
-        terms[np.arange(n), 2 + known_class(s.class_id)] = 1.0
-        terms *= self.weight[:, None]
-        sums = self.sum(terms)
-        axis = 0.5 * np.arctan2(sums[:, 1], sums[:, 0])
-        sense = self.sum(self.weight * np.copysign(1.0, np.cos(s.yaw - axis.take(self.cluster))))
+        yaw, class_id, score = agreement(s.yaw, s.class_id, s.score, self.weight, self.start)
         return ObjectStates(
             id=self.label,
             position=mean[:, 0:3],
             velocity=mean[:, 6:9],
             size=mean[:, 3:6],
-            yaw=wrap_angle(axis + np.pi * (sense < 0.0)),
+            yaw=yaw,
             covariance=covariance,
-            score=np.maximum.reduceat(s.score, self.start),
-            class_id=sums[:, 2:].argmax(axis=1).astype(np.uint8),
+            score=score,
+            class_id=class_id,
         )
+
+
+@kernel
+def agreement(
+    yaw: Floats, class_id: NDArray[np.uint8], score: Floats, weight: Floats, start: Ints
+) -> tuple[Floats, NDArray[np.uint8], Floats]:
+    """(c,) headings, classes and scores of clusters out of (n,) those of their members, as `Members.fused` says."""
+    n = len(yaw)
+    # Angles doubled, opposite headings fall together; beside them, the votes.
+    terms = np.zeros((n, 2 + len(CLASSES)))
+    double = 2.0 * yaw
+    terms[:, 0], terms[:, 1] = np.cos(double), np.sin(double)
+    terms[np.arange(n), 2 + known_class(class_id)] = 1.0
+    terms *= weight[:, None]
+    sums = np.add.reduceat(terms, start)
+    axis = 0.5 * np.arctan2(sums[:, 1], sums[:, 0])
+    own = np.repeat(axis, np.diff(start, append=n))
+    sense = np.add.reduceat(weight * np.copysign(1.0, np.cos(yaw - own)), start)
+    heading = wrap_angle(axis + np.pi * (sense < 0.0))
+    return heading, sums[:, 2:].argmax(axis=1).astype(np.uint8), np.maximum.reduceat(score, start)
 
 
 def state_vectors(states: ObjectStates) -> Floats:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh import kernels
 from mast_zenoh.errors import RunFolderError
 
 
@@ -72,7 +73,8 @@ def read_json(path: Path) -> Any:
 def versions() -> dict[str, str]:
     """What the run ran on."""
     packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
-    return {"python": platform.python_version(), "platform": platform.platform()} | {p: version(p) for p in packages}
+    here = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
+    return here | {package: version(package) for package in packages}
 
 
 def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Floats, Ints
 
 
@@ -33,7 +34,8 @@ class Boxes:
 
     def select(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Boxes:
         """The rows that a mask or an index array picks."""
-        return Boxes(*(getattr(self, field.name)[index] for field in fields(self)))
+        rows = index.nonzero()[0] if index.dtype == bool else index
+        return Boxes(*[getattr(self, field.name).take(rows, 0) for field in fields(self)])
 
     def in_group(self, group: Ints) -> Boxes:
         """The same boxes in other groups (n,)."""
@@ -77,22 +79,30 @@ def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
     """
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    return pairs_in_groups(a.group, a.position, b.group, b.position, radius)
+
+
+@kernel
+def pairs_in_groups(
+    a_group: Ints, a_position: Floats, b_group: Ints, b_position: Floats, radius: float
+) -> tuple[Ints, Ints]:
+    """See `pairs_within`; there is a box on either side."""
     # Groups are laid out one after the other along x, farther apart than the radius: for each box of `a` the
     # candidates are one stretch of the boxes of `b`, sorted by x.
-    x = [boxes.position[:, 0] for boxes in (a, b)]
+    x = [a_position[:, 0], b_position[:, 0]]
     least = min(x[0].min(), x[1].min())
     span = max(x[0].max(), x[1].max()) - least + 2.0 * radius + 1.0
-    key = [(boxes.group * span) + (at - least) for boxes, at in zip((a, b), x, strict=True)]
-    reach = radius * (1.0 + 1e-9) + 1e-9 + 1e-15 * span * float(max(a.group.max(), b.group.max()) + 1)
+    key = [(group * span) + (at - least) for group, at in zip((a_group, b_group), x, strict=True)]
+    reach = radius * (1.0 + 1e-9) + 1e-9 + 1e-15 * span * float(max(a_group.max(), b_group.max()) + 1)
     by_x = np.argsort(key[1], kind="stable")
     there = key[1][by_x]
     first = np.searchsorted(there, key[0] - reach, side="left")
     count = np.searchsorted(there, key[0] + reach, side="right") - first
-    i = np.repeat(np.arange(len(a)), count)
+    i = np.repeat(np.arange(len(a_group)), count)
     j = by_x[np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)]
-    near = np.abs(a.position[i, 1] - b.position[j, 1]) <= reach
+    near = np.abs(a_position[i, 1] - b_position[j, 1]) <= reach
     i, j = i[near], j[near]
-    near = (a.group[i] == b.group[j]) & (centre_distance(a.position[i], b.position[j]) <= reach)
+    near = (a_group[i] == b_group[j]) & (centre_distance(a_position[i], b_position[j]) <= reach)
     i, j = i[near], j[near]
     order = order_by(j, i)
     return i[order], j[order]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mast_zenoh import geometry
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Detections, Floats
 
 
@@ -21,11 +22,20 @@ def to_world(detections: Detections, sensor_position: Floats, sensor_rotation: F
     The yaw of a detection is about the world's vertical in both frames (`states.Detections`), so only the sensor's
     heading is added, also when the sensor is pitched.
     """
-    return replace(
-        detections,
-        position=geometry.to_world(detections.position, sensor_position, sensor_rotation),
-        yaw=geometry.wrap_angle(detections.yaw + geometry.heading(sensor_rotation)),
-        covariance=sensor_rotation @ detections.covariance @ sensor_rotation.T,
+    d = detections
+    position, yaw, covariance = turned(d.position, d.yaw, d.covariance, sensor_position, sensor_rotation)
+    return Detections(position, d.size, yaw, d.score, d.class_id, covariance)
+
+
+@kernel
+def turned(
+    position: Floats, yaw: Floats, covariance: Floats, origin: Floats, rotation: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Places (n, 3), headings (n,) and covariances (n, 3, 3) out of a frame at `origin` with `rotation` (3, 3)."""
+    return (
+        geometry.to_world(position, origin, rotation),
+        geometry.wrap_angle(yaw + geometry.heading(rotation)),
+        rotation @ covariance @ rotation.T,
     )
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import mast_zenoh
-from mast_zenoh import bundle, scenario, scenes
+from mast_zenoh import bundle, kernels, scenario, scenes
 
 #: Packages whose versions decide over the numbers, and parts of this one that do not.
 _PACKAGES = ("mast-zenoh", "numpy", "scipy", "filterpy", "msgpack")
@@ -21,10 +21,11 @@ _OUTSIDE = {"study", "report", "launch", "cli.py", "documentation.py", "__main__
 
 @cache
 def environment() -> dict[str, str]:
-    """Python, the packages that decide over the numbers, and a hash of this package's code, its nodes and maps."""
-    found = {"python": platform.python_version()} | {name: version(name) for name in _PACKAGES}
+    """Python, the packages that decide over the numbers, the kernels, and a hash of this package's code."""
+    found = {"python": platform.python_version(), "kernels": kernels.USED} | {name: version(name) for name in _PACKAGES}
     root = Path(mast_zenoh.__file__).parent
-    files = [path for path in root.rglob("*.py") if path.relative_to(root).parts[0] not in _OUTSIDE]
+    files = [path for path in root.rglob("*.p[yx]*") if path.suffix in (".py", ".pyx", ".pxd")]
+    files = [path for path in files if path.relative_to(root).parts[0] not in _OUTSIDE]
     for kind in ("nodes", "keyexpr_maps", "scenarios"):
         files += [path for path in (bundle.ROOT / kind).iterdir() if path.suffix in (".py", ".toml")]
     return found | {"code": _hash(path.read_bytes() for path in sorted(set(files)))}

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Bools, Floats, Ints
 
 #: Rows times columns up to which the best choice is looked for: it takes their power of 3/2 in time.
@@ -22,21 +23,29 @@ class Assignment(ABC):
         row, column: (p,) int64 >= 0, no pair twice; cost: (p,), what choosing the pair costs against leaving both ends
         alone. Pairs of cost >= 0 are never chosen.
         """
-        useful: Ints = (cost < 0.0).nonzero()[0]
-        if len(useful) == 0:
-            return useful
-        row, column, cost = row[useful], column[useful], cost[useful]
-        # A pair whose row and column occur in no other is chosen by any sensible rule: most pairs of a frame are.
-        chosen = np.bincount(row)[row] + np.bincount(column)[column] == 2
+        useful, chosen = useful_pairs(row, column, cost)
         rest = (~chosen).nonzero()[0]
-        if len(rest):
-            chosen[rest] = self._choose(row[rest], column[rest], cost[rest])
+        if len(rest) == 0:
+            return useful
+        contested = useful[rest]
+        chosen[rest] = self._choose(row[contested], column[contested], cost[contested])
         best: Ints = useful[chosen]
         return best
 
     @abstractmethod
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
         """(p,) bool: the chosen ones of p contested pairs of negative cost."""
+
+
+@kernel
+def useful_pairs(row: Ints, column: Ints, cost: Floats) -> tuple[Ints, Bools]:
+    """(k,) int64, ascending: the pairs of negative cost; (k,) bool: which of those have row and column for themselves.
+
+    Those are chosen by any sensible rule: most pairs of a frame are.
+    """
+    useful: Ints = (cost < 0.0).nonzero()[0]
+    row, column = row[useful], column[useful]
+    return useful, np.bincount(row)[row] + np.bincount(column)[column] == 2
 
 
 class BipartiteAssignment(Assignment):

@@ -11,9 +11,9 @@ from mast_zenoh.tracking import classes, existence, kalman, tracks
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
-from mast_zenoh.tracking.duplicates import duplicates, overlap
-from mast_zenoh.tracking.gating import Pairs, near_pairs
-from mast_zenoh.tracking.heading import correct_heading, settle_sense
+from mast_zenoh.tracking.duplicates import ONE_OBJECT, duplicates, overlap
+from mast_zenoh.tracking.gating import Pairs, gains, near_pairs
+from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, settle_sense
 from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.rolling import roll
 from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
@@ -141,9 +141,8 @@ class KalmanBoxTracker3D(Tracker):
             hit = self._hit(match, seen, detected)
             measured, R = seen.state.take(match.measurement, 0), seen.noise.take(match.measurement, 0)
             surprise = measured[:, :2] - hit[:, :2]
-            mean, P = self.filter.correct(hit[:, MEAN], tracks.covariances(hit), kalman.BOX, measured, R)
-            mean, P = roll(self.filter, hit, mean, P, surprise)
-            hit[:, MEAN], hit[:, COVARIANCE] = mean, P.reshape(len(hit), 81)
+            self.filter.correct(hit, measured, R)
+            roll(self.filter, hit, surprise)
             t[match.track] = hit
         existence.miss(t, detected, self._missed(view), self._birth)
         new = self._unexplained(match, seen)
@@ -163,16 +162,15 @@ class KalmanBoxTracker3D(Tracker):
         match = self._associate(seen, detected)
         if len(match.track):
             hit = self._hit(match, seen, detected)
-            P, R = tracks.covariances(hit), seen.noise.take(match.measurement, 0)
+            R = seen.noise.take(match.measurement, 0)
             # States that come out of filters repeat what they said before. Covariance intersection of track and
             # measurement counts nothing twice; weights by the trace of the position (Niehsen, FUSION 2002).
             own, theirs = hit[:, XX] + hit[:, YY], R[:, 0, 0] + R[:, 1, 1]
-            weight = (theirs / (own + theirs))[:, None, None]
-            mean, P = self.filter.correct(
-                hit[:, MEAN], P / weight, kalman.WHOLE, seen.state.take(match.measurement, 0), R / (1.0 - weight)
-            )
-            settle_sense(hit, (tracks.planar(mean[:, 6:8]) * np.exp(-1j * hit[:, YAW])).real)
-            hit[:, MEAN], hit[:, COVARIANCE] = mean, P.reshape(len(P), 81)
+            weight = (theirs / (own + theirs))[:, None]
+            hit[:, COVARIANCE] /= weight
+            R /= 1.0 - weight[:, None]
+            self.filter.correct(hit, seen.state.take(match.measurement, 0), R)
+            settle_sense(hit, FORWARD, TURN_LIMIT)
             t[match.track] = hit
         existence.miss(t, detected, self._missed(None), self._birth)
         new = self._unexplained(match, seen)
@@ -195,9 +193,7 @@ class KalmanBoxTracker3D(Tracker):
             if dt != self._process_noise[0]:
                 noise = kalman.process_noise(dt, self._acceleration, VERTICAL_ACCELERATION, SIZE_DRIFT)
                 self._process_noise = (dt, noise)
-            noise = self._process_noise[1].take(tracks.classes_of(t), 0)
-            mean, P = self.filter.predict(t[:, MEAN], tracks.covariances(t), dt, noise)
-            t[:, MEAN], t[:, COVARIANCE] = mean, P.reshape(len(t), 81)
+            self.filter.predict(t, dt, self._process_noise[1])
             t[:, YAW_VARIANCE] += YAW_DRIFT**2 * dt
             t[:, tracks.AGE] += dt
             existence.survive(t, dt, self._lifetime_s, self._memory_s)
@@ -208,10 +204,7 @@ class KalmanBoxTracker3D(Tracker):
         class_id = tracks.classes_of(t)
         pairs = near_pairs(t, seen.state, seen.noise, self._jump.take(class_id), self._jump_probability)
         i, j = pairs.track, pairs.measurement
-        ratio = pairs.log_density - self._log_clutter + classes.CONFUSION[class_id[i], seen.class_id[j]]
-        # Against leaving both alone: the object was missed, or is not there, and the measurement is clutter.
-        odds = t[:, ODDS]
-        gain = ratio + np.log(detected * odds / ((1.0 - detected) * (1.0 + odds)))[i]
+        ratio, gain = gains(t, detected, seen.class_id, classes.CONFUSION, i, j, pairs.log_density, self._log_clutter)
         chosen = self._assignment.match(i, j, -gain)
         return _Match(i[chosen], j[chosen], ratio[chosen], pairs.jump[chosen], pairs, len(chosen) < len(i))
 
@@ -224,7 +217,7 @@ class KalmanBoxTracker3D(Tracker):
             hit[:, YY] += match.jump
         correct_heading(hit, seen.yaw.take(used), self._yaw_noise)
         tracks.vote(hit, seen.class_id.take(used))
-        existence.hit(hit, detected.take(match.track), match.log_ratio)
+        existence.hit(hit, detected.take(match.track), match.log_ratio, existence.MOST)
         hit[:, tracks.AGE], hit[:, ROW] = 0.0, seen.row.take(used)
         return hit
 
@@ -235,8 +228,8 @@ class KalmanBoxTracker3D(Tracker):
         missed = coasts.astype(np.float64)
         rows = coasts.nonzero()[0]
         if view is not None and len(rows):
-            screens = t[(t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report), kalman.BOX]
-            missed[rows] = view.expects(t[rows, kalman.BOX], screens)
+            screens = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report)).nonzero()[0]
+            missed[rows] = view.expects(t.take(rows, 0)[:, kalman.BOX], t.take(screens, 0)[:, kalman.BOX])
         return missed
 
     def _unexplained(self, match: _Match, seen: Measured) -> Ints:
@@ -250,7 +243,7 @@ class KalmanBoxTracker3D(Tracker):
                 mean, j = t[i[rest]], j[rest]
                 state = seen.state[j]
                 offset = state[:, :2] - mean[:, :2]
-                same = overlap(offset, mean[:, 3:6], mean[:, YAW], state[:, 3:6], seen.yaw[j])
+                same = overlap(offset, mean[:, 3:6], mean[:, YAW], state[:, 3:6], seen.yaw[j], ONE_OBJECT)
                 new[j[same]] = False
         return new.nonzero()[0]
 
@@ -268,17 +261,14 @@ class KalmanBoxTracker3D(Tracker):
     def _finish(self, match: _Match, born: Floats) -> ObjectStates:
         """Give up tracks, take in the `born` ones, report."""
         t = self._tracks
-        odds, confirmed = t[:, ODDS], t[:, CONFIRMED]
-        np.maximum(confirmed, odds > self._confirm, out=confirmed)
-        variance = t[:, XX] + t[:, YY]
-        keep = odds >= self._doubtful * (1.0 - confirmed)
-        keep &= t[:, tracks.AGE] <= self._max_coast_s
-        keep &= variance <= LOST_M**2
-        keep &= np.abs(tracks.planar(t[:, 6:8])) <= MAX_SPEED
+        keep, report = existence.kept(
+            t, self._confirm, self._report, self._doubtful, self._max_coast_s, LOST_M**2, MAX_SPEED, self._max_variance
+        )
         if match.contested:
             # Two tracks of one object are near the same measurements.
             keep &= ~duplicates(t)
-        reported = t[keep & (confirmed > 0.0) & (odds > self._report) & (variance <= self._max_variance)]
+        report &= keep
+        reported = t.take(report.nonzero()[0], 0)
         t = t if keep.all() else t[keep]
         self._tracks = np.concatenate([t, born]) if len(born) else t
         self._matched = reported[:, ROW].astype(np.int64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Bools, Floats
 from mast_zenoh.tracking.neighbours import neighbours
 from mast_zenoh.tracking.tracks import CONFIRMED, ROW, YAW
@@ -12,11 +13,12 @@ from mast_zenoh.tracking.tracks import CONFIRMED, ROW, YAW
 ONE_OBJECT = 0.6
 
 
-def overlap(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other_yaw: Floats) -> Bools:
+@kernel
+def overlap(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other_yaw: Floats, share: float) -> Bools:
     """(p,) whether boxes and others at `offset` (p, 2) m from them overlap so far that both cannot be there.
 
     size, other_size: (p, 3) m; yaw, other_yaw: (p,) rad. True where, along both axes of the box, the centres are nearer
-    than ONE_OBJECT of the distance at which the boxes touch.
+    than `share` of the distance at which the boxes touch; `share` is ONE_OBJECT.
     """
     cosine, sine = np.cos(yaw), np.sin(yaw)
     along = np.abs(cosine * offset[:, 0] + sine * offset[:, 1])
@@ -24,7 +26,7 @@ def overlap(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other
     c, s = np.abs(np.cos(other_yaw - yaw)), np.abs(np.sin(other_yaw - yaw))
     length = size[:, 0] + c * other_size[:, 0] + s * other_size[:, 1]
     width = size[:, 1] + s * other_size[:, 0] + c * other_size[:, 1]
-    return np.asarray((along < 0.5 * ONE_OBJECT * length) & (across < 0.5 * ONE_OBJECT * width))
+    return np.asarray((along < 0.5 * share * length) & (across < 0.5 * share * width))
 
 
 def duplicates(t: Floats) -> Bools:
@@ -43,7 +45,7 @@ def duplicates(t: Floats) -> Bools:
     if not others.any():
         return bad
     i, j = i[others], j[others]
-    same = overlap(mean[j, :2] - mean[i, :2], mean[i, 3:6], yaw[i], mean[j, 3:6], yaw[j])
+    same = overlap(mean[j, :2] - mean[i, :2], mean[i, 3:6], yaw[i], mean[j, 3:6], yaw[j], ONE_OBJECT)
     i, j = i[same], j[same]
     coasts = mean[:, ROW] < 0.0
     worse = np.where((coasts[i] > coasts[j]) | ((coasts[i] == coasts[j]) & (i > j)), i, j)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from mast_zenoh.states import Floats
-from mast_zenoh.tracking import kalman
+from mast_zenoh.tracking import kalman, tracks
 from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
 
 if TYPE_CHECKING:
@@ -17,32 +17,28 @@ if TYPE_CHECKING:
 class FilterpyFilter(kalman.BoxFilter):
     """One filterpy filter per track and call."""
 
-    def predict(self, mean: Floats, covariance: Floats, dt: float, noise: Floats) -> tuple[Floats, Floats]:
+    def predict(self, t: Floats, dt: float, noise: Floats) -> None:
         transition = np.eye(9)
         transition[kalman.POSITION, kalman.VELOCITY] = dt * np.eye(3)
-        filters = [_filter(x, P, 1) for x, P in zip(mean, covariance, strict=True)]
-        for one, Q in zip(filters, noise, strict=True):
+        for row, Q in zip(t, noise[tracks.classes_of(t)], strict=True):
+            one = _filter(row, 1)
             one.predict(F=transition, Q=Q)
-        return _collect(filters)
+            _store(one, row)
 
-    def correct(
-        self, mean: Floats, covariance: Floats, part: slice, measured: Floats, noise: Floats
-    ) -> tuple[Floats, Floats]:
-        picks = np.eye(9)[part]
-        filters = [_filter(x, P, len(picks)) for x, P in zip(mean, covariance, strict=True)]
-        for one, z, R in zip(filters, measured, noise, strict=True):
-            one.update(z, R=R, H=picks)
-        return _collect(filters)
+    def correct(self, t: Floats, measured: Floats, noise: Floats) -> None:
+        m = measured.shape[1]
+        for row, z, R in zip(t, measured, noise, strict=True):
+            one = _filter(row, m)
+            one.update(z, R=R, H=np.eye(9)[:m])
+            _store(one, row)
 
-    def correct_speed(
-        self, mean: Floats, covariance: Floats, direction: Floats, noise: Floats
-    ) -> tuple[Floats, Floats]:
-        filters = [_filter(x, P, 1) for x, P in zip(mean, covariance, strict=True)]
-        for one, (x, y), variance in zip(filters, direction, noise, strict=True):
+    def correct_speed(self, t: Floats, direction: Floats, noise: Floats) -> None:
+        for row, (x, y), variance in zip(t, direction, noise, strict=True):
             picks = np.zeros((1, 9))
             picks[0, 6:8] = x, y
+            one = _filter(row, 1)
             one.update(np.zeros(1), R=np.array([[variance]]), H=picks)
-        return _collect(filters)
+            _store(one, row)
 
 
 class FilterpyBoxTracker3D(KalmanBoxTracker3D):
@@ -51,15 +47,14 @@ class FilterpyBoxTracker3D(KalmanBoxTracker3D):
     filter: ClassVar[kalman.BoxFilter] = FilterpyFilter()
 
 
-def _filter(mean: Floats, covariance: Floats, measured: int) -> KalmanFilter:
+def _filter(track: Floats, measured: int) -> KalmanFilter:
     # Here, not above: filterpy pulls in matplotlib, which takes half a second that only this tracker need pay.
     from filterpy.kalman import KalmanFilter
 
     one = KalmanFilter(dim_x=9, dim_z=measured)
-    one.x, one.P = mean.copy(), covariance.copy()
+    one.x, one.P = track[tracks.MEAN].copy(), track[tracks.COVARIANCE].reshape(9, 9).copy()
     return one
 
 
-def _collect(filters: list[KalmanFilter]) -> tuple[Floats, Floats]:
-    n = len(filters)
-    return np.array([one.x for one in filters]).reshape(n, 9), np.array([one.P for one in filters]).reshape(n, 9, 9)
+def _store(one: KalmanFilter, track: Floats) -> None:
+    track[tracks.MEAN], track[tracks.COVARIANCE] = one.x, one.P.ravel()

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Floats, Ints
 from mast_zenoh.tracking.neighbours import neighbours
-from mast_zenoh.tracking.tracks import XX, XY, YY, planar
+from mast_zenoh.tracking.tracks import ODDS, XX, XY, YY, classes_of, planar
 
 #: Squared Mahalanobis distance in the plane beyond which steady motion does not explain a pair: probability 3e-4 of a
 #: true one; and what a sudden displacement may explain.
@@ -52,34 +53,82 @@ def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Float
     a step. That is considered for tracks and measurements that steady motion leaves alone. What stands does not change
     lanes.
     """
-    n, m = len(tracks), len(position)
-    if n == 0 or m == 0:
+    if len(tracks) == 0 or len(position) == 0:
         return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
+    near = neighbours(tracks, position, reach(tracks, covariance, jump, GATE))
+    gates, moving, log_jump = (GATE, SUDDEN_GATE), (STANDING, MOVING), math.log(jump_probability)
+    return Pairs(*gated(tracks, position, covariance, jump, *near, gates, LEVEL_M, moving, log_jump))
+
+
+@kernel
+def reach(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floats:
+    """(n,) m beyond which no measurement can be within the gate of a track."""
+    # The trace bounds the largest eigenvalue: a cheap circle round both ellipses, for all pairs.
+    widest = (covariance[:, 0, 0] + covariance[:, 1, 1]).max()
+    return np.asarray(np.sqrt(gate * (tracks[:, XX] + tracks[:, YY] + 0.5 * jump + widest)))
+
+
+@kernel
+def gated(
+    tracks: Floats,
+    position: Floats,
+    covariance: Floats,
+    jump: Floats,
+    i: Ints,
+    j: Ints,
+    dx: Floats,
+    dy: Floats,
+    gates: tuple[float, float],
+    level_m: float,
+    moving: tuple[float, float],
+    log_jump: float,
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """The fields of `Pairs`, of those of the p pairs (i, j) that are within the gate; the measurement is at (dx, dy).
+
+    gates: GATE, SUDDEN_GATE; moving: STANDING, MOVING; log_jump: ln of the probability of a sudden displacement
+    """
+    gate, sudden_gate = gates
     own = tracks.take(_HORIZONTAL, 1)
     k = covariance.shape[1]
-    measured = covariance.reshape(m, k * k).take((0, 1, k + 1), 1)
-    # The trace bounds the largest eigenvalue: a cheap circle round both ellipses, for all pairs.
-    reach = own[:, 0] + own[:, 2] + 0.5 * jump + (measured[:, 0] + measured[:, 2]).max()
-    i, j, dx, dy = neighbours(tracks, position, np.sqrt(GATE * reach))
-    level = np.abs(position[:, 2].take(j) - tracks[:, 2].take(i)) <= LEVEL_M
+    measured = covariance.reshape(len(position), k * k).take((0, 1, k + 1), 1)
+    level = np.abs(position[:, 2].take(j) - tracks[:, 2].take(i)) <= level_m
     total = own.take(i, 0) + measured.take(j, 0)
     a, b, c = total[:, 0], total[:, 1], total[:, 2]
     log_density, distance = _gaussian(dx, dy, a, b, c)
-    near = (distance <= GATE) & level
+    near = (distance <= gate) & level
     added = np.zeros(len(i))
-    alone, unexplained = np.ones(n, bool), np.ones(m, bool)
+    alone, unexplained = np.ones(len(tracks), bool), np.ones(len(position), bool)
     alone[i[near]] = unexplained[j[near]] = False
     far = (level & alone[i] & unexplained[j]).nonzero()[0]
     if len(far):
         speed = np.abs(planar(tracks[i[far], 6:8]))
-        more = jump[i[far]] * np.minimum(STANDING + MOVING * speed * speed, 1.0)
+        more = jump[i[far]] * np.minimum(moving[0] + moving[1] * speed * speed, 1.0)
         density, distance = _gaussian(dx[far], dy[far], a[far] + more, b[far], c[far] + more)
-        log_density[far] = density + math.log(jump_probability)
+        log_density[far] = density + log_jump
         added[far] = more
-        near[far] = distance <= SUDDEN_GATE
-    if not near.all():
-        i, j, log_density, added = i[near], j[near], log_density[near], added[near]
-    return Pairs(i, j, log_density, added)
+        near[far] = distance <= sudden_gate
+    return i[near], j[near], log_density[near], added[near]
+
+
+@kernel
+def gains(
+    tracks: Floats,
+    detected: Floats,
+    class_id: Ints,
+    confusion: Floats,
+    i: Ints,
+    j: Ints,
+    log_density: Floats,
+    log_clutter: float,
+) -> tuple[Floats, Floats]:
+    """(p,) of the pairs (i, j): ln of the likelihood over that of clutter; and what choosing the pair gains.
+
+    That is against leaving both alone: the object was missed, or is not there, and the measurement is clutter.
+    detected: (n,) probability of detection; class_id: (m,) measured; confusion: see `classes`
+    """
+    ratio = log_density - log_clutter + confusion[classes_of(tracks)[i], class_id[j]]
+    odds = tracks[:, ODDS]
+    return ratio, ratio + np.log(detected * odds / ((1.0 - detected) * (1.0 + odds)))[i]
 
 
 def _gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:

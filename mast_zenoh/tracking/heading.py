@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Floats
-from mast_zenoh.tracking.tracks import TURN, YAW, YAW_VARIANCE
+from mast_zenoh.tracking.tracks import TURN, YAW, YAW_VARIANCE, planar
 
 #: m/s along its axis above which an object is taken to move forward.
 FORWARD = 2.0
@@ -14,6 +15,7 @@ FORWARD = 2.0
 TURN_LIMIT = 5.0
 
 
+@kernel
 def correct_heading(tracks: Floats, yaw: Floats, variance: float) -> None:
     """Correct the headings by measured ones (n,) of `variance` rad^2.
 
@@ -30,13 +32,15 @@ def correct_heading(tracks: Floats, yaw: Floats, variance: float) -> None:
     tracks[:, TURN] += 1.0 - 2.0 * (half_turns % 2.0)
 
 
-def settle_sense(tracks: Floats, along: Floats) -> None:
-    """Let the speed (n,) `along` the heading, if more than FORWARD m/s, vote on which end is the front.
+@kernel
+def settle_sense(tracks: Floats, forward: float, limit: float) -> None:
+    """Let the speed along the heading, if more than `forward` m/s, vote on which end is the front.
 
-    What is outvoted is turned round.
+    What is outvoted is turned round. limit: how much evidence is remembered
     """
+    along = (planar(tracks[:, 6:8]) * np.exp(-1j * tracks[:, YAW])).real
     turn = tracks[:, TURN]
-    turn += along > FORWARD
-    turn -= along < -FORWARD
+    turn += along > forward
+    turn -= along < -forward
     tracks[:, YAW] += np.pi * (turn < 0.0)
-    tracks[:, TURN] = np.minimum(np.abs(turn), TURN_LIMIT)
+    tracks[:, TURN] = np.minimum(np.abs(turn), limit)

@@ -12,13 +12,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Floats
 from mast_zenoh.tracking.inversion import inverse
+from mast_zenoh.tracking.tracks import COVARIANCE, MEAN, classes_of, covariances
 
 POSITION = slice(0, 3)
 BOX = slice(0, 6)
 VELOCITY = slice(6, 9)
-WHOLE = slice(0, 9)
 
 
 def process_noise(dt: float, acceleration: Floats, vertical: float, size_drift: float) -> Floats:
@@ -55,23 +56,19 @@ def _transition(dt: float) -> Floats:
 
 
 class BoxFilter(ABC):
-    """Predicts and corrects the means (n, 9) and covariances (n, 9, 9) of n tracks."""
+    """Predicts and corrects the states and covariances of the n rows of a table of tracks, in place."""
 
     @abstractmethod
-    def predict(self, mean: Floats, covariance: Floats, dt: float, noise: Floats) -> tuple[Floats, Floats]:
-        """Means and covariances after `dt` s with process noise (n, 9, 9)."""
+    def predict(self, t: Floats, dt: float, noise: Floats) -> None:
+        """Bring them forward by `dt` s; noise: (classes, 9, 9), process noise by class."""
 
     @abstractmethod
-    def correct(
-        self, mean: Floats, covariance: Floats, part: slice, measured: Floats, noise: Floats
-    ) -> tuple[Floats, Floats]:
-        """Means and covariances after `part` of the state was measured as (n, m) with noise covariance (n, m, m)."""
+    def correct(self, t: Floats, measured: Floats, noise: Floats) -> None:
+        """The first m numbers of the states were measured as (n, m), with noise covariance (n, m, m)."""
 
     @abstractmethod
-    def correct_speed(
-        self, mean: Floats, covariance: Floats, direction: Floats, noise: Floats
-    ) -> tuple[Floats, Floats]:
-        """Means and covariances after the speed along `direction` was found to be 0.
+    def correct_speed(self, t: Floats, direction: Floats, noise: Floats) -> None:
+        """The speed along `direction` was found to be 0.
 
         direction: (n, 2), horizontal unit vectors; noise: (n,) (m/s)^2, variance of what was found
         """
@@ -80,29 +77,46 @@ class BoxFilter(ABC):
 class BatchedFilter(BoxFilter):
     """All tracks at once."""
 
-    def predict(self, mean: Floats, covariance: Floats, dt: float, noise: Floats) -> tuple[Floats, Floats]:
-        F = _transition(dt)
-        covariance = F @ covariance @ F.T
-        covariance += noise
-        return mean @ F.T, covariance
+    def predict(self, t: Floats, dt: float, noise: Floats) -> None:
+        predict(t, dt, noise)
 
-    def correct(
-        self, mean: Floats, covariance: Floats, part: slice, measured: Floats, noise: Floats
-    ) -> tuple[Floats, Floats]:
-        cross = covariance[:, :, part]
-        total = cross[:, part] + noise
-        gain = cross @ (inverse(total) if part == WHOLE else np.linalg.inv(total))
-        mean = mean + (gain @ (measured - mean[:, part])[:, :, None])[:, :, 0]
-        covariance = covariance - gain @ cross.transpose(0, 2, 1)
-        # Nothing in this form damps an asymmetry of rounding: it would double every few frames.
-        return mean, 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    def correct(self, t: Floats, measured: Floats, noise: Floats) -> None:
+        correct(t, measured, noise)
 
-    def correct_speed(
-        self, mean: Floats, covariance: Floats, direction: Floats, noise: Floats
-    ) -> tuple[Floats, Floats]:
-        cross = (covariance[:, :, 6:8] @ direction[:, :, None])[:, :, 0]
-        variance = np.vecdot(cross[:, 6:8], direction) + noise
-        speed = np.vecdot(mean[:, 6:8], direction)
-        mean = mean - cross * (speed / variance)[:, None]
-        scaled = cross / np.sqrt(variance)[:, None]
-        return mean, covariance - scaled[:, :, None] * scaled[:, None, :]
+    def correct_speed(self, t: Floats, direction: Floats, noise: Floats) -> None:
+        correct_speed(t, direction, noise)
+
+
+@kernel
+def predict(t: Floats, dt: float, noise: Floats) -> None:
+    """See `BoxFilter.predict`."""
+    F = _transition(dt)
+    P = F @ covariances(t) @ F.T
+    P += noise.take(classes_of(t), 0)
+    t[:, MEAN], t[:, COVARIANCE] = t[:, MEAN] @ F.T, P.reshape(len(t), 81)
+
+
+@kernel
+def correct(t: Floats, measured: Floats, noise: Floats) -> None:
+    """See `BoxFilter.correct`."""
+    m = measured.shape[1]
+    P = covariances(t)
+    cross = P[:, :, :m]
+    total = cross[:, :m] + noise
+    gain = cross @ (inverse(total) if m == 9 else np.linalg.inv(total))
+    corrected = P - gain @ cross.transpose(0, 2, 1)
+    t[:, MEAN] += (gain @ (measured - t[:, :m])[:, :, None])[:, :, 0]
+    # Nothing in this form damps an asymmetry of rounding: it would double every few frames.
+    t[:, COVARIANCE] = (0.5 * (corrected + corrected.transpose(0, 2, 1))).reshape(len(t), 81)
+
+
+@kernel
+def correct_speed(t: Floats, direction: Floats, noise: Floats) -> None:
+    """See `BoxFilter.correct_speed`."""
+    P = covariances(t)
+    cross = (P[:, :, 6:8] @ direction[:, :, None])[:, :, 0]
+    variance = np.vecdot(cross[:, 6:8], direction) + noise
+    speed = np.vecdot(t[:, 6:8], direction)
+    t[:, MEAN] -= cross * (speed / variance)[:, None]
+    scaled = cross / np.sqrt(variance)[:, None]
+    t[:, COVARIANCE] -= (scaled[:, :, None] * scaled[:, None, :]).reshape(len(t), 81)

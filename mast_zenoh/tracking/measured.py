@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Detections, Floats, Ints, ObjectStates
 from mast_zenoh.tracking.soundness import LEAST, MOST
 from mast_zenoh.tracking.tracks import known_class
@@ -34,7 +35,7 @@ class Measured(NamedTuple):
         if (x[1:] == x[:-1]).any():
             order = np.lexsort((d.score, d.class_id, *d.size.T, d.yaw, *d.position.T))
         box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
-        noise = _noise(d.covariance, order, variance)
+        noise = box_noise(d.covariance, order, variance, LEAST, MOST)
         return cls(order, box, noise, d.yaw.take(order), known_class(d.class_id.take(order)))
 
     @classmethod
@@ -45,11 +46,14 @@ class Measured(NamedTuple):
         return cls(order, state, s.covariance.take(order, 0), s.yaw.take(order), known_class(s.class_id.take(order)))
 
 
-def _noise(covariance: Floats, order: Ints, variance: Floats) -> Floats:
+@kernel
+def box_noise(covariance: Floats, order: Ints, variance: Floats, least: float, most: float) -> Floats:
     """(m, 6, 6) of boxes in `order`: of the position what the detector says (m, 3, 3), if it does.
 
-    Of that the horizontal part and the vertical one: what they have in common says nothing on a road. Whatever the
-    numbers, the result is positive definite.
+    variance: (6,) m^2, of what it does not; least, most: m^2, LEAST, MOST
+
+    Of the position the horizontal part and the vertical one: what they have in common says nothing on a road. Whatever
+    the numbers, the result is positive definite.
     """
     m = len(order)
     noise = np.zeros((m, 36))
@@ -57,9 +61,9 @@ def _noise(covariance: Floats, order: Ints, variance: Floats) -> Floats:
     if covariance.any():
         said = covariance.reshape(m, 9).take(order, 0)
         own = said[:, ::4]
-        own = np.minimum(np.maximum(np.where(own > 0.0, own, variance[:3]), LEAST), MOST)
+        own = np.minimum(np.maximum(np.where(own > 0.0, own, variance[:3]), least), most)
         noise[:, :15:7] = own
-        own -= 0.5 * LEAST
+        own -= 0.5 * least
         bound = np.sqrt(own[:, 0] * own[:, 1])
         noise[:, 1] = noise[:, 6] = np.minimum(np.maximum(said[:, 1], -bound), bound)
     return noise.reshape(m, 6, 6)

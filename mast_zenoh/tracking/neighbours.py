@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Floats, Ints
 
 #: Pairs up to which all are looked at.
@@ -21,9 +22,15 @@ def neighbours(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Floats,
     a, b: (n, >= 2), (m, >= 2) m; only x and y count
     Returns rows of a (p,), rows of b (p,), and how far b is from a in x and in y (p,) m.
     """
-    n, m = len(a), len(b)
-    if n * m > TABLE:
+    if len(a) * len(b) > TABLE:
         return _nearest(a[:, :2], b[:, :2], reach)
+    return pairs_in_reach(a, b, reach)
+
+
+@kernel
+def pairs_in_reach(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+    """See `neighbours`."""
+    m = len(b)
     dx = b[:, 0] - a[:, 0, None]
     dy = b[:, 1] - a[:, 1, None]
     pair = (dx * dx + dy * dy <= (reach * reach)[:, None]).ravel().nonzero()[0]

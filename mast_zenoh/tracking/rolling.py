@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Floats
 from mast_zenoh.tracking.classes import ROLLS
-from mast_zenoh.tracking.heading import settle_sense
+from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, settle_sense
 from mast_zenoh.tracking.kalman import BoxFilter
 from mast_zenoh.tracking.tracks import ASIDE, YAW, YAW_VARIANCE, classes_of, planar
 
@@ -20,23 +21,28 @@ ASIDE_S = 0.15
 _FREE = np.where(ROLLS, 0.0, 1e9)
 
 
-def roll(
-    box_filter: BoxFilter, tracks: Floats, mean: Floats, covariance: Floats, surprise: Floats
-) -> tuple[Floats, Floats]:
-    """`mean` (n, 9) and `covariance` (n, 9, 9) of `tracks` after the speed across the heading was measured as zero.
+def roll(box_filter: BoxFilter, tracks: Floats, surprise: Floats) -> None:
+    """Measure the speed of `tracks` across their headings as zero, with a slip and the heading for its error.
 
-    What was measured has a slip for its error, and what the heading is off.
     surprise: (n, 2) m, measured less predicted position. If it keeps pointing to one side, the heading is wrong.
+    """
+    box_filter.correct_speed(tracks, *across(tracks, surprise, _FREE, SLIP, ASIDE_SHARE, ASIDE_S))
+    settle_sense(tracks, FORWARD, TURN_LIMIT)
+
+
+@kernel
+def across(
+    tracks: Floats, surprise: Floats, free: Floats, slip: float, share: float, aside_s: float
+) -> tuple[Floats, Floats]:
+    """(n, 2) unit vectors across the headings, and (n,) (m/s)^2 how far the speed along them is from zero.
+
+    free: by class, (m/s)^2 that are added; slip, share, aside_s: SLIP, ASIDE_SHARE, ASIDE_S
     """
     # Vectors in the plane as complex numbers: times the conjugate of the heading's, they are along and across it.
     heading = np.exp(1j * tracks[:, YAW])
-    back = heading.conj()
     aside = tracks[:, ASIDE]
-    aside += ASIDE_SHARE * ((planar(surprise) * back).imag - aside)
-    speed = np.abs(planar(mean[:, 6:8]))
-    slip = SLIP**2 + (aside * (1.0 / ASIDE_S)) ** 2 + speed * speed * tracks[:, YAW_VARIANCE]
-    slip += _FREE.take(classes_of(tracks))
-    across = (1j * heading).view(np.float64).reshape(len(tracks), 2)
-    mean, covariance = box_filter.correct_speed(mean, covariance, across, slip)
-    settle_sense(tracks, (planar(mean[:, 6:8]) * back).real)
-    return mean, covariance
+    aside += share * ((planar(surprise) * heading.conj()).imag - aside)
+    speed = np.abs(planar(tracks[:, 6:8]))
+    variance = slip**2 + (aside / aside_s) ** 2 + speed * speed * tracks[:, YAW_VARIANCE]
+    variance += free.take(classes_of(tracks))
+    return (1j * heading).view(np.float64).reshape(len(tracks), 2), variance

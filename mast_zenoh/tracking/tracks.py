@@ -4,10 +4,13 @@ operations on one array. Whole numbers (ids, classes, rows) are exact in it.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import CLASSES, Floats, Ints, ObjectStates
 
 #: Columns: the state (9) and its covariance (81, by rows).
@@ -60,17 +63,23 @@ def planar(vectors: Floats) -> NDArray[np.complex128]:
 
 
 def to_states(tracks: Floats) -> ObjectStates:
-    """The tracks as object states, which share the memory of the table."""
+    """The tracks as object states."""
+    return ObjectStates(*to_columns(tracks))
+
+
+@kernel
+def to_columns(tracks: Floats) -> tuple[Any, ...]:
+    """The columns of `ObjectStates`, in their order."""
     odds = tracks[:, ODDS]
-    return ObjectStates(
-        id=tracks[:, ID].astype(np.int64),
-        position=tracks[:, 0:3],
-        velocity=tracks[:, 6:9],
-        size=tracks[:, 3:6],
-        yaw=wrap_angle(tracks[:, YAW]),
-        covariance=covariances(tracks),
-        score=odds / (1.0 + odds),
-        class_id=tracks[:, CLASS].astype(np.uint8),
+    return (
+        tracks[:, ID].astype(np.int64),
+        tracks[:, 0:3].copy(),
+        tracks[:, 6:9].copy(),
+        tracks[:, 3:6].copy(),
+        wrap_angle(tracks[:, YAW]),
+        covariances(tracks).copy(),
+        odds / (1.0 + odds),
+        tracks[:, CLASS].astype(np.uint8),
     )
 
 
@@ -79,6 +88,7 @@ def known_class(class_id: NDArray[np.uint8]) -> Ints:
     return np.asarray(_KNOWN.take(class_id))
 
 
+@kernel
 def vote(tracks: Floats, class_id: Ints) -> None:
     """Count the class (n,) seen of each track; the majority is its class, the lower index in a tie."""
     votes = tracks[:, VOTES]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Bools, Floats
 from mast_zenoh.tracking.neighbours import TABLE
 
@@ -41,18 +42,32 @@ class SensorView:
         screens: (n, 6) what may hide them; the boxes themselves may be among them. Both are x y z l w h in m, in the
         world frame. A box at the edge of the field of view is half in.
         """
-        x, y, z = ((boxes[:, :3] - self.position) @ self.rotation).T
-        ground = np.hypot(x, y)
-        distance = np.hypot(ground, z)
-        inside = self.max_range - distance
-        if self.azimuth_max - self.azimuth_min < 2 * np.pi - 1e-6:
-            azimuth = np.arctan2(y, x)
-            inside = np.minimum(inside, np.minimum(azimuth - self.azimuth_min, self.azimuth_max - azimuth) * ground)
-        elevation = np.arctan2(z, ground)
-        edge = np.minimum(elevation - self.elevation_min, self.elevation_max - elevation)
-        inside = np.minimum(inside, edge * distance)
-        share = np.minimum(np.maximum(0.5 + (0.5 / EDGE_M) * inside, 0.0), 1.0)
+        azimuth, elevation = (self.azimuth_min, self.azimuth_max), (self.elevation_min, self.elevation_max)
+        share = in_view(boxes, self.position, self.rotation, azimuth, elevation, self.max_range, EDGE_M)
         return np.asarray(share * ~hidden(self.position, boxes, screens))
+
+
+@kernel
+def in_view(
+    boxes: Floats,
+    position: Floats,
+    rotation: Floats,
+    azimuth: tuple[float, float],
+    elevation: tuple[float, float],
+    max_range: float,
+    edge_m: float,
+) -> Floats:
+    """(k,) in [0, 1]: how much of each box is in the field of view of `SensorView`; edge_m: EDGE_M."""
+    x, y, z = ((boxes[:, :3] - position) @ rotation).T
+    ground = np.hypot(x, y)
+    distance = np.hypot(ground, z)
+    inside = max_range - distance
+    if azimuth[1] - azimuth[0] < 2 * np.pi - 1e-6:
+        angle = np.arctan2(y, x)
+        inside = np.minimum(inside, np.minimum(angle - azimuth[0], azimuth[1] - angle) * ground)
+    angle = np.arctan2(z, ground)
+    inside = np.minimum(inside, np.minimum(angle - elevation[0], elevation[1] - angle) * distance)
+    return np.asarray(np.minimum(np.maximum(0.5 + (0.5 / edge_m) * inside, 0.0), 1.0))
 
 
 def hidden(origin: Floats, boxes: Floats, screens: Floats) -> Bools:
@@ -66,11 +81,17 @@ def hidden(origin: Floats, boxes: Floats, screens: Floats) -> Bools:
     if len(boxes) > piece:
         starts = range(0, len(boxes), piece)
         return np.concatenate([hidden(origin, boxes[start : start + piece], screens) for start in starts])
+    return hidden_table(origin, boxes, screens, NEAREST_M)
+
+
+@kernel
+def hidden_table(origin: Floats, boxes: Floats, screens: Floats, nearest_m: float) -> Bools:
+    """See `hidden`; nearest_m: NEAREST_M."""
     k = len(boxes)
     both = np.concatenate([boxes, screens])
     both[:, :3] -= origin
     x, y, z, length, width, height = both.T
-    ground = np.maximum(np.hypot(x, y), NEAREST_M)
+    ground = np.maximum(np.hypot(x, y), nearest_m)
     # Across and along the line of sight to each box, times its distance.
     place = x + 1j * y
     aside = place[:k, None] * place[k:].conj()

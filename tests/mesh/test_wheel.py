@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -9,6 +10,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from mast_zenoh import kernels
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.mesh
@@ -21,6 +24,7 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
         capture_output=True,
     )
     (wheel,) = (tmp_path / "dist").glob("*.whl")
+    assert wheel.name.endswith("-py3-none-any.whl") == (not kernels.COMPILED), "of one platform only with machine code"
     site, work = tmp_path / "site", tmp_path / "work"
     work.mkdir()
     with zipfile.ZipFile(wheel) as archive:
@@ -44,6 +48,42 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
     scenario = (work / "run" / "scenario.json").read_text()
     assert str(site) in scenario, "the nodes are those of the wheel"
     assert str(ROOT) not in scenario
+    assert json.loads((work / "run" / "run.json").read_text())["versions"]["kernels"] == kernels.USED
     assert (work / "run" / "report.html").is_file()
     assert "[adversary_1]" in mast("wiring", "uncoordinated")
     assert "report:" in mast("study", "case_study", "--frames", "10", "--runtime", "inproc", "--out", "study")
+
+
+def test_without_a_compiler_the_wheel_is_pure_python_and_runs(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)],
+        env=os.environ | {"CC": "/bin/false"},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert "kernels not compiled, NumPy will do" in done.stdout + done.stderr
+    (wheel,) = tmp_path.glob("*-py3-none-any.whl")
+    site = tmp_path / "site"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    ran = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "from mast_zenoh.cli import main; main()",
+            "run",
+            "baseline",
+            "--frames",
+            "3",
+            "--out",
+            "run",
+        ],
+        cwd=tmp_path,
+        env={name: value for name, value in os.environ.items() if name != "MAST_KERNELS"} | {"PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["versions"]["kernels"] == "numpy"

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from mast_zenoh.geometry import rotation_from_yaw_pitch
 from mast_zenoh.tracking import BipartiteAssignment, GreedyAssignment, SensorView
 from mast_zenoh.tracking.classes import first_covariance
-from mast_zenoh.tracking.duplicates import overlap
+from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 from mast_zenoh.tracking.filterpy_tracker import FilterpyFilter
 from mast_zenoh.tracking.inversion import inverse
-from mast_zenoh.tracking.kalman import BOX, WHOLE, BatchedFilter, process_noise
+from mast_zenoh.tracking.kalman import BatchedFilter, process_noise
 from mast_zenoh.tracking.soundness import sound
+from mast_zenoh.tracking.tracks import CLASS, COVARIANCE, MEAN, covariances, empty
 from mast_zenoh.tracking.view import hidden
 
 # -- assignment
@@ -64,44 +65,43 @@ def test_greedy_assignment_takes_the_cheapest_pair_even_if_that_is_dear_in_total
 # -- filter
 
 
-def some_states(n: int, seed: int = 0):
+def some_tracks(n: int, seed: int = 0):
     random = np.random.default_rng(seed)
     root = random.normal(size=(n, 9, 9))
-    return random, random.normal(size=(n, 9)), root @ root.transpose(0, 2, 1) + np.eye(9)
+    t = empty(n)
+    t[:, MEAN] = random.normal(size=(n, 9))
+    t[:, COVARIANCE] = (root @ root.transpose(0, 2, 1) + np.eye(9)).reshape(n, 81)
+    t[:, CLASS] = random.integers(0, 7, n)
+    return random, t
 
 
 def test_the_batched_filter_is_filterpys():
-    random, mean, P = some_states(20)
-    batched, reference = BatchedFilter(), FilterpyFilter()
-    Q = process_noise(0.1, random.uniform(0.5, 4, 20), 0.2, 1e-3)
+    random, t = some_tracks(20)
+    Q = process_noise(0.1, random.uniform(0.5, 4, 7), 0.2, 1e-3)
     direction = np.exp(1j * random.uniform(0, 6, 20))
     direction = np.column_stack([direction.real, direction.imag])
-    for one, other in (
-        (batched.predict(mean, P, 0.1, Q), reference.predict(mean, P, 0.1, Q)),
-        *(
-            (
-                batched.correct(mean, P, part, mean[:, part] + 1.0, P[:, part, part]),
-                reference.correct(mean, P, part, mean[:, part] + 1.0, P[:, part, part]),
-            )
-            for part in (BOX, WHOLE)
-        ),
-        (
-            batched.correct_speed(mean, P, direction, np.arange(1.0, 21.0)),
-            reference.correct_speed(mean, P, direction, np.arange(1.0, 21.0)),
-        ),
+    P = covariances(t)
+    for step in (
+        lambda one, t: one.predict(t, 0.1, Q),
+        lambda one, t: one.correct(t, t[:, :6] + 1.0, P[:, :6, :6].copy()),
+        lambda one, t: one.correct(t, t[:, :9] + 1.0, P.copy()),
+        lambda one, t: one.correct_speed(t, direction, np.arange(1.0, 21.0)),
     ):
-        np.testing.assert_allclose(one[0], other[0], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(one[1], other[1], rtol=0, atol=1e-9)
+        batched, reference = t.copy(), t.copy()
+        step(BatchedFilter(), batched)
+        step(FilterpyFilter(), reference)
+        np.testing.assert_allclose(batched, reference, rtol=0, atol=1e-9)
 
 
 def test_a_thousand_steps_leave_covariances_symmetric_and_positive_definite():
-    random, mean, P = some_states(5)
+    random, t = some_tracks(5)
     one = BatchedFilter()
-    Q = process_noise(0.1, np.full(5, 3.0), 0.2, 4e-4)
+    Q = process_noise(0.1, np.full(7, 3.0), 0.2, 4e-4)
     for _ in range(1000):
-        mean, P = one.predict(mean, P, 0.1, Q)
-        mean, P = one.correct(mean, P, BOX, random.normal(size=(5, 6)), np.tile(0.1 * np.eye(6), (5, 1, 1)))
-        mean, P = one.correct_speed(mean, P, np.tile([0.6, 0.8], (5, 1)), np.full(5, 0.3))
+        one.predict(t, 0.1, Q)
+        one.correct(t, random.normal(size=(5, 6)), np.tile(0.1 * np.eye(6), (5, 1, 1)))
+        one.correct_speed(t, np.tile([0.6, 0.8], (5, 1)), np.full(5, 0.3))
+    P = covariances(t)
     np.testing.assert_allclose(P, P.transpose(0, 2, 1), rtol=0, atol=1e-12)
     assert np.linalg.eigvalsh(P).min() > 0
 
@@ -109,10 +109,10 @@ def test_a_thousand_steps_leave_covariances_symmetric_and_positive_definite():
 def test_process_noise_adds_up_over_steps():
     acceleration = np.array([2.0])
     whole = process_noise(0.4, acceleration, 0.3, 1e-3)
-    P = np.zeros((1, 9, 9))
+    t = empty(1)
     for _ in range(4):
-        _, P = BatchedFilter().predict(np.zeros((1, 9)), P, 0.1, process_noise(0.1, acceleration, 0.3, 1e-3))
-    np.testing.assert_allclose(P, whole, atol=1e-12)
+        BatchedFilter().predict(t, 0.1, process_noise(0.1, acceleration, 0.3, 1e-3))
+    np.testing.assert_allclose(covariances(t), whole, atol=1e-12)
 
 
 def test_a_new_cars_speed_is_open_along_its_heading_only():
@@ -140,7 +140,7 @@ def test_any_finite_matrix_is_made_sound(values):
 
 
 def test_a_sound_covariance_is_left_as_it_is():
-    P = some_states(4)[2]
+    P = covariances(some_tracks(4)[1])
     P = 0.5 * (P + P.transpose(0, 2, 1))
     np.testing.assert_array_equal(sound(P), P)
 
@@ -150,7 +150,7 @@ def test_a_sound_covariance_is_left_as_it_is():
 
 @pytest.mark.parametrize("coupled", [True, False])
 def test_the_inverse_is_that_of_the_whole_matrix_whatever_is_coupled(coupled):
-    P = some_states(7)[2]
+    P = covariances(some_tracks(7)[1])
     if not coupled:
         block = np.array([0, 0, 1, 2, 3, 4, 0, 0, 1])
         P = P * (block[:, None] == block)
@@ -227,4 +227,4 @@ def test_nothing_hides_itself():
 )
 def test_cars_are_one_where_they_would_overlap(offset, yaw, same):
     size = np.array([[4.5, 1.8, 1.5]])
-    assert overlap(np.array([offset]), size, np.zeros(1), size, np.array([yaw]))[0] == same
+    assert overlap(np.array([offset]), size, np.zeros(1), size, np.array([yaw]), ONE_OBJECT)[0] == same

@@ -1,0 +1,74 @@
+"""Compiles the kernels (`mast_zenoh/kernels/*.pyx`) into the wheel, or beside their sources for an editable install.
+
+Without a C compiler everything is installed all the same, and NumPy does their work.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+PACKAGE = "mast_zenoh/kernels"
+#: The same bits on every processor that runs the wheel: no contraction to fused operations, no native instructions.
+#: Nobody reads errno after a square root.
+FLAGS = ["-O3", "-g0", "-ffp-contract=off", "-fno-math-errno"]
+
+
+class Kernels(BuildHookInterface):
+    """See the module's docstring."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile; `version` is "standard" or "editable"."""
+        root = Path(self.root)
+        self._temporary = tempfile.TemporaryDirectory()
+        built = compiled(root, Path(self._temporary.name))
+        if version == "editable":
+            for module in (root / PACKAGE).glob("*.so"):
+                module.unlink()  # older than the sources, or made where there was a compiler
+            for module in built:
+                (root / PACKAGE / module.name).write_bytes(module.read_bytes())
+        elif built:
+            build_data["force_include"].update({str(module): f"{PACKAGE}/{module.name}" for module in built})
+            build_data["pure_python"] = False
+            build_data["infer_tag"] = True
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """What was compiled is in the wheel."""
+        self._temporary.cleanup()
+
+
+def compiled(root: Path, folder: Path) -> list[Path]:
+    """The extension modules, made in `folder`; none where they cannot be made."""
+    from Cython.Build import cythonize
+    from setuptools import Distribution, Extension
+    from setuptools.command.build_ext import build_ext
+
+    sys.path.insert(0, str(root / PACKAGE))
+    from source_digest import digest  # type: ignore[import-not-found]
+
+    flags = [] if sys.platform == "win32" else FLAGS
+    macros = [("SOURCE_DIGEST", f'"{digest()}"')]
+    names = sorted(path.stem for path in (root / PACKAGE).glob("*.pyx"))
+    extensions = [
+        Extension(
+            f"{PACKAGE.replace('/', '.')}.{name}",
+            [f"{PACKAGE}/{name}.pyx"],
+            extra_compile_args=flags,
+            define_macros=macros,
+        )
+        for name in names
+    ]
+    try:
+        command = build_ext(Distribution({"ext_modules": cythonize(extensions, build_dir=str(folder / "c"))}))
+        command.build_lib, command.build_temp = str(folder / "lib"), str(folder / "temp")
+        command.parallel = True
+        command.ensure_finalized()
+        command.run()
+    except Exception as error:  # setuptools says in many ways that there is no compiler, or no header of Python
+        print(f"kernels not compiled, NumPy will do: {error}", file=sys.stderr)
+        return []
+    return [Path(command.get_ext_fullpath(extension.name)) for extension in extensions]

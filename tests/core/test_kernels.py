@@ -1,0 +1,311 @@
+"""Compiled kernels do what their NumPy references do, and what was not compiled is not missed."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import os
+import pkgutil
+import shutil
+import subprocess
+import sys
+import tarfile
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import mast_zenoh
+from mast_zenoh import codec, kernels
+from mast_zenoh.messages import SCHEMAS, Header
+from mast_zenoh.states import ObjectStates
+from mast_zenoh.tracking import classes, tracks
+
+for package in ("tracking", "fusion", "metrics", "sensing", "attacks"):
+    for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package)]):
+        importlib.import_module(f"mast_zenoh.{package}.{module.name}")
+
+DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
+compiled = pytest.mark.skipif(not kernels.COMPILED, reason="no kernels were compiled here (no C compiler?)")
+
+
+def covariances(random, n, k=9):
+    root = random.normal(size=(n, k, k)) * random.choice([0.0, 1.0], (n, k, k))
+    return root @ root.transpose(0, 2, 1) + 0.1 * np.eye(k)
+
+
+def places(random, n):
+    """Some of them in the same place, or in a row."""
+    spread = random.choice([0.5, 5.0, 50.0])
+    found = random.normal(0.0, spread, (n, 3))
+    return np.round(found) if random.random() < 0.3 else found
+
+
+def table(random, n):
+    t = tracks.empty(n)
+    t[:, tracks.MEAN] = np.hstack([places(random, n), random.uniform(0.3, 5, (n, 3)), random.normal(0, 4, (n, 3))])
+    t[:, tracks.COVARIANCE] = covariances(random, n).reshape(n, 81)
+    t[:, tracks.YAW], t[:, tracks.YAW_VARIANCE] = random.uniform(-9, 9, n), random.uniform(1e-3, 0.3, n)
+    t[:, tracks.TURN], t[:, tracks.ASIDE] = random.integers(0, 6, n), random.normal(0, 0.3, n)
+    t[:, tracks.ODDS], t[:, tracks.AGE] = np.exp(random.uniform(-9, 25, n)), random.uniform(0, 4, n)
+    t[:, tracks.RECORD] = random.uniform(0, 9, (n, 9)).round(random.integers(0, 3))
+    t[:, tracks.CLASS], t[:, tracks.CONFIRMED] = random.integers(0, 7, n), random.integers(0, 2, n)
+    t[:, tracks.ID], t[:, tracks.ROW] = np.arange(n), random.integers(-1, 9, n)
+    return t
+
+
+def pairs(random, n, m):
+    found = np.flatnonzero(random.random(n * m) < 0.4) if n and m else np.zeros(0, np.int64)
+    return found // max(m, 1), found % max(m, 1)
+
+
+def gated(random, n, m):
+    t, position = table(random, n), places(random, m)
+    i, j = pairs(random, n, m)
+    dx, dy = (position[j, axis] - t[i, axis] for axis in (0, 1))
+    jump = random.uniform(0, 2, n)
+    return t, position, covariances(random, m, 6), jump, i, j, dx, dy, (16.0, 8.0), 3.0, (0.1, 0.036), -4.6
+
+
+def gains(random, n, m):
+    i, j = pairs(random, n, m)
+    t, detected, class_id = table(random, n), random.uniform(0.1, 0.98, n), random.integers(0, 7, m)
+    return t, detected, class_id, classes.CONFUSION, i, j, random.normal(size=len(i)), -9.9
+
+
+def upper_pairs(random, n):
+    i, j = pairs(random, n, n)
+    return i[i < j], j[i < j]
+
+
+def clusters(random, n):
+    """Rows of first members, of n >= 1 members."""
+    return np.unique(np.append(0, random.integers(0, n, n // 2)))
+
+
+def view(random, n, m):
+    azimuth = (-np.pi, np.pi) if random.random() < 0.5 else (-1.0, 0.6)
+    rotation = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    return boxes(random, n), random.normal(size=3), rotation, azimuth, (-0.5, 0.3), 60.0, 2.5
+
+
+def boxes(random, n):
+    return table(random, n)[:, :6]
+
+
+def overlap(random, n, m):
+    size, other = (random.uniform(0.5, 6, (n, 3)) for _ in range(2))
+    return random.normal(0, 2, (n, 2)), size, random.uniform(-4, 4, n), other, random.uniform(-4, 4, n), 0.6
+
+
+def message(random, n):
+    """A message with every kind of column, and how its columns are planned."""
+    states = ObjectStates.of(places(random, n), covariance=covariances(random, n)).columns()
+    body = states | {
+        "agent": np.zeros(n, np.int64),
+        "agents": np.array(["ego"], object),
+        "age_ns": np.zeros(1, np.int64),
+    }
+    return codec.conform(Header("collated", "broker", 0, 0, 0), body), codec._LAYOUTS["collated"].plan((n, 1))
+
+
+def packed(random, n, m):
+    sound, plan = message(random, n)
+    body = msgpack.unpackb(codec.encode(sound))["body"]
+    name = random.choice([column.name for column in SCHEMAS["collated"].columns])
+    wrong = [None, [], "text", ["<f8", body[name][1], body[name][2]], [*body[name][:1], [float(n)], body[name][2]]]
+    wrong += [
+        [*body[name][:2], b"12345678"],
+        [*body[name][:2], ["x"]],
+        [*body[name][:2], [["x"]]],
+        [body[name][0], [True], body[name][2]],
+    ]
+    kind = random.integers(0, 2 * len(wrong))
+    return (body | {name: wrong[kind]} if kind < len(wrong) else body), plan
+
+
+def exact(random, n, m):
+    sound, plan = message(random, n)
+    body = dict(sound.body)
+    name = random.choice(list(body))
+    array = body[name]
+    wrong = [None, array.tolist(), array[:-1], array.astype(np.float32 if name != "agents" else object), array.copy()]
+    wrong += [np.asfortranarray(array), np.repeat(array, 2, axis=0)[::2]]
+    kind = random.integers(0, 2 * len(wrong))
+    return (body | {name: wrong[kind]} if kind < len(wrong) else body), plan
+
+
+def values(random, n, m):
+    sound, plan = message(random, n)
+    body = {name: column.copy() for name, column in sound.body.items()}
+    if n and random.random() < 0.5:
+        name, value = (("position", np.nan), ("covariance", 1e200), ("class_id", 7), ("yaw", -np.inf))[
+            random.integers(4)
+        ]
+        body[name].reshape(-1)[random.integers(body[name].size)] = value
+    elif random.random() < 0.5:
+        body["agents"][0] = random.choice(np.array(["x" * 257, 7, "y" * 256], object))
+    return body, plan
+
+
+#: For each kernel its arguments, of n rows and m others (both may be 0).
+ARGUMENTS = {
+    "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
+    "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
+    "correct_speed": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0.1, 9, n)),
+    "reach": lambda r, n, m: (table(r, n), covariances(r, m + 1, 6), r.uniform(0, 3, n), 16.0),
+    "pairs_in_reach": lambda r, n, m: (places(r, n), table(r, m), r.integers(0, 9, n).astype(float)),
+    "gated": gated,
+    "gains": gains,
+    "useful_pairs": lambda r, n, m: (*(ends := pairs(r, n, m)), r.integers(-4, 3, len(ends[0])).astype(float)),
+    "correct_heading": lambda r, n, m: (table(r, n), r.uniform(-9, 9, n), 0.01),
+    "settle_sense": lambda r, n, m: (table(r, n), 2.0, 5.0),
+    "across": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
+    "vote": lambda r, n, m: (table(r, n), r.integers(0, 7, n)),
+    "survive": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
+    "detection_probability": lambda r, n, m: (table(r, n), 0.9, 2.0),
+    "hit": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.normal(0, 5, n), 1e12),
+    "miss": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.uniform(0, 1, n), 0.03),
+    "kept": lambda r, n, m: (table(r, n), 19.0, 1.0, 0.0015, 3.0, 9.0, 6.0, 2.0),
+    "to_columns": lambda r, n, m: (table(r, n),),
+    "in_view": view,
+    "hidden_table": lambda r, n, m: (r.normal(size=3), boxes(r, n), boxes(r, m), 0.1),
+    "overlap": overlap,
+    "moved": lambda r, n, m: (places(r, n), places(r, n), covariances(r, n), 0.1),
+    "turned": lambda r, n, m: (
+        places(r, n), r.uniform(-9, 9, n), covariances(r, n, 3), r.normal(size=3), r.random((3, 3)),
+    ),
+    "box_noise": lambda r, n, m: (
+        r.normal(size=(n, 3, 3)) * r.choice([0.0, 1.0, 1e5]), r.permutation(n), r.uniform(0.1, 1, 6), 1e-4, 1e8,
+    ),
+    "pairs_in_groups": lambda r, n, m: (
+        r.integers(0, 3, n + 1), places(r, n + 1), r.integers(0, 4, m + 1), places(r, m + 1), r.uniform(0, 5),
+    ),
+    "symmetrised": lambda r, n, m: (covariances(r, n) - r.choice([0.0, 0.3]) * np.eye(9), 1e-4, r.choice([1.0, 1e8])),
+    "intersection": lambda r, n, m: (
+        covariances(r, n + 1), r.normal(size=(n + 1, 9)), r.uniform(0.1, 1, n + 1), clusters(r, n + 1),
+    ),
+    "agreement": lambda r, n, m: (
+        r.uniform(-4, 4, n + 1), r.integers(0, 9, n + 1).astype(np.uint8), r.random(n + 1), r.uniform(0.1, 1, n + 1),
+        clusters(r, n + 1),
+    ),
+    "plain_clusters": lambda r, n, m: (r.integers(0, 3, n), *upper_pairs(r, n)),
+    "packed_columns": packed,
+    "exact_columns": exact,
+    "sound_values": values,
+}  # fmt: skip
+
+
+def assert_same(one, other):
+    """Down to 1e-9, or exactly where it is not a number with a point."""
+    assert type(one) is type(other) or isinstance(one, bool | np.bool_ | float | np.floating)
+    if isinstance(one, tuple | list):
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    elif isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for name in one:
+            assert_same(one[name], other[name])
+    elif isinstance(one, np.ndarray) and one.dtype != object:
+        assert (one.dtype, one.shape, one.flags.writeable) == (other.dtype, other.shape, other.flags.writeable)
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+    elif isinstance(one, float):
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+    else:
+        assert np.all(one == other)
+
+
+def test_every_kernel_is_compared_with_its_reference():
+    assert ARGUMENTS.keys() == kernels.REFERENCES.keys()
+    if kernels.COMPILED:
+        assert ARGUMENTS.keys() <= kernels.COMPILED.keys()
+
+
+@compiled
+@pytest.mark.parametrize("name", sorted(ARGUMENTS))
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 2**32), st.sampled_from([0, 1, 2, 3, 9, 30]), st.sampled_from([0, 1, 2, 8, 25]))
+def test_a_compiled_kernel_is_its_reference(name, seed, n, m):
+    given = ARGUMENTS[name](np.random.default_rng(seed), n, m)
+    ours, theirs = copy.deepcopy(given), copy.deepcopy(given)
+    with np.errstate(all="ignore"):
+        expected = kernels.REFERENCES[name](*theirs)
+    assert_same(kernels.COMPILED[name](*ours), expected)
+    assert_same(ours, theirs)  # what they change in place
+
+
+@compiled
+def test_kernels_know_the_columns_of_the_table_of_tracks():
+    compiled_tracks = importlib.import_module("mast_zenoh.kernels.tracks")
+    assert {name: getattr(tracks, name) for name in compiled_tracks.COLUMNS} == compiled_tracks.COLUMNS
+
+
+PLAY = """
+import sys
+import numpy as np
+from mast_zenoh import kernels, scenario
+from mast_zenoh.runtime.inproc import InProcess
+path, loaded = scenario.load("coordinated", [f"scene={sys.argv[1]}"])
+heard = {}
+def tap(sent):
+    if "tracks" in sent.key or "picture" in sent.key or "mission" in sent.key:
+        for name, column in sent.payload.body.items():
+            heard.setdefault(f"{sent.key} {name}", []).append(column)
+InProcess(scenario.resolve(path, loaded), tap=tap).run()
+np.savez(sys.argv[2], kernels=kernels.USED, **{name: np.concatenate(parts) for name, parts in heard.items()})
+"""
+
+
+def played(scene: str, wanted: str, file: Path):
+    """Tracks and pictures of a whole run with one kind of kernels."""
+    command = [sys.executable, "-c", PLAY, scene, str(file)]
+    subprocess.run(command, env=os.environ | {"MAST_KERNELS": wanted}, check=True)
+    return np.load(file)
+
+
+@compiled
+def test_a_whole_recorded_scene_has_the_same_tracks_with_either(tmp_path):
+    scene = "intersection"
+    if (DATA / "scene_a.tar.gz").is_file():
+        with tarfile.open(DATA / "scene_a.tar.gz") as archive:
+            archive.extractall(tmp_path, filter="data")
+        scene = f"avstack:{tmp_path}/scene_a"
+    ours, theirs = (played(scene, wanted, tmp_path / f"{wanted}.npz") for wanted in ("compiled", "numpy"))
+    assert (str(ours["kernels"]), str(theirs["kernels"])) == ("compiled", "numpy")
+    assert ours.files == theirs.files
+    assert any(name.endswith("picture id") for name in ours.files)
+    for name in set(ours.files) - {"kernels"}:
+        if name.endswith("yaw"):  # a half turn and minus a half turn are one
+            np.testing.assert_allclose(np.exp(1j * ours[name]), np.exp(1j * theirs[name]), atol=1e-9)
+        else:
+            np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+def used(code: str, wanted: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", f"{code}; from mast_zenoh import kernels; print(kernels.USED)"]
+    return subprocess.run(
+        command, env=os.environ | {"MAST_KERNELS": wanted}, capture_output=True, text=True, check=False
+    )
+
+
+@compiled
+def test_kernels_made_from_other_sources_are_not_used(tmp_path):
+    copied = tmp_path / "mast_zenoh"
+    shutil.copytree(Path(mast_zenoh.__file__).parent, copied)
+    here = f"import sys; sys.path.insert(0, {str(tmp_path)!r})"
+    assert used(here, "").stdout.strip() == "compiled"
+    with (copied / "kernels" / "tracks.pyx").open("a") as source:
+        source.write("# changed")
+    assert used(here, "").stdout.strip() == "numpy"
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"), [("fast", "expected numpy or compiled"), ("compiled", "none were built")]
+)
+def test_kernels_that_cannot_be_had_are_refused(wanted, message):
+    hidden = "import sys; sys.modules['mast_zenoh.kernels.tracks'] = None"
+    assert message in used(hidden, wanted).stderr
