@@ -8,7 +8,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from mast_zenoh import __version__
+from mast_zenoh import __version__, kernels
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -35,7 +35,7 @@ def named() -> str:
 
 def versions() -> dict[str, str]:
     """What a node runs on: the interpreter and the packages that decide over numbers and messages."""
-    found = {"python": platform.python_version(), "mast-zenoh": named()}
+    found = {"python": platform.python_version(), "mast-zenoh": named(), "kernels": kernels.USED}
     for package in ("eclipse-zenoh", "numpy", "scipy", "msgpack"):
         try:
             found[package] = version(package)

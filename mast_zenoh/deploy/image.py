@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 import mast_zenoh
-from mast_zenoh import bundle, release
+from mast_zenoh import bundle, kernels, release
 from mast_zenoh.deploy import wheel
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.errors import EngineError
@@ -38,7 +38,7 @@ def build(tag: str = TAG, base: str = BASE) -> str:
             shutil.copyfile(path, context / "third_party" / path.name)
         wheel.build(context)
         dockerfile = bundle.ROOT / "deploy" / "Dockerfile"
-        words = ["--tag", tag, "--build-arg", f"BASE={base}", "--build-arg", f"CODE={release.fingerprint()}"]
+        words = ["--tag", tag, "--build-arg", f"BASE={base}", "--build-arg", f"CODE={_code()}"]
         before = docker("image", "ls", "--quiet", tag).strip()
         docker("build", "--quiet", *words, "--file", str(dockerfile), str(context), timeout=_BUILD_S)
         if before and before != docker("image", "ls", "--quiet", tag).strip():
@@ -52,11 +52,16 @@ def check(tag: str = TAG) -> None:
     if not said.strip():
         raise EngineError(f"there is no image {tag}: build it by `mast deploy image`")
     code = docker("image", "inspect", "--format", f'{{{{index .Config.Labels "{LABEL}"}}}}', tag).strip()
-    if code != release.fingerprint():
+    if code != _code():
         raise EngineError(
             f"the image {tag} holds mast-zenoh {mast_zenoh.__version__} (sources {code or 'unknown'}), this is "
             f"{release.named()}: build it again by `mast deploy image`"
         )
+
+
+def _code() -> str:
+    """What an image made here carries: these sources, and compiled kernels if there are any here."""
+    return release.fingerprint() + ("+kernels" if kernels.COMPILED else "")
 
 
 def size_over_base(tag: str = TAG, base: str = BASE) -> int:

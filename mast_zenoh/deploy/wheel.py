@@ -22,7 +22,8 @@ from mast_zenoh.errors import EngineError
 REQUIREMENTS = "node-requirements.txt"
 _PACKAGE = Path(mast_zenoh.__file__).resolve().parent
 _KINDS = ("nodes", "keyexpr_maps", "scenarios", "studies", "deploy")
-_SUFFIXES = (".py", ".j2", ".toml", ".txt", ".yml", ".json")
+#: Compiled kernels go with their sources: an interpreter that they are not for passes them by.
+_SUFFIXES = (".py", ".j2", ".toml", ".txt", ".yml", ".json", ".pyx", ".pxd", ".so")
 _OLDEST = (1980, 1, 1, 0, 0, 0)  # that a zip file can say: the same content gives the same bytes
 
 

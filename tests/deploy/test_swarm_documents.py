@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh import scenario
+from mast_zenoh import kernels, scenario
 from mast_zenoh.deploy import arithmetic
 from mast_zenoh.deploy.compose import document as compose
 from mast_zenoh.deploy.swarm import document, engine, placement, services, stack, tasks
@@ -398,4 +398,6 @@ def test_a_machine_without_a_swarm_has_nothing_of_a_stack_but_containers(monkeyp
 
 def test_nodes_elsewhere_get_what_decides_over_last_digits_and_nothing_else() -> None:
     ours = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "2", "HOME": "/somewhere"}
-    assert arithmetic.environment(ours) == {"OPENBLAS_CORETYPE": "Haswell"}
+    theirs = arithmetic.environment(ours)
+    assert theirs.pop("MAST_KERNELS", kernels.USED) == kernels.USED
+    assert theirs == {"OPENBLAS_CORETYPE": "Haswell"}
