@@ -11,6 +11,7 @@ import tempfile
 import threading
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,13 +39,15 @@ _LEAVE_S = 20.0  # for a host to end what it still runs and to remove its folder
 class Ssh(Engine):
     """Hosts with an SSH server.
 
-    hosts: a file such as deploy/hosts.toml
+    hosts:      a file such as deploy/hosts.toml
+    patience_s: how long nodes stay when the launcher has gone, s; None: as the file says
     """
 
     name = "ssh"
 
-    def __init__(self, hosts: Path = Path("deploy/hosts.toml")) -> None:
-        self.hosts = hostsfile.read(hosts)
+    def __init__(self, hosts: Path = Path("deploy/hosts.toml"), patience_s: float | None = None) -> None:
+        told = hostsfile.read(hosts)
+        self.hosts = told if patience_s is None else replace(told, patience_s=patience_s)
 
     def check(self, resolved: Resolved, secure: str) -> None:
         """See Engine. Every host that gets nodes, or the router, is asked: whether it lets us in, and what it has."""

@@ -43,6 +43,7 @@ class Cargo:
     """What is brought: our own wheel, built into a folder, and the names of all others."""
 
     def __init__(self, folder: Path) -> None:
+        self.version = release.named()  # of the very sources that are packed
         self.wheel = wheel.build(folder)
         self.release = hashlib.sha256(self.wheel.read_bytes()).hexdigest()[:12]
         self._requirements = wheel.requirements()
@@ -71,7 +72,7 @@ async def probe(ssh: asyncssh.SSHClientConnection, host: Host, cargo: Cargo) -> 
     if found["free"] < needed:
         raise DiskFull(f"{host.called}: {found['folder']} has {_mib(found['free'])} free, needs {_mib(needed)}")
     if not lacks:
-        _compare(host, found["version"], found["folder"])
+        _compare(host, cargo, found["version"], found["folder"])
     return {**found, "python": python, "key": environment, "lacks": lacks}
 
 
@@ -90,7 +91,7 @@ async def install(ssh: asyncssh.SSHClientConnection, host: Host, cargo: Cargo) -
         await _bring(ssh, host, [cargo.wheel], target, venv=False)
     if found["lacks"]:
         said = await connection.ask(ssh, host, "verify", environment, target)
-        _compare(host, said["version"], base)
+        _compare(host, cargo, said["version"], base)
     return Installed(base, f"{environment}/bin/python", target)
 
 
@@ -108,10 +109,10 @@ async def _bring(ssh: asyncssh.SSHClientConnection, host: Host, wheels: list[Pat
         raise EngineError(f"{host.called}: {target}: {error}") from None
 
 
-def _compare(host: Host, theirs: str, folder: str) -> None:
-    if theirs != release.named():
+def _compare(host: Host, cargo: Cargo, theirs: str, folder: str) -> None:
+    if theirs != cargo.version:
         raise VersionMismatch(
-            f"{host.called}: its copy is mast-zenoh {theirs}, the launcher {release.named()}: remove {folder} there"
+            f"{host.called}: its copy is mast-zenoh {theirs}, the launcher {cargo.version}: remove {folder} there"
         )
 
 
