@@ -59,9 +59,34 @@ class Received(NamedTuple):
         return self.message.body
 
     @property
+    def schema(self) -> str:
+        """Its message type."""
+        return self.message.header.schema
+
+    @property
     def encoded(self) -> bytes:
         """Its bytes: as they came, or as they would have been sent."""
         return codec.encode(self.message) if self.payload is None else self.payload
+
+
+class Unopened(Received):
+    """A message that a node only passes on: nobody has looked at it yet. Whoever does may find a MessageError.
+
+    Made of (message type, subject, payload, step).
+    """
+
+    __slots__ = ()
+
+    @property
+    def message(self) -> Message:
+        """Decoded now: its header, and its body when somebody looks at that."""
+        assert self.payload is not None
+        return codec.decode_unopened(self.payload, self.schema)
+
+    @property
+    def schema(self) -> str:
+        """That of its wire; what is in it may be anything."""
+        return str(self[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +175,8 @@ class Node:
     #: input ports and output ports: name to message type
     inputs: ClassVar[Mapping[str, str]] = {}
     outputs: ClassVar[Mapping[str, str]] = {}
-    #: input ports whose messages it passes on without looking at them: only their headers are checked, and what is
-    #: malformed behind them is passed on as well. Looking at `body` is possible, and raises MessageError then.
+    #: input ports whose messages it passes on without looking at them, malformed ones as well: whoever they are for
+    #: will refuse those. Looking at one is possible, and raises MessageError if it is malformed (see `Unopened`).
     unopened: ClassVar[Collection[str]] = ()
     #: whether its handlers do so little that in real time it is called by the thread that brings a message, at once
     prompt: ClassVar[bool] = False

@@ -117,14 +117,15 @@ class Link(Node):
 
     def send(self, port: str, received: Received, passage: Passage, after_s: float, context: Context) -> None:
         """Let one copy of a message go, with what the rules have changed in it."""
-        header, body, time_ns = received.message.header, None, None
+        body, time_ns = None, None
         if passage.skew_ns and columns_of(received):
-            time_ns = max(0, header.time_ns + passage.skew_ns)
+            time_ns = max(0, received.time_ns + passage.skew_ns)
         if passage.turn or passage.shift != (0.0, 0.0):
             body = displaced(received.body, passage.shift, passage.turn)
         if passage.flips:
             encoded = received.encoded
             if body is not None or time_ns is not None:
+                header = received.message.header
                 header = header if time_ns is None else header._replace(time_ns=time_ns)
                 encoded = codec.encode(codec.conform(header, received.body if body is None else body))
             context.relay(port, received, payload=flipped(encoded, passage.flips), after_s=after_s)
@@ -132,8 +133,11 @@ class Link(Node):
             context.relay(port, received, body, time_ns=time_ns, after_s=after_s)
 
     def note(self, port: str, received: Received, outcome: Outcome) -> None:
-        """Remember for the report what became of a message."""
-        header = received.message.header
+        """Remember for the report what became of a message; what is malformed is nobody's message."""
+        try:
+            header = received.message.header
+        except MessageError:
+            return
         for fate, rule in outcome.fates.items():
             wire = WIRES.index(port) if port in WIRES else WIRES.index(header.schema)
             self.events.append(Event(wire, header.frame, header.seq, FATES.index(fate), rule, outcome.delay_s))

@@ -17,7 +17,7 @@ import numpy as np
 from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import Body, Header, Message
-from mast_zenoh.node import Node, Overheard, Received, Source, handler_names
+from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
 from mast_zenoh.runtime.delayed import Delayed
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring import ANY, Input, Ports
@@ -128,16 +128,16 @@ class Host:
         if self._overhears:
             self._overhear(key, hears, payload, counted)
             return
-        try:
-            unopened = hears.port in self.node.unopened
-            if flaw and not unopened:
-                raise MessageError(flaw)
+        if hears.port in self.node.unopened:
             if flaw and isinstance(payload, Message):
                 payload = codec.encode(payload)  # as bytes, so that it is passed on as it is
-            if isinstance(payload, Message):
-                message = payload
-            else:
-                message = (codec.decode_unopened if unopened else codec.decode)(payload, hears.message)
+            if isinstance(payload, bytes):
+                self._take(key, hears, Unopened(hears.message, hears.subject, payload, step), counted)  # type: ignore[arg-type]  # see Unopened
+                return
+        try:
+            if flaw:
+                raise MessageError(flaw)
+            message = payload if isinstance(payload, Message) else codec.decode(payload, hears.message)
             if message.header.source != hears.source:
                 raise MessageError(f"{hears.message}: source {message.header.source[:40]!r}, expected {hears.source!r}")
         except MessageError as error:
@@ -148,12 +148,8 @@ class Host:
         received = Received(message, hears.subject, payload if isinstance(payload, bytes) else None, step)
         if hears.message == "clock":
             self._clock(key, hears, received, counted)
-        elif step > self.frame and self._clocked:
-            self._hold(step, key, hears, received, counted)
         else:
-            if not self._clocked:  # who has no clock goes by the messages: what it says on them is of their step
-                self._step = max(self._step, step)
-            self._handle(key, hears, received, counted)
+            self._take(key, hears, received, counted)
 
     def release(self) -> float | None:
         """In real time: let go what is due by now. How long it is until the next will be, s; None: nothing waits."""
@@ -224,9 +220,9 @@ class Host:
         after_s: float = 0.0,
     ) -> None:
         """See node.Context."""
-        schema, header = self._output(port), received.message.header
-        if schema != header.schema:
-            raise ConfigurationError(f"{self.name}: port {port!r} carries {schema!r} messages, not {header.schema!r}")
+        schema = self._output(port)
+        if schema != received.schema:
+            raise ConfigurationError(f"{self.name}: port {port!r} carries {schema!r} messages, not {received.schema!r}")
         if payload is not None and (body is not None or time_ns is not None):
             raise ConfigurationError(
                 f"{self.name}: port {port!r}: a payload is sent as it is: no body or time_ns with it"
@@ -237,6 +233,7 @@ class Host:
         if payload is not None:
             self._out(key, payload, after_s=after_s)
         elif body is not None or time_ns is not None:
+            header = received.message.header
             header = header if time_ns is None else header._replace(time_ns=time_ns)
             message = Message(header, received.body) if body is None else codec.conform(header, body)
             self._send(key, message, after_s)
@@ -341,6 +338,15 @@ class Host:
         self._guard(hears.port, self._handlers[hears.port], Overheard(key, payload, header, flaw), self)
         if counted:
             self.handled[key] += 1
+
+    def _take(self, key: str, hears: Input, received: Received, counted: bool) -> None:
+        """Handle a message, or hold it until the clock of its step comes."""
+        if received.step > self.frame and self._clocked:
+            self._hold(received.step, key, hears, received, counted)
+            return
+        if not self._clocked:  # who has no clock goes by the messages: what it says on them is of their step
+            self._step = max(self._step, received.step)
+        self._handle(key, hears, received, counted)
 
     def _hold(self, step: int, key: str, hears: Input, received: Received, counted: bool) -> None:
         if self._n_held >= MAX_HELD:
