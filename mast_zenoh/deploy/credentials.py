@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.deploy.compose.document import CREDENTIALS, ROUTER, ROUTER_SETTINGS
-from mast_zenoh.launch.local import Launch
+from mast_zenoh.launch.launching import Launch
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring import Wiring

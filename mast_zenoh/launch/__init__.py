@@ -1,10 +1,11 @@
 """Starts, watches and stops the processes of a run.
 
-local        one run on this machine, from the first process to the last
+local        one run and its folder: on a mesh, or in this process
+launching    the run on a mesh, from the first process to the last
 supervisor   who starts, watches and ends nodes;  processes: as processes of this machine
 steps        what the scenario does to them
 latency      what was measured on the wall clock
 folder       what the run leaves behind
-display      what is shown meanwhile
+display      what is shown meanwhile;  signals: Ctrl-C and SIGTERM
 network      the hosts of a run as network namespaces
 """

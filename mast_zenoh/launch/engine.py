@@ -13,7 +13,7 @@ from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.scenario import Resolved
 
 if TYPE_CHECKING:
-    from mast_zenoh.launch.local import Launch
+    from mast_zenoh.launch.launching import Launch
 
 
 class Engine(ABC):

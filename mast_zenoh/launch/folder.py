@@ -143,3 +143,18 @@ def finite(value: Any) -> Any:
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
     return value
+
+
+def note_recording(record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]]) -> None:
+    """How many messages were recorded goes to run.json, and a note if some could not be."""
+    for outcome in handed_in.values():
+        if "recorded" in outcome:
+            record["recorded"] = outcome["recorded"]
+            if lost := outcome["recorded"]["lost"]:
+                said = [record["message"]] if record["message"] else []
+                record["message"] = "; ".join([*said, f"{lost} messages could not be recorded"])
+
+
+def rates(frames: int, wall_s: float) -> dict[str, Any]:
+    """How fast a run went, for its `timings`."""
+    return {"run_s": round(wall_s, 4), "frames_per_second": round(frames / wall_s, 2) if wall_s else None}

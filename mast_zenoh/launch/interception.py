@@ -30,7 +30,7 @@ from mast_zenoh.scenario import NodeSpec, Resolved
 from mast_zenoh.wiring import Wiring
 
 if TYPE_CHECKING:
-    from mast_zenoh.launch.local import Launch
+    from mast_zenoh.launch.launching import Launch
 
 SECRET_FILE = "control.key"
 _DRIVER_TIMEOUT_S = 60.0

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import os
-import queue
 import secrets
-import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import zenoh
 from rich.console import Console
 
 from mast_zenoh import checks
@@ -24,36 +19,15 @@ from mast_zenoh.errors import (
     BackendError,
     Interrupted,
     MastError,
-    NodeDied,
-    RunError,
-    StallError,
-    StartError,
-    VersionMismatch,
 )
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import latency
-from mast_zenoh.launch.depot import Depot
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.interception import Interceptions
-from mast_zenoh.launch.network.hosts import Hosts
-from mast_zenoh.launch.processes import Processes
-from mast_zenoh.launch.steps import Steps
-from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
+from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.signals import stop_signals
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.runtime.mesh import ATTACHMENT, prefix
-from mast_zenoh.runtime.session import open_client, open_router
-from mast_zenoh.runtime.timetable import Timetable
 from mast_zenoh.scenario import Resolved
-from mast_zenoh.security import levels
-from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring import Wiring
-
-_POLL_S = 0.05
-_LEAVE_GRACE_S = 20.0  # from the end of the scene to the last node's results
-_INTERRUPT_GRACE_S = 5.0
-_END_GRACE_S = 1.0  # between closing inputs, SIGTERM and SIGKILL
 
 
 @dataclass
@@ -143,7 +117,7 @@ def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], displa
         process = InProcess(resolved.in_folder(folder), progress=progress)
         outcomes = process.run()
     timing = outcomes.pop("")
-    record["timings"] |= _rates(timing["frames"], timing["wall_s"])
+    record["timings"] |= run_folder.rates(timing["frames"], timing["wall_s"])
     record["steps"] = [step._asdict() for step in process.steps]
     for name, host in (process.hosts | process.gone).items():
         killed = name not in outcomes
@@ -159,303 +133,7 @@ def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], displa
             "foreign": 0,
             "failures": dict(host.failures),
         }
-    _note_recording(record, outcomes)
+    run_folder.note_recording(record, outcomes)
     run_folder.write_results(folder, outcomes, {"late": results.late(outcomes)})
     if received:
         raise Interrupted("stopped by Ctrl-C or SIGTERM")
-
-
-@contextmanager
-def stop_signals() -> Iterator[list[int]]:
-    """The SIGINT and SIGTERM that come while it lasts, instead of what they would do."""
-    received: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield received
-        return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda n, _: received.append(n)) for number in numbers}
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@dataclass
-class Launch:
-    """One run on a mesh, from the first process to the last."""
-
-    resolved: Resolved
-    folder: Path
-    record: dict[str, Any]
-    display: Display
-    endpoint: str | None
-    listen: str
-    secure: str = "open"
-    engine: Engine | None = None
-    detours: dict[str, str] = field(default_factory=dict)  # endpoints of nodes that reach the router another way
-    outcomes: dict[str, dict[str, Any]] = field(default_factory=dict)
-    frame: int = -1
-    problem: RunError | None = None
-    stopping_since: float | None = None
-    signals: list[int] = field(default_factory=list)
-    hosts: Hosts | None = None
-    deployment: Deployment | None = None
-    session: zenoh.Session | None = None
-    depot: Depot | None = None
-    _asked: queue.SimpleQueue[bytes] = field(default_factory=queue.SimpleQueue)
-    _handed_in: queue.SimpleQueue[tuple[str, bytes]] = field(default_factory=queue.SimpleQueue)
-
-    def run(self) -> None:
-        """Start the nodes, watch them to the end, write the results. Raises RunError for a run that failed."""
-        begun = time.monotonic()
-        timetable = Timetable(self.resolved, lockstep=self.resolved.mode == "lockstep")
-
-        def leave(name: str) -> None:
-            session.put(f"{prefix(self.record['id'])}/@control/leave/{name}", "leave")
-
-        with ExitStack() as stack:
-            self.signals = stack.enter_context(stop_signals())
-            session, supervisor = self._join(stack)
-            self.session = session
-            declared = self._declare(session)
-            if self.engine is not None:
-                declared.append(self._keep_depot(session, supervisor, stack))
-            interceptions = Interceptions(self, session, supervisor)
-            try:
-                steps = Steps(supervisor, self.resolved.nodes, timetable.absent, leave)
-                self.record["steps"] = steps.done
-                steps.start_all()
-                self.record["nodes"] = supervisor.to_json({})
-                run_folder.write_json(self.folder / "run.json", self.record)
-                self._watch(session, supervisor, steps, interceptions)
-            finally:
-                supervisor.end(_END_GRACE_S)
-                interceptions.close()
-                self._take_results()
-                for entity in declared:
-                    entity.undeclare()
-        if self.hosts is not None:
-            self.record["network"] = self.hosts.done
-        self._conclude(supervisor, begun)
-
-    def _join(self, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
-        """A session on the mesh, and who starts its nodes; the router is in this process, yours, or at a centre."""
-        run = self.record["id"]
-        if self.engine is not None:
-            if self.endpoint or self.resolved.network:
-                where = f"the router at {self.endpoint}" if self.endpoint else "hosts in network namespaces"
-                raise BackendError(f"engine {self.engine.name} has a router of its own: found {where}")
-            return self.engine.join(self, stack)
-        if self.secure != "open" and (self.endpoint or self.resolved.network):
-            where = self.endpoint or "hosts in network namespaces"
-            raise BackendError(f"security level {self.secure}: expected a router in this process, found {where}")
-        if self.resolved.network:
-            if self.endpoint:
-                raise BackendError(f"hosts have a router of their own: they cannot be on the mesh of {self.endpoint}")
-            spec = self.resolved.network
-            self.hosts = stack.enter_context(Hosts(spec, self.resolved.rate, self.folder / "logs"))
-            self.record["endpoint"] = self.hosts.endpoint
-            session = stack.enter_context(open_client(self.hosts.endpoint))
-            return session, Processes(self.folder, run, self.hosts.inside, self.hosts.command)
-        if self.endpoint:
-            self.record["endpoint"] = self.endpoint
-            return stack.enter_context(open_client(self.endpoint)), Processes(self.folder, run, self.endpoint)
-        nodes = self.resolved.nodes
-        driver = next((name for name, spec in nodes.items() if spec.role == "simulator"), "")
-        wiring, listen = Wiring.from_json(self.resolved.wiring), levels.endpoint(self.secure, self.listen)
-        self.deployment = stack.enter_context(
-            Deployment(self.secure, run, wiring, nodes, prefix=prefix(run), driver=driver, hosts=levels.hosts([listen]))
-        )
-        session, self.record["endpoint"] = open_router(listen, security=self.deployment.router)
-        supervisor = Processes(self.folder, run, self.record["endpoint"], told=self._told)
-        return stack.enter_context(session), supervisor
-
-    def _told(self, name: str) -> list[str]:
-        """What a node's command is told besides: where its credentials are, and another way if it has one."""
-        own = self.deployment.arguments(name) if self.deployment else []
-        return [*own, "--endpoint", self.detours[name]] if name in self.detours else own
-
-    def _declare(self, session: zenoh.Session) -> list[Any]:
-        """Listen for results and for the progress of the clock."""
-        base = prefix(self.record["id"])
-
-        def on_result(query: zenoh.Query) -> None:
-            payload = query.payload.to_bytes() if query.payload else b""
-            self._handed_in.put((str(query.key_expr).rpartition("/")[2], payload))
-            query.reply(query.key_expr, b"taken")
-
-        def on_clock(sample: zenoh.Sample) -> None:
-            attachment = sample.attachment
-            if attachment and len(attachment) == ATTACHMENT.size:
-                self.frame = ATTACHMENT.unpack(attachment.to_bytes())[2]
-                if self.hosts is not None:
-                    self.hosts.begin()
-
-        def on_ask(sample: zenoh.Sample) -> None:
-            self._asked.put(sample.payload.to_bytes())
-
-        direct = zenoh.handlers.Callback
-        return [
-            session.declare_queryable(f"{base}/@control/result/*", direct(on_result, indirect=False)),
-            session.declare_subscriber(f"{base}/clock", direct(on_clock, indirect=False)),
-            session.declare_subscriber(f"{base}/@control/act", direct(on_ask, indirect=False)),
-        ]
-
-    def _keep_depot(self, session: zenoh.Session, supervisor: Supervisor, stack: ExitStack) -> Any:
-        """Serve the nodes that live elsewhere, and show them that the launcher is there; the token that shows it."""
-
-        def mismatch(error: VersionMismatch) -> None:
-            self.problem = self.problem or error
-
-        self.depot = Depot(
-            session,
-            self.record["id"],
-            self.folder,
-            lambda: self.resolved,
-            lambda node: supervisor.without.get(node, []),
-            mismatch,
-        )
-        stack.callback(self.depot.close)
-        return session.liveliness().declare_token(f"{prefix(self.record['id'])}/@control/launcher")
-
-    def _watch(
-        self, session: zenoh.Session, supervisor: Supervisor, steps: Steps, interceptions: Interceptions
-    ) -> None:
-        """Until every process has ended, or the grace of a run that is to stop is over."""
-        interrupted = 0
-        while supervisor.running():
-            self._act(steps)
-            interceptions.turn()
-            self._take_results()
-            for child in supervisor.newly_ended():
-                self._ended(child, steps, session)
-            if len(self.signals) > interrupted:
-                interrupted = len(self.signals)
-                self.problem = Interrupted("stopped by Ctrl-C or SIGTERM")
-                self._stop(session, "interrupted")
-                if interrupted > 1:
-                    return
-            if self.hosts is not None:
-                self._mind(self.hosts, session)
-            if self.stopping_since is not None:
-                supervisor.resume(supervisor.running())  # who stands still cannot hear that it is to stop
-                grace = _INTERRUPT_GRACE_S if interrupted else _LEAVE_GRACE_S
-                busy_at = max(self.stopping_since, self.depot.taken_at if self.depot else self.stopping_since)
-                if time.monotonic() - busy_at > grace:
-                    return
-            self.display.update(self.frame + 1, self._states(supervisor))
-
-    def _act(self, steps: Steps) -> None:
-        """Wait a little for the driver to ask for something, and do it, unless all is to end anyway."""
-        with suppress(queue.Empty):
-            asked = self._asked.get(timeout=_POLL_S)
-            if self.stopping_since is None:
-                steps.carry_out(asked)
-
-    def _mind(self, hosts: Hosts, session: zenoh.Session) -> None:
-        """A network that has failed ends the run. One that is to end is healed, for all to hear of it and hand in."""
-        if (what := hosts.problem()) and self.problem is None:
-            self.problem = BackendError(f"hosts: {what}")
-            self._stop(session, "the network has failed")
-        if self.stopping_since is not None:
-            hosts.heal()
-            session.put(f"{prefix(self.record['id'])}/@control/stop", "end")  # again, for those who were cut off
-
-    def _ended(self, child: Child, steps: Steps, session: zenoh.Session) -> None:
-        """A process has ended: as it should, or not."""
-        self._take_results()
-        if child.meant:
-            return
-        if child.name in self.outcomes and child.exit == 0:
-            return
-        if self.stopping_since is not None and child.exit == 0:
-            return
-        what = f"{child.name} {how_ended(child.exit)} at frame {self.frame}"
-        if self.frame < 0:
-            self.problem = self.problem or StartError(
-                f"{child.name} ended before the first frame: {how_ended(child.exit)}{self._last_words(child)}"
-            )
-            self._stop(session, "a node did not start")
-        elif child.spec.on_exit == "continue":
-            self.display.say(f"[yellow]{what}; going on without it")
-        elif child.spec.on_exit == "restart" and self.stopping_since is None:
-            again = steps.restart(child)
-            self.display.say(f"[yellow]{what}; {'restarted' if again else 'restarted too often, going on without it'}")
-        elif self.problem is None:
-            self.problem = NodeDied(f"{what}; see logs/{child.name}.log{self._last_words(child)}")
-            self._stop(session, "a node died")
-
-    def _last_words(self, child: Child) -> str:
-        lines = (self.folder / "logs" / f"{child.name}.log").read_text(errors="replace").strip().splitlines()
-        return f": {lines[-1]}" if lines else ""
-
-    def _stop(self, session: zenoh.Session, reason: str) -> None:
-        """Ask everyone to finish."""
-        if self.stopping_since is None:
-            self.stopping_since = time.monotonic()
-            session.put(f"{prefix(self.record['id'])}/@control/stop", reason)
-
-    def _take_results(self) -> None:
-        while not self._handed_in.empty():
-            name, payload = self._handed_in.get()
-            self.outcomes[name] = results.unpack(payload)
-            reason = self.outcomes[name].get("stop_reason")
-            if reason is not None:
-                if self.stopping_since is None:
-                    self.stopping_since = time.monotonic()
-                if reason.startswith("stall"):
-                    self.problem = self.problem or StallError(reason)
-                elif reason.startswith("start"):
-                    self.problem = self.problem or StartError(reason)
-
-    def _states(self, supervisor: Supervisor) -> dict[str, str]:
-        def state(child: Child) -> str:
-            if child.exit is not None:
-                return "done" if child.exit == 0 else "away" if child.meant else "dead"
-            if child.paused:
-                return "paused"
-            return "running" if self.frame >= 0 else "starting"
-
-        return {name: state(child) for name, child in supervisor.children.items()}
-
-    def _conclude(self, supervisor: Supervisor, begun: float) -> None:
-        """Write what came, and raise what went wrong."""
-        self.record["nodes"] = supervisor.to_json(self.outcomes)
-        driver: Mapping[str, Any] = next((o for o in self.outcomes.values() if "sent_ns" in o), {})
-        if driver:
-            self.record["timings"] |= _rates(driver["frames"], driver["wall_s"])
-            self.record["timings"]["start_s"] = round(time.monotonic() - begun - driver["wall_s"], 3)
-        gone = [c for c in supervisor.children.values() if c.name not in self.outcomes and c.exit != 0 and not c.meant]
-        self.record["message"] = "; ".join(f"{child.name} {child.ended}" for child in gone)
-        handed_in = {name: outcome["results"] for name, outcome in self.outcomes.items()}
-        _note_recording(self.record, handed_in)
-        measured: dict[str, Any] = {"late": results.late(handed_in)}
-        if self.resolved.mode == "realtime":
-            sent, arrived = latency.by_one_clock(self.outcomes)
-            picture = latency.between(sent, arrived.get("evaluator", {}).get("cc/picture", {}))
-            wires = latency.by_wire(Wiring.from_json(self.resolved.wiring), sent, arrived)
-            measured["latency_ms"] = {
-                "sim_to_picture": picture or dict.fromkeys(("p50", "p95", "p99")),
-                "by_wire": wires,
-            }
-            measured["frames_per_second"] = self.record["timings"].get("frames_per_second")
-        run_folder.write_results(self.folder, handed_in, measured)
-        if self.problem is None and "evaluator" not in self.outcomes and "evaluator" in supervisor.children:
-            self.problem = RunError("the evaluator handed in no results")
-        if self.problem is not None:
-            raise self.problem
-
-
-def _note_recording(record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]]) -> None:
-    """How many messages were recorded goes to run.json, and a note if some could not be."""
-    for outcome in handed_in.values():
-        if "recorded" in outcome:
-            record["recorded"] = outcome["recorded"]
-            if lost := outcome["recorded"]["lost"]:
-                said = [record["message"]] if record["message"] else []
-                record["message"] = "; ".join([*said, f"{lost} messages could not be recorded"])
-
-
-def _rates(frames: int, wall_s: float) -> dict[str, Any]:
-    return {"run_s": round(wall_s, 4), "frames_per_second": round(frames / wall_s, 2) if wall_s else None}

@@ -11,7 +11,7 @@ from typing import Any
 import zenoh
 
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.local import Launch
+from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.processes import Processes
 from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.runtime.mesh import prefix

@@ -26,7 +26,7 @@ from mast_zenoh.deploy.ssh.installation import Cargo, Installed
 from mast_zenoh.deploy.ssh.nodes import RemoteNodes
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch.local import Launch
+from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.processes import ENVIRONMENT
 from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.runtime.mesh import prefix

@@ -25,7 +25,7 @@ from mast_zenoh.deploy.ssh.hostsfile import Host
 from mast_zenoh.deploy.ssh.installation import Cargo
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.local import Launch
+from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.scenario import Resolved
 from mast_zenoh.security import levels

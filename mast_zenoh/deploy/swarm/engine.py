@@ -26,7 +26,7 @@ from mast_zenoh.deploy.swarm.services import Services, keep_log
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.local import Launch
+from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.runtime.timetable import Timetable
 from mast_zenoh.scenario import Resolved

@@ -19,6 +19,7 @@ import zenoh
 from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, Interrupted, RunError, nearest
 from mast_zenoh.launch import local
+from mast_zenoh.launch.launching import Launch
 from mast_zenoh.messages import SCHEMAS, Header, Message, text
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_session
@@ -54,7 +55,7 @@ class Siege:
         self._resolved = resolved
         self._folder = folder
         self._detoured = detoured
-        self._launch: local.Launch | None = None
+        self._launch: Launch | None = None
         self._ended: local.Run | None = None
         self._thread = threading.Thread(target=self._play, name="siege")
         self._resources = ExitStack()
@@ -80,7 +81,7 @@ class Siege:
     # -- what the outsider knows and has -------------------------------------------------------------------------
 
     @property
-    def launch(self) -> local.Launch:
+    def launch(self) -> Launch:
         """The run."""
         assert self._launch is not None
         return self._launch
@@ -221,7 +222,7 @@ class Siege:
         return sum(node["foreign"] or 0 for node in ended.record["nodes"].values())
 
     def _play(self) -> None:
-        def prepare(launch: local.Launch) -> None:
+        def prepare(launch: Launch) -> None:
             launch.detours = {
                 node: endpoint(self.level, f"tcp/127.0.0.1:{detour.port}") for node, detour in self.detours.items()
             }
