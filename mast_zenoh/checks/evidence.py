@@ -160,7 +160,7 @@ class Evidence:
         )
 
     def down(self, node: str, first: int, last: int) -> bool:
-        """Whether a node is not there, or stands still, in any of the frames from `first` to `last`."""
+        """Whether a node is not there, stands still, or is cut off, in any of the frames from `first` to `last`."""
         slack = self.slack
         return any(begin - slack <= last and first < end + slack for begin, end in self._absences.get(node, ()))
 
@@ -169,8 +169,9 @@ class Evidence:
         found: dict[str, list[tuple[int, int]]] = {}
         since: dict[str, int] = {}
         for step in self.resolved.steps:  # ordered by frame
-            if step.action in ("start", "resume"):
-                found.setdefault(step.node, []).append((since.pop(step.node, -1), step.frame))
+            if step.action in ("start", "resume", "connect"):
+                back = step.frame + (self.frames_in(NETWORK_SLACK_S) if step.action == "connect" else 0)
+                found.setdefault(step.node, []).append((since.pop(step.node, -1), back))
             else:
                 since[step.node] = step.frame
         for node, begin in since.items():
@@ -186,6 +187,11 @@ class Evidence:
             for band in self.resolved.timeline
             if band["backend"] == "network"
         )
+
+    def unplugged(self, node: str, frame: int) -> bool:
+        """Whether a node was off its networks at this frame, or had not found back yet."""
+        cut = any(step.node == node and step.action == "disconnect" for step in self.resolved.steps)
+        return cut and self.down(node, frame, frame)
 
     def heals_s(self) -> list[float]:
         """When faults were healed, s of scene time, those that are open at the end of the run left out."""

@@ -29,8 +29,8 @@ def check_sequences(evidence: Evidence) -> Check:
     """On every leg: what its publisher numbered is all there; behind an interposer, all that went in.
 
     A message is missing with reason where a link reports that it dropped it, corrupted it, or held it until after the
-    end; where its interposer was down; and where the hosts' network was cut. What was done in the last frame no link
-    reports any more: there nothing is asked.
+    end; where its interposer was down; where its publisher was unplugged; and where the hosts' network was cut. What
+    was done in the last frame no link reports any more: there nothing is asked.
     """
     account = _Account()
     for wire in evidence.wiring.wires:
@@ -84,6 +84,8 @@ def _published(wire: Wire, evidence: Evidence, account: _Account) -> None:
             missing = message.seq - expected[life]
             if evidence.by_network(message.frame):
                 account.explained["cut off by the hosts' network"] += missing
+            elif evidence.unplugged(publisher, message.frame):
+                account.explained[f"{publisher} was unplugged"] += missing
             else:
                 before = f"before sequence {message.seq} of frame {message.frame}"
                 account.problems.append(f"{leg.key}: {missing} missing {before}")

@@ -11,7 +11,7 @@ Pure: nothing here starts, kills or sends. See docs/faults.md.
 """
 
 from mast_zenoh.faults.base import Fault
-from mast_zenoh.faults.churn import Join, Kill, Leave, Pause, ProcessFault, Restart
+from mast_zenoh.faults.churn import Join, Kill, Leave, Pause, ProcessFault, Restart, Unplug
 from mast_zenoh.faults.impairments import (
     BandwidthLimit,
     BurstLoss,
@@ -53,6 +53,7 @@ __all__ = [
     "Reorder",
     "Restart",
     "SlowNode",
+    "Unplug",
     "plan",
     "random_schedule",
 ]

@@ -1,4 +1,4 @@
-"""Faults that act on processes: nodes die, leave, join, stand still and come back."""
+"""Faults that act on processes: nodes die, leave, join, stand still, are cut off and come back."""
 
 from __future__ import annotations
 
@@ -123,6 +123,30 @@ class Pause(ProcessFault):
     def events(self) -> Sequence[Event]:
         """See Fault."""
         return [(self.at, "pause"), (self.until, "resume")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unplug(ProcessFault):
+    """Its targets are taken off their networks until `until`, and go on alone; then they find back by themselves.
+
+    In real time only, and only where nodes have networks of their own: in the containers of engine compose. Anywhere
+    else a Partition does it.
+    """
+
+    until: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_after(self.at, self.until)
+
+    @property
+    def over(self) -> float | None:
+        """See Fault."""
+        return self.until
+
+    def events(self) -> Sequence[Event]:
+        """See Fault."""
+        return [(self.at, "disconnect"), (self.until, "connect")]
 
 
 def _again(at_s: float | None) -> list[Event]:

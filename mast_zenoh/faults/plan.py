@@ -12,7 +12,7 @@ import numpy as np
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import targets
 from mast_zenoh.faults.base import DIRECTIONS, Fault, Rule
-from mast_zenoh.faults.steps import ProcessStep
+from mast_zenoh.faults.steps import REALTIME, UNDONE_BY, ProcessStep
 from mast_zenoh.states import Ints
 from mast_zenoh.streams import stream
 
@@ -23,6 +23,8 @@ _BECOMES = {
     "leave": (("up",), "down"),
     "pause": (("up",), "paused"),
     "resume": (("paused",), "up"),
+    "disconnect": (("up",), "cut off"),
+    "connect": (("cut off",), "up"),
 }
 _NAMES_SHOWN = 3
 
@@ -62,8 +64,8 @@ def plan(
     roles:  role of every node of the run, but for the links that the faults themselves make necessary
     times_ns: (frames,) ns since the scene began, of the frames that are played
 
-    Raises ConfigurationError for targets that there are not or that cannot be hit, and for what cannot happen to a
-    process: killed while it is down, two things at one frame.
+    Raises ConfigurationError for targets that there are not or that cannot be hit, for what cannot happen to a
+    process (killed while it is down, two things at one frame), and in lock-step for what is for real time only.
     """
     found = Plan()
     happenings: dict[str, list[_Happening]] = defaultdict(list)
@@ -72,6 +74,11 @@ def plan(
         where = f"{place}.{'node' if fault.node is not None else 'nodes'}"
         rules = fault.rules(lockstep)
         events = fault.events()
+        if lockstep and not rules and any(action in REALTIME for _, action in events):
+            raise ConfigurationError(
+                f"{place}: {type(fault).__name__}: in lock-step everybody would wait for who is stopped or cut off; "
+                "use Partition, which does this with links, or real time (mode realtime)"
+            )
         nodes = targets.processes(fault.aims, roles, rng, where) if events else []
         begins = frame_at(times_ns, fault.at) < len(times_ns)
         if rules:
@@ -112,14 +119,14 @@ def _steps(name: str, happenings: list[_Happening], times_ns: Ints) -> list[Proc
     for happening in happenings:
         allowed, becomes = _BECOMES[happening.action]
         if state not in allowed:
-            past = {"absent": "it has not joined yet", "down": "it is down", "up": "it is up", "paused": "it is paused"}
+            past = "it has not joined yet" if state == "absent" else f"it is {state}"
             raise ConfigurationError(
-                f"{happening.place}: {happening.action} of {name!r} at {happening.at_s:g} s: {past[state]} then"
+                f"{happening.place}: {happening.action} of {name!r} at {happening.at_s:g} s: {past} then"
                 + (f" (see {before})" if before else "")
             )
         frame = frame_at(times_ns, happening.at_s)
         if frame == last < len(times_ns) and happening.place == before:
-            frame += 1  # down, or paused, for one frame at least
+            frame += 1  # down, paused or cut off for one frame at least
         elif frame <= last and frame < len(times_ns):
             raise ConfigurationError(
                 f"{happening.place}: {happening.action} of {name!r} at {happening.at_s:g} s: something else happens "
@@ -132,14 +139,14 @@ def _steps(name: str, happenings: list[_Happening], times_ns: Ints) -> list[Proc
 
 
 def _within(steps: list[ProcessStep], frames: int) -> list[ProcessStep]:
-    """Those that happen before the end of the run; a pause that would last beyond it ends before the last frame."""
+    """Those that happen before the end of the run; a pause or cut that would outlast it ends before the last frame."""
     inside = [step for step in steps if step.frame < frames]
-    if inside and inside[-1].action == "pause":
-        paused = inside[-1]
-        return (
-            [*inside[:-1]] if paused.frame >= frames - 1 else [*inside, ProcessStep(frames - 1, "resume", paused.node)]
-        )
-    return inside
+    if not inside or inside[-1].action not in UNDONE_BY:
+        return inside
+    last = inside[-1]
+    if last.frame >= frames - 1:
+        return inside[:-1]
+    return [*inside, ProcessStep(frames - 1, UNDONE_BY[last.action], last.node)]
 
 
 def _band(fault: Fault, nodes: Sequence[str], backend: str, times_ns: Ints) -> dict[str, Any]:

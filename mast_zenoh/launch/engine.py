@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 class Engine(ABC):
     """What brings a mesh and its nodes into being somewhere, and takes all of it away again.
 
-    name: as `--engine` has it
+    name: as `--engine` has it; unplugs: whether nodes can be taken off their networks
     """
 
     name: ClassVar[str]
+    unplugs: ClassVar[bool] = False
 
     @abstractmethod
     def check(self, resolved: Resolved, secure: str) -> None:

@@ -206,6 +206,9 @@ class Launch:
                 self._mind(self.hosts, session)
             if self.stopping_since is not None:
                 supervisor.resume(supervisor.running())  # who stands still cannot hear that it is to stop
+                supervisor.connect(supervisor.running())
+                if steps.cut:
+                    self._stop_again(session)
                 grace = _INTERRUPT_GRACE_S if interrupted else _LEAVE_GRACE_S
                 busy_at = max(self.stopping_since, self.depot.taken_at if self.depot else self.stopping_since)
                 if time.monotonic() - busy_at > grace:
@@ -226,7 +229,7 @@ class Launch:
             self._stop(session, "the network has failed")
         if self.stopping_since is not None:
             hosts.heal()
-            session.put(f"{prefix(self.record['id'])}/@control/stop", "end")  # again, for those who were cut off
+            self._stop_again(session)
 
     def _ended(self, child: Child, steps: Steps, session: zenoh.Session) -> None:
         """A process has ended: as it should, or not."""
@@ -262,6 +265,10 @@ class Launch:
             self.stopping_since = time.monotonic()
             session.put(f"{prefix(self.record['id'])}/@control/stop", reason)
 
+    def _stop_again(self, session: zenoh.Session) -> None:
+        """For those who were cut off, and have not heard it."""
+        session.put(f"{prefix(self.record['id'])}/@control/stop", "end")
+
     def _take_results(self) -> None:
         while not self._handed_in.empty():
             name, payload = self._handed_in.get()
@@ -281,6 +288,8 @@ class Launch:
                 return "done" if child.exit == 0 else "away" if child.meant else "dead"
             if child.paused:
                 return "paused"
+            if child.cut_off:
+                return "cut off"
             return "running" if self.frame >= 0 else "starting"
 
         return {name: state(child) for name, child in supervisor.children.items()}

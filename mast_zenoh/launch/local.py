@@ -21,6 +21,7 @@ from mast_zenoh.errors import (
     MastError,
 )
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import steps
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
@@ -57,9 +58,11 @@ def run(
     secure:   one of `security.levels.LEVELS`; above "open", who takes part gets certificates for this run alone
     engine:   where the nodes live, if not here as processes: it brings its own router
     prepare:  called with what will launch the run on its mesh, before it does
-    Raises RunFolderError, DiskFull and, of the engine, EngineError before anything is started.
+    Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
     """
     console = console or Console(quiet=True)
+    where = f"engine {engine.name}" if engine else "one process" if runtime == "inproc" else "processes of this machine"
+    steps.check(resolved, where, unplugs=engine is not None and engine.unplugs)
     if engine is not None:
         engine.check(resolved, secure)
     folder = run_folder.create(out, resolved.name)

@@ -7,16 +7,32 @@ from typing import Any
 
 import msgpack
 
+from mast_zenoh.errors import BackendError
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.scenario import NodeSpec
+from mast_zenoh.scenario import NodeSpec, Resolved
 
 _LEAVE_GRACE_S = 5.0  # for a node that was asked to leave, before it is started again
+
+
+def check(resolved: Resolved, where: str, *, unplugs: bool) -> None:
+    """Raise BackendError for what cannot be done to the nodes of a run where they live; before anything is started.
+
+    where: in words; unplugs: whether nodes have networks there that they can be taken off
+    """
+    for step in resolved.steps:
+        if step.action == "disconnect" and not unplugs:
+            raise BackendError(
+                f"Unplug of {step.node!r} (before frame {step.frame}): only the containers of engine compose can be "
+                f"taken off their networks (mast deploy up --engine compose), found {where}; use Partition, or on this "
+                "machine `hosts` with HostPartition"
+            )
 
 
 class Steps:
     """Carries out process steps. Who runs already is not started, who does not run is not killed.
 
-    leave: asks a node to leave; done: what has been done so far: frame, action, node
+    leave: asks a node to leave; done: what has been done so far: frame, action, node;
+    cut: whether a node has been taken off its networks
     """
 
     def __init__(
@@ -31,6 +47,7 @@ class Steps:
         self._absent = absent
         self._leave = leave
         self.done: list[dict[str, Any]] = []
+        self.cut = False
 
     def start_all(self) -> None:
         """Start those who are there from the beginning."""
@@ -64,8 +81,13 @@ class Steps:
             self._leave(node)
         elif action == "pause":
             self._supervisor.pause(child)
-        else:
+        elif action == "resume":
             self._supervisor.resume([child])
+        elif action == "disconnect":
+            self.cut = True
+            self._supervisor.disconnect(child)
+        else:
+            self._supervisor.connect([child])
         return True
 
     def _start(self, node: str, child: Child | None, coming: set[str]) -> bool:

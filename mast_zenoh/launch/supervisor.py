@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from mast_zenoh.errors import BackendError
 from mast_zenoh.scenario import NodeSpec
 
 MAX_RESTARTS = 5
@@ -22,6 +23,7 @@ class Child(ABC):
         self.told = False  # whether its end has been dealt with
         self.meant = False  # whether the scenario wants it to end
         self.paused = False
+        self.cut_off = False  # whether it has been taken off its networks
         self.notes: list[str] = []
 
     @property
@@ -102,6 +104,14 @@ class Supervisor(ABC):
     def resume(self, children: Iterable[Child]) -> None:
         """Have those go on that stand still."""
 
+    def disconnect(self, child: Child) -> None:
+        """Take a node off its networks until it is connected again; raises BackendError where that cannot be done."""
+        raise BackendError(f"{child.name} has no networks of its own: only engine compose can take a node off them")
+
+    def connect(self, children: Iterable[Child]) -> None:
+        """Put those back on their networks that have been taken off them."""
+        assert not any(child.cut_off for child in children)
+
     @abstractmethod
     def wait(self, child: Child, seconds: float) -> bool:
         """Wait until a node has ended; False when it has not within so many seconds."""
@@ -112,7 +122,7 @@ class Supervisor(ABC):
 
     @abstractmethod
     def end(self, grace_s: float) -> None:
-        """End all: those that stand still go on; then ask, ask louder, and end at once, with a grace each."""
+        """End all: who stands still or is cut off goes on; then ask, ask louder, and end at once, with a grace each."""
 
     def newly_ended(self) -> list[Child]:
         """Nodes that have ended since the last call."""

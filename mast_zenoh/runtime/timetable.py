@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.faults.steps import ACTIONS, ProcessStep
+from mast_zenoh.faults.steps import ACTIONS, REALTIME, ProcessStep
 from mast_zenoh.scenario import Resolved
 
 #: After these a node is not there any more.
@@ -15,7 +15,7 @@ LEAVING = ("kill", "leave")
 class Timetable:
     """The process steps of a run.
 
-    lockstep: whether everybody is waited for: then nobody can be paused
+    lockstep: whether everybody is waited for: then nobody can be paused or cut off
 
     Raises ConfigurationError for what cannot be done.
     """
@@ -34,8 +34,8 @@ class Timetable:
                 )
             if resolved.nodes[step.node].role == "simulator":
                 raise ConfigurationError(f"{where}: the run ends without the node that drives the scene")
-            if lockstep and step.action in ("pause", "resume"):
-                raise ConfigurationError(f"{where}: in lock-step everybody is waited for; pause in real time")
+            if lockstep and step.action in REALTIME:
+                raise ConfigurationError(f"{where}: in lock-step everybody is waited for; {step.action} in real time")
             self._steps.setdefault(max(0, step.frame), []).append(step)
             first.setdefault(step.node, step.action)
         #: those who are not there at the beginning

@@ -114,6 +114,49 @@ def test_a_node_that_is_paused_stands_still_and_goes_on(up, tmp_path: Path) -> N
     assert not left(run.record()["id"])
 
 
+UNPLUGGED = """
+from mast_zenoh import scenario as ours
+
+
+def scenario():
+    _, loaded = ours.load("baseline", ["n_infrastructure=1"])
+    return loaded | dict(faults=[dict(type="Unplug", at={at}, until={until}, node="infra_1")])
+"""
+
+
+def test_a_node_that_is_unplugged_is_not_heard_and_comes_back(up, tmp_path: Path) -> None:
+    (tmp_path / "unplugged.py").write_text(UNPLUGGED.format(at=3.0, until=6.0))
+    run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--frames", "150")
+    code, output = run.end()
+    assert code == 0, output
+    record = run.record()
+    assert [step["action"] for step in record["steps"]] == ["disconnect", "connect"]
+    assert record["nodes"]["infra_1"]["exit"] == 0
+    assert record["nodes"]["infra_1"]["restarts"] == 0, "it is the same process"
+    said = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
+    assert {10, 20} < said, "before"
+    assert not said & set(range(40, 55)), "nothing gets through"
+    assert max(said) >= 145, "it finds back by itself, and to the frame that all others are at"
+    checks = json.loads((run.out / "checks.json").read_text())["checks"]
+    assert all(check["ok"] for check in checks), checks
+    assert not left(record["id"])
+
+
+def test_a_node_that_is_cut_off_when_all_is_to_end_hands_in_its_results(up, tmp_path: Path) -> None:
+    (tmp_path / "unplugged.py").write_text(UNPLUGGED.format(at=1.0, until=60.0))
+    run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--patience", "5")
+    eventually(lambda: run.record().get("nodes"), "the nodes are there")
+    where = run.record()["nodes"]["infra_1"]["container"]
+    networks = "{{len .NetworkSettings.Networks}}"
+    eventually(lambda: docker("inspect", "--format", networks, where).strip() == "0", "it is off its networks")
+    run.process.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == 130, output
+    record = run.record()
+    assert record["nodes"]["infra_1"]["last_frame"] is not None, record["nodes"]["infra_1"]
+    assert not left(record["id"])
+
+
 def test_ctrl_c_keeps_what_there_is_and_leaves_nothing_running(up) -> None:
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", *settings(("n_infrastructure=1",)))
     recording = run.out / "messages.mcap"

@@ -15,7 +15,10 @@ from hypothesis import strategies as st
 
 from mast_zenoh import scenario
 from mast_zenoh.deploy import doctor, engines, space
-from mast_zenoh.errors import DiskFull, EngineError, RunError
+from mast_zenoh.deploy.compose import document
+from mast_zenoh.deploy.compose.containers import connected_as
+from mast_zenoh.errors import BackendError, DiskFull, EngineError, RunError
+from mast_zenoh.launch import local
 from mast_zenoh.launch.depot import belongings, with_neighbours
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.runtime.elsewhere import _below, written_by
@@ -63,6 +66,47 @@ def test_a_machine_without_an_engine_is_told_what_to_install(tmp_path: Path) -> 
     assert done.returncode == EngineError.exit_code
     assert "there is no `docker` on this machine: install docker.io" in done.stderr
     assert not (tmp_path / "run").exists()
+
+
+def unplugged(until: float = 2.0, rate: float = 1.0) -> Resolved:
+    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
+    loaded |= dict(faults=[dict(type="Unplug", at=0.5, until=until, node="infra_1")])
+    return scenario.resolve(path, loaded, frames=60, mode="realtime", rate=rate)
+
+
+@pytest.mark.parametrize(
+    ("engine", "runtime", "where"),
+    [("swarm", "mesh", "engine swarm"), ("", "mesh", "processes of this machine"), ("", "inproc", "one process")],
+)
+def test_who_cannot_unplug_a_node_says_so_before_anything_starts(
+    tmp_path: Path, engine: str, runtime: str, where: str
+) -> None:
+    with pytest.raises(BackendError, match=rf"'infra_1' \(before frame 5\).*compose.*found {where}; use Partition"):
+        local.run(unplugged(), tmp_path / "run", runtime=runtime, engine=engines.load(engine)() if engine else None)
+    assert not (tmp_path / "run").exists()
+
+
+def test_hosts_that_are_reached_by_ssh_cannot_be_unplugged() -> None:
+    assert [name for name in engines.ENGINES if engines.load(name).unplugs] == ["compose"]
+
+
+def test_who_is_unplugged_waits_longer_for_the_launcher_by_as_much() -> None:
+    made = document.document(unplugged(until=4.5, rate=0.5), "a-run", image="any", patience_s=10.0)
+    waits = {name: service["command"][-1] for name, service in made["services"].items()}
+    assert waits.pop("infra_1") == "18", "4 s of the scene at half its speed"
+    assert set(waits.values()) == {"10"}
+
+
+def test_a_container_is_connected_again_as_it_was() -> None:
+    assert connected_as({"Aliases": ["infra_1", "0a1b"], "IPAMConfig": None}) == [
+        "--alias",
+        "infra_1",
+        "--alias",
+        "0a1b",
+    ]
+    fixed = {"Aliases": None, "IPAMConfig": {"IPv4Address": "192.0.2.7"}, "IPAddress": "192.0.2.7"}
+    assert connected_as(fixed) == ["--ip", "192.0.2.7"]
+    assert connected_as({"IPAddress": "192.0.2.7"}) == [], "an address that Docker has chosen it may choose again"
 
 
 def test_a_full_disk_is_said_before_anything_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

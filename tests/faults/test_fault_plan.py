@@ -246,6 +246,37 @@ def test_a_paused_command_centre_is_a_pause_of_every_link() -> None:
     assert found.bands[0]["nodes"] == ["command_center"]
 
 
+# -- unplugged -------------------------------------------------------------------------------------------------------
+
+
+UNPLUG = dict(type="Unplug", at=2.0, until=3.0, node="infra_1")
+
+
+def test_an_unplugged_node_is_taken_off_its_networks_and_put_back() -> None:
+    found = planned(UNPLUG, lockstep=False)
+    assert found.steps == (ProcessStep(20, "disconnect", "infra_1"), ProcessStep(30, "connect", "infra_1"))
+    assert found.rules == {}
+    (band,) = found.bands
+    assert (band["kind"], band["type"], band["backend"]) == ("fault", "Unplug", "process")
+    assert (band["at_s"], band["until_s"], band["nodes"]) == (2.0, 3.0, ["infra_1"])
+
+
+def test_who_would_be_unplugged_beyond_the_run_is_put_back_before_its_last_frame() -> None:
+    assert planned(UNPLUG | {"until": 12.0}, lockstep=False).steps[-1] == ProcessStep(99, "connect", "infra_1")
+    assert planned(UNPLUG | {"at": 9.9, "until": 12.0}, lockstep=False).steps == (), "nobody is left unplugged"
+
+
+def test_in_lock_step_nobody_is_unplugged() -> None:
+    with pytest.raises(ConfigurationError, match=r"faults\[0\]: Unplug: in lock-step .* use Partition"):
+        planned(UNPLUG)
+
+
+def test_who_is_cut_off_can_neither_be_killed_nor_paused() -> None:
+    for other in (dict(type="Kill", at=2.5, node="infra_1"), dict(type="Pause", at=2.5, until=4.0, node="infra_1")):
+        with pytest.raises(ConfigurationError, match=r"of 'infra_1' at 2.5 s: it is cut off then \(see .*\[0\]\)"):
+            planned(UNPLUG, other, lockstep=False)
+
+
 # -- what is refused -------------------------------------------------------------------------------------------------
 
 

@@ -43,7 +43,7 @@ def test_equal_seeds_give_equal_schedules_and_others_do_not() -> None:
 
 def test_every_kind_of_fault_comes_up() -> None:
     specs = [spec for seed in range(300) for spec in random_schedule(seed, 6.0, AGENTS, servers=SERVERS)]
-    assert {spec["type"] for spec in specs} == KINDS
+    assert {spec["type"] for spec in specs} == KINDS - {"Unplug"}, "which engine compose alone can carry out"
     assert {spec.get("node") for spec in specs} >= {*AGENTS, *SERVERS}
     assert {spec["nodes"] for spec in specs if isinstance(spec.get("nodes"), str)} == {
         *("one", "minority", "majority", "agent")

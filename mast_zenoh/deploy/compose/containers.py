@@ -1,4 +1,4 @@
-"""The nodes of a run as containers, which are there already: this starts, watches, pauses, kills and ends them."""
+"""The nodes of a run as containers, which are there already: this starts, watches, pauses, cuts off and ends them."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ class Container(Child):
         self.code: int | None = None
         self.ended_now = threading.Event()
         self.log: subprocess.Popen[bytes] | None = None
+        self.networks: dict[str, list[str]] = {}  # that it was taken off, and how it was known there
 
     @property
     def exit(self) -> int | None:
@@ -85,6 +86,7 @@ class Containers(Supervisor):
         assert isinstance(child, Container)
         self.without[child.name] = sorted(without)
         self._await_log(child)
+        self.connect([child])
         child.code = None
         child.ended_now.clear()
         self._run(child)
@@ -131,6 +133,28 @@ class Containers(Supervisor):
                 child.paused = False
                 docker("unpause", child.container, check=False)
 
+    def disconnect(self, child: Child) -> None:
+        """See Supervisor."""
+        assert isinstance(child, Container)
+        told = docker("inspect", "--format", "{{json .NetworkSettings.Networks}}", child.container)
+        child.networks = {network: connected_as(how) for network, how in json.loads(told).items()}
+        child.cut_off = True
+        for network in child.networks:
+            docker("network", "disconnect", network, child.container)
+
+    def connect(self, children: Iterable[Child]) -> None:
+        """See Supervisor. What does not succeed is noted."""
+        for child in children:
+            assert isinstance(child, Container)
+            if not child.cut_off:
+                continue
+            child.cut_off = False
+            for network, words in child.networks.items():
+                try:
+                    docker("network", "connect", *words, network, child.container)
+                except EngineError as error:
+                    child.notes.append(f"not on {network} again: {error}")
+
     def wait(self, child: Child, seconds: float) -> bool:
         """See Supervisor."""
         assert isinstance(child, Container)
@@ -148,8 +172,9 @@ class Containers(Supervisor):
         self._await_log(child)
 
     def end(self, grace_s: float) -> None:
-        """End all: those that stand still go on; SIGTERM, wait, SIGKILL."""
+        """End all: those that stand still or are cut off go on; SIGTERM, wait, SIGKILL."""
         self.resume(self.running())
+        self.connect(self.running())
         for word in ("TERM", "KILL"):
             running = [child for child in self.running() if isinstance(child, Container)]
             if not running:
@@ -177,6 +202,17 @@ class Containers(Supervisor):
         except subprocess.TimeoutExpired:
             log.kill()
             log.wait()
+
+
+def connected_as(how: Mapping[str, Any]) -> list[str]:
+    """Options of `docker network connect` that give a container the names and addresses it has on a network.
+
+    how: what `docker inspect` says of it there; an address is given again only if it was asked for
+    """
+    asked = how.get("IPAMConfig") or {}
+    addresses = (("--ip", asked.get("IPv4Address")), ("--ip6", asked.get("IPv6Address")))
+    words = [word for option, address in addresses if address for word in (option, address)]
+    return [*words, *(word for alias in how.get("Aliases") or () for word in ("--alias", alias))]
 
 
 class _Events:

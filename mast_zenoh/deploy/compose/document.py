@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 from mast_zenoh.deploy.image import USER
@@ -55,7 +56,7 @@ def document(
 
     user:     UID:GID of all processes inside; on a secure mesh the credentials must be theirs
     environment: variables of all processes inside, besides the image's own
-    patience_s: how long everybody stays without a launcher, s
+    patience_s: how long everybody stays without a launcher, s; who is cut off for a time, by that much longer
     cpus, memory: at most, for each container
 
     Raises ConfigurationError for a node's name that is none in Compose.
@@ -111,6 +112,7 @@ def document(
         services[ROUTER]["secrets"] = secrets(ROUTER, (ROUTER_SETTINGS,))
     shown = (AUTHORITY,) if secure == "tls" else (AUTHORITY, CERTIFICATE, KEY)
     for name in resolved.nodes:
+        waits = ["--patience", f"{patience_s + cut_s(resolved, name):g}"]
         command = ["--name", name, "--run", run, "--endpoint", endpoint, *waits]
         services[name] = {
             "<<": Merged("node"),
@@ -154,6 +156,14 @@ def is_mobile(resolved: Resolved, name: str) -> bool:
     spec = resolved.nodes[name]
     agent = resolved.nodes.get(str(spec.config.get("agent")))
     return _moves(spec) or (agent is not None and _moves(agent))
+
+
+def cut_s(resolved: Resolved, name: str) -> float:
+    """s of wall-clock time, the longest for which the scenario takes a node off its networks."""
+    steps = [step for step in resolved.steps if step.node == name]
+    pairs = [pair for pair in pairwise(steps) if pair[0].action == "disconnect"]
+    frames = max((after.frame - before.frame for before, after in pairs), default=0)
+    return frames * resolved.period_ns * 1e-9 / resolved.rate
 
 
 def _moves(spec: NodeSpec) -> bool:

@@ -40,6 +40,7 @@ class Compose(Engine):
     """
 
     name = "compose"
+    unplugs = True
 
     def __init__(self, image: str = image.TAG, patience_s: float = 10.0) -> None:
         self.image = image
