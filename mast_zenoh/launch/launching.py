@@ -209,7 +209,7 @@ class Launch:
                 supervisor.connect(supervisor.running())
                 if steps.cut:
                     self._stop_again(session)
-                grace = _INTERRUPT_GRACE_S if interrupted else _LEAVE_GRACE_S
+                grace = _INTERRUPT_GRACE_S if interrupted and not steps.cut else _LEAVE_GRACE_S  # to find back
                 busy_at = max(self.stopping_since, self.depot.taken_at if self.depot else self.stopping_since)
                 if time.monotonic() - busy_at > grace:
                     return
