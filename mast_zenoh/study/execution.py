@@ -15,6 +15,10 @@ from mast_zenoh.study.trial import Outcome, Trial
 
 _CONNECT_S = 20
 
+#: Of glibc's malloc: a worker keeps what it frees, because the next frame needs it again. Dask has it given back at
+#: once, and every page that is fetched anew costs.
+_KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": 2**31 - 1, "MALLOC_MMAP_THRESHOLD_": 2**30, "MALLOC_TOP_PAD_": 2**26}
+
 
 def default_jobs() -> int:
     """As many as this process may use cores; 1 without dask, which more would need."""
@@ -86,8 +90,9 @@ def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    quiet = {"distributed.comm.timeouts.connect": f"{_CONNECT_S}s", "distributed.admin.tick.limit": "60s"}
-    with dask.config.set(quiet):
+    settings = {"distributed.comm.timeouts.connect": f"{_CONNECT_S}s", "distributed.admin.tick.limit": "60s"}
+    settings |= {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _KEEP_MEMORY.items()}
+    with dask.config.set(settings):
         if cluster is not None:
             try:
                 client = Client(cluster, timeout=_CONNECT_S)

@@ -1,1 +1,1 @@
-"""Nodes that live elsewhere; see beside.py for an elsewhere that is here."""
+"""Nodes that live elsewhere; see launched_apart.py for an elsewhere that is here."""

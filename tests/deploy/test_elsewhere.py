@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from beside import Beside
+from launched_apart import Beside
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import VersionMismatch
