@@ -90,7 +90,10 @@ def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    settings = {"distributed.comm.timeouts.connect": f"{_CONNECT_S}s", "distributed.admin.tick.limit": "60s"}
+    settings: dict[str, Any] = {
+        "distributed.comm.timeouts.connect": f"{_CONNECT_S}s",
+        "distributed.admin.tick.limit": "60s",
+    }
     settings |= {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _KEEP_MEMORY.items()}
     with dask.config.set(settings):
         if cluster is not None:
