@@ -147,9 +147,10 @@ class Launch:
         base = prefix(self.record["id"])
 
         def on_result(query: zenoh.Query) -> None:
-            payload = query.payload.to_bytes() if query.payload else b""
-            self._handed_in.put((str(query.key_expr).rpartition("/")[2], payload))
-            query.reply(query.key_expr, b"taken")
+            with query:  # ends it without the interpreter's lock; to end when it is collected would hold that
+                payload = query.payload.to_bytes() if query.payload else b""
+                self._handed_in.put((str(query.key_expr).rpartition("/")[2], payload))
+                query.reply(query.key_expr, b"taken")
 
         def on_clock(sample: zenoh.Sample) -> None:
             attachment = sample.attachment

@@ -189,9 +189,9 @@ class MeshNode:
         payload = results.pack(outcome)
         deadline = time.monotonic() + _RESULT_TIMEOUT_S
         while time.monotonic() < deadline:
-            for reply in self.session.get(f"{self._prefix}/@control/result/{self.name}", payload=payload, timeout=5.0):
-                if reply.ok is not None:
-                    return
+            replies = self.session.get(f"{self._prefix}/@control/result/{self.name}", payload=payload, timeout=5.0)
+            if any(reply.ok is not None for reply in list(replies)):  # all of them: the query is over when we leave
+                return
         self.host.log.error("nobody took the results within %.0f s", _RESULT_TIMEOUT_S)
 
     def extra_results(self) -> dict[str, Any]:

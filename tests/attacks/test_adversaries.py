@@ -118,7 +118,7 @@ def test_equal_seeds_repeat_to_the_last_bit_and_names_differ():
     assert not same(drive(attack()), drive(attack(), seed=4))
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(st.permutations(range(12)))
 def test_the_order_of_the_objects_does_not_matter(order):
     selection = UncoordinatedSelection(fraction_false_negatives=0.3, fraction_translations=0.3)
@@ -229,7 +229,7 @@ def test_coordinated_false_objects_saturate_where_uncoordinated_ones_grow():
     assert coordinated(3) < 1.3 * coordinated(1)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(st.permutations(range(12)))
 def test_the_coordinator_does_not_mind_the_order_of_the_tracks(order):
     objects, source, order = world(12, spread=10.0), np.arange(12) % 3, np.array(order)

@@ -118,7 +118,7 @@ def test_the_report_has_the_columns_of_its_message():
     assert {name: str(column.dtype) for name, column in report.columns().items()} == columns
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.integers(0, 15), st.integers(0, 6), st.integers(0, 6), st.randoms(use_true_random=False))
 def test_what_is_seen_afterwards_does_not_depend_on_the_order_of_the_rows(n, n_remove, n_move, random):
     objects = world(n, seed=n, spread=6.0)
@@ -138,7 +138,7 @@ def test_what_is_seen_afterwards_does_not_depend_on_the_order_of_the_rows(n, n_r
     assert equal(a.targets.remove, b.targets.remove)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.integers(0, 8), st.integers(0, 8), st.integers(0, 10**6))
 def test_the_nearest_pair_left_is_always_joined_first(k, n, seed):
     rng = np.random.default_rng(seed)

@@ -81,7 +81,7 @@ def test_changing_how_much_is_hidden_changes_no_false_object():
     assert equal(few.add, many.add)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.integers(0, 12), st.randoms(use_true_random=False))
 def test_the_order_of_the_objects_does_not_matter(n, random):
     order = list(range(n))
@@ -118,7 +118,7 @@ def test_two_tracks_of_one_adversary_are_never_one_cluster():
     assert sorted(map(tuple, clusters.position[:, :2])) == [(0.0, 0.0), (1.6, 0.0)]
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.integers(0, 25), st.integers(1, 4), st.randoms(use_true_random=False))
 def test_clusters_do_not_depend_on_the_order_of_the_tracks(n, sources, random):
     objects, source = world(n, seed=n, spread=8.0), np.arange(n) % sources

@@ -40,7 +40,7 @@ def message_of(schema: str, sizes: dict[str, int], seed: int = 0) -> Message:
 
 @pytest.mark.parametrize("schema", sorted(SCHEMAS))
 @given(n=st.integers(0, 12), a=st.integers(1, 5), m=st.integers(0, 3), k=st.integers(0, 3), seed=st.integers(0, 99))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_every_message_comes_out_as_it_went_in(schema: str, n: int, a: int, m: int, k: int, seed: int) -> None:
     message = message_of(schema, {"n": n, "a": a, "m": m, "k": k}, seed)
     codec.check_values(message)
@@ -61,7 +61,7 @@ def test_what_a_node_receives_cannot_be_written_to() -> None:
 
 
 @given(st.binary(max_size=400))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_random_bytes_are_refused(payload: bytes) -> None:
     with pytest.raises(MessageError):
         codec.decode(payload, "tracks")
@@ -80,14 +80,14 @@ json_like = st.recursive(
 
 
 @given(st.dictionaries(st.sampled_from(["schema", "version", "source", "frame", "time_ns", "seq", "body"]), json_like))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_maps_of_anything_are_refused(fields: dict) -> None:
     with pytest.raises(MessageError):
         codec.decode(msgpack.packb(fields), "tracks")
 
 
 @given(st.integers(0, 400), st.integers(0, 255), st.integers(1, 3))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_a_damaged_message_is_refused_or_still_sound(place: int, value: int, copies: int) -> None:
     payload = bytearray(codec.encode(message_of("detections", {"n": 3})))
     payload[place : place + copies] = bytes([value]) * copies

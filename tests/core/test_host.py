@@ -121,7 +121,7 @@ def test_what_a_node_without_a_clock_passes_on_is_of_the_step_of_what_it_got() -
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_in_any_order_of_arrival_each_message_is_handled_once_and_not_before_its_clock(data: st.DataObject) -> None:
     queues: dict[str, list[tuple[str, bytes, int]]] = {
         "clock": [("clock", clock(k), k) for k in range(4)],

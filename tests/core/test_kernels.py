@@ -227,7 +227,7 @@ def test_every_kernel_is_compared_with_its_reference():
 
 @compiled
 @pytest.mark.parametrize("name", sorted(ARGUMENTS))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32), st.sampled_from([0, 1, 2, 3, 9, 30]), st.sampled_from([0, 1, 2, 8, 25]))
 def test_a_compiled_kernel_is_its_reference(name, seed, n, m):
     given = ARGUMENTS[name](np.random.default_rng(seed), n, m)

@@ -80,7 +80,7 @@ names = st.from_regex(r"[a-z][a-z0-9_]{0,6}", fullmatch=True)
 
 
 @given(agents=st.lists(names, min_size=1, max_size=5, unique=True), chain=st.integers(0, 6), data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_chains_of_any_length_stay_connected_and_invisible(agents: list[str], chain: int, data: st.DataObject) -> None:
     nodes = {"simulator": SIMULATOR, "broker": BROKER} | {f"a_{name}": AGENT for name in agents}
     plain = resolve(nodes)

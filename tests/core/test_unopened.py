@@ -52,7 +52,7 @@ def unopened_header_of(payload: bytes) -> Header | str:
     version=st.sampled_from([1, 2, True, 1.0, "1"]),
     order=st.permutations(["schema", "version", "source", "frame", "time_ns", "seq", "body"]),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_headers_are_judged_as_they_are_without_the_short_cut(
     frame: int, time_ns: int, source: str, schema: str, version: object, order: list[str]
 ) -> None:
@@ -62,7 +62,7 @@ def test_headers_are_judged_as_they_are_without_the_short_cut(
 
 
 @given(cut=st.integers(0, 400), flip=st.integers(0, 399), bit=st.integers(0, 7))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_broken_bytes_are_refused_now_or_when_somebody_looks(cut: int, flip: int, bit: int) -> None:
     payload = bytearray(encoded())
     payload[flip % len(payload)] ^= 1 << bit

@@ -145,7 +145,7 @@ names = st.from_regex(r"[a-z0-9]{1,4}", fullmatch=True)
 
 
 @given(agents=st.lists(names, min_size=1, max_size=4, unique=True), data=st.data())
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_any_mix_of_links_and_adversaries_leaves_every_subscriber_hearing_every_wire_once(
     agents: list[str], data: st.DataObject
 ) -> None:

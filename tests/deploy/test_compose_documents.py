@@ -35,7 +35,7 @@ NESTED = st.recursive(
 )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.dictionaries(KEYS, NESTED, max_size=4))
 def test_what_is_dumped_is_read_back(content: dict) -> None:
     def doubled(value):

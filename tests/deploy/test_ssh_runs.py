@@ -93,7 +93,9 @@ def left(hosts: SshHosts) -> list[str]:
         words = [" ".join(_cmdline(process)) for process in hosts.processes(name)]
         found += [f"{name}: {line}" for line in words if not line.startswith("sshd:")]
         found += [str(path) for path in (hosts.home(name) / "runs").glob("*")]
-        found += [str(path) for path in hosts.home(name).rglob("*.pem") if "certifi" not in path.parts]
+        # not `rglob`: it fails at a folder that goes away meanwhile
+        files = [Path(folder, file) for folder, _, files in os.walk(hosts.home(name)) for file in files]
+        found += [str(path) for path in files if path.suffix == ".pem" and "certifi" not in path.parts]
     return found
 
 

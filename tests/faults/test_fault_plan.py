@@ -356,7 +356,7 @@ ANYTHING = st.one_of(
 PARAMETERS = sorted({name for cls in KINDS.values() for name in inspect.signature(cls).parameters})
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     st.lists(
         st.fixed_dictionaries(

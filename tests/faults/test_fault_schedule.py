@@ -18,7 +18,7 @@ KINDS = {
 }
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.integers(0, 2**31), st.floats(2.0, 20.0), st.integers(1, 12), st.booleans())
 def test_every_schedule_can_be_carried_out_and_is_healed_in_time(
     seed: int, duration_s: float, most: int, lockstep: bool

@@ -99,7 +99,7 @@ def nearest_first(objects: ObjectStates, agent: np.ndarray, radius: float) -> li
     return sorted(({int(order[row]) for row in one} for one in clusters), key=min)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 4), st.integers(0, 4)), max_size=14))
 def test_pairs_are_joined_nearest_first(rows):
     objects, agent = states(rows)

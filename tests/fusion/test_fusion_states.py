@@ -71,7 +71,7 @@ def test_optimised_weights_give_nearly_the_least_trace(seed):
     assert np.trace(fused.covariance[0, :2, :2]) <= np.trace(CI().fuse(some, together(n)).covariance[0, :2, :2]) + 1e-9
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(2, 5), st.integers(0, 1000), st.sampled_from(["uniform", "optimised"]))
 def test_the_bound_holds_even_if_all_members_share_their_error(n, seed, weights):
     some = members(n, seed)
@@ -84,7 +84,7 @@ def test_the_bound_holds_even_if_all_members_share_their_error(n, seed, weights)
     assert e @ np.linalg.solve(fused, e) <= 1.0 + 1e-9
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(1, 12),
     st.integers(0, 1000),

@@ -103,7 +103,7 @@ def test_a_reordered_message_is_overtaken_and_holds_nobody_up() -> None:
 
 
 @given(names=st.lists(st.sampled_from([n for n in EVERY if n != "Reorder"]), max_size=5), seed=st.integers(0, 20))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_without_reordering_messages_leave_in_the_order_in_which_they_came(names: list[str], seed: int) -> None:
     rules = [dict(type=name, **EVERY[name]) for name in names]
     outcomes = carry(rules, 30, seed=seed, size=5000, position=np.zeros(3), referenced=True)

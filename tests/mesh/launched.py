@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+import pytest
 import zenoh
 
 from mast_zenoh.runtime.session import open_client
@@ -37,6 +40,7 @@ class Launched:
             stderr=subprocess.STDOUT,
             text=True,
             cwd=out.parent,
+            env={**os.environ, "PYTHONFAULTHANDLER": "1"},
         )
 
     def record(self) -> dict[str, Any]:
@@ -59,8 +63,12 @@ class Launched:
         return [node["pid"] for node in self.record()["nodes"].values()]
 
     def end(self, seconds: float = 90.0) -> tuple[int, str]:
-        """(exit code, output) when it has ended by itself."""
-        output, _ = self.process.communicate(timeout=seconds)
+        """(exit code, output) when it has ended by itself; one that does not shows where it stands."""
+        try:
+            output, _ = self.process.communicate(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            self.process.send_signal(signal.SIGABRT)
+            pytest.fail(f"not ended within {seconds:.0f} s: {self.process.communicate(timeout=10.0)[0]}")
         return self.process.returncode, output
 
 

@@ -23,7 +23,7 @@ def total(truth: Boxes, tracks: Boxes, pairs: np.ndarray) -> float:
     return float(np.linalg.norm(offset, axis=1).sum())
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.integers(0, 4), st.integers(0, 4), st.sampled_from([3.0, 6.0, 20.0]), st.integers(0, 10**6))
 def test_no_matching_has_more_pairs_or_less_distance(n, m, spread, seed):
     rng = np.random.default_rng(seed)
@@ -37,7 +37,7 @@ def test_no_matching_has_more_pairs_or_less_distance(n, m, spread, seed):
     assert len(set(pairs[:, 0])) == len(set(pairs[:, 1])) == count
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6))
 def test_many_frames_at_once_give_what_the_hungarian_method_gives_for_each(seed):
     rng = np.random.default_rng(seed)
@@ -82,7 +82,7 @@ def test_nothing_is_paired_with_nothing(assigner):
     assert assigner.assign(boxes([[0.0, 0.0]]), none).shape == (0, 2)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.sampled_from([CenterDistanceAssigner(), IoU3DGreedyAssigner(threshold=0.1)]), st.integers(0, 10**6))
 def test_the_order_of_the_rows_does_not_matter_even_with_ties(assigner, seed):
     rng = np.random.default_rng(seed)
@@ -97,7 +97,7 @@ def test_the_order_of_the_rows_does_not_matter_even_with_ties(assigner, seed):
     assert {(a, b) for a, b in straight.tolist()} == {(p[a], q[b]) for a, b in shuffled.tolist()}
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e5]))
 def test_overlap_is_what_shapely_says(seed, far):
     rng = np.random.default_rng(seed)
@@ -131,7 +131,7 @@ def test_boxes_without_a_volume_overlap_with_nothing():
     assert iou_3d(flat, flat).tolist() == [0.0]
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(0, 7), st.integers(0, 7), st.integers(0, 10**6))
 def test_the_greedy_assigner_always_takes_the_best_overlap_that_is_left(n, m, seed):
     rng = np.random.default_rng(seed)
@@ -155,7 +155,7 @@ def test_senseless_limits_are_refused(cls, arguments):
         cls(**arguments)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     seed=st.integers(0, 10_000),
     radius=st.sampled_from([0.5, 5.0, 60.0]),
@@ -176,7 +176,7 @@ def test_near_pairs_are_all_pairs_of_a_group_within_the_radius_and_in_order(seed
     assert np.array_equal(np.lexsort((j, i)), np.arange(len(i)))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(keys=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 2)), max_size=8))
 def test_rows_are_ordered_as_by_a_full_sort(keys) -> None:
     group, id_, tie = np.array(keys, np.int64).reshape(-1, 3).T

@@ -223,7 +223,7 @@ def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
     return run, frames
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
 def test_counts_are_those_of_plain_loops(seed, include_self, ignore_unseen):
     run, frames = random_run(seed)
@@ -261,7 +261,7 @@ def test_counts_are_those_of_plain_loops(seed, include_self, ignore_unseen):
             assert table["rmse_m"][k] == pytest.approx(least)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
     straight = Scorer(range_m=7.0, ignore_unseen=True).score(random_run(seed)[0])
@@ -271,7 +271,7 @@ def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
         assert np.array_equal(column, shuffled.objects[name], equal_nan=column.dtype.kind == "f"), name
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_every_box_has_one_outcome_and_the_counts_are_those_of_the_outcomes(seed):
     scores = Scorer(range_m=7.0).score(random_run(seed)[0])

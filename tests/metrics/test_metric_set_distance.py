@@ -44,7 +44,7 @@ def test_nothing_is_no_distance_from_nothing_and_c_from_something() -> None:
 places = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6)), max_size=5)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     frames=st.lists(st.tuples(places, places), min_size=1, max_size=4),
     p=st.sampled_from([1.0, 1.5, 2.0]),

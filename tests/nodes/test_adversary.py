@@ -161,7 +161,7 @@ def test_messages_do_not_overtake_each_other(worlds, wire: str) -> None:
 
 
 @given(st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @pytest.mark.parametrize("wire", WIRES)
 def test_the_order_of_pose_and_message_changes_nothing(worlds, wire: str, data: st.DataObject) -> None:
     """Whatever is lost or late: what goes out on each key is a function of what came in each frame."""

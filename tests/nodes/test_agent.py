@@ -93,7 +93,7 @@ def test_sensor_data_that_come_twice_count_once(resolved) -> None:
 
 
 @given(st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_order_within_a_frame_changes_nothing(resolved, data: st.DataObject) -> None:
     def play(order: list[list[str]]) -> list[bytes]:
         ego = bench(resolved)

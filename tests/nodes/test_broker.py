@@ -324,7 +324,7 @@ def test_what_a_dead_agent_said_last_goes_by_time_not_at_once_and_not_never(reso
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_order_of_delivery_gives_the_same_batches(resolved, data: st.DataObject) -> None:
     """Messages of a frame in any order, some lost, some a frame late, through the host as on a mesh."""
     configs = [{}, {"latency_s": 0.1}, {"latency_s": 0.2, "patience": 1}, {"patience": 1}, {"max_age_s": 0.1}]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_world import PERIOD_NS, Bench, Run, picture, pose, tiny, tracks
 
@@ -188,7 +188,7 @@ def test_every_rule_of_ours_takes_part_in_the_tests_below() -> None:
 
 
 @given(up=rules, down=rules, shuffle=st.integers(0, 1000), encode=st.booleans())
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12)
 def test_no_rules_make_a_run_depend_on_the_order_of_delivery_nor_on_bytes(
     up: list[dict], down: list[dict], shuffle: int, encode: bool
 ) -> None:
@@ -222,7 +222,7 @@ def test_links_without_rules_leave_no_trace_but_on_their_own_legs() -> None:
 
 
 @given(payload=st.binary(max_size=200))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_bytes_that_are_no_message_are_passed_on_as_they_are_and_do_no_harm(payload: bytes) -> None:
     link = _broken_link()
     for port in ("tracks", "picture", "pose"):
@@ -341,7 +341,7 @@ def test_a_link_of_ones_own_has_ports_of_its_own(tmp_path: Path) -> None:
     delays_ms=st.lists(st.sampled_from([0.0, 0.001, 3.0, 50.0]), min_size=2, max_size=12),
     gaps_us=st.lists(st.integers(1, 4000), min_size=12, max_size=12),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_in_real_time_messages_leave_in_order_however_close_they_come(
     delays_ms: list[float], gaps_us: list[int]
 ) -> None:

@@ -165,7 +165,7 @@ SOME_BANDS = st.lists(
 )
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(SOME_BANDS)
 def test_neither_bands_nor_names_lie_on_each_other(rows: list[tuple[float, float, str, bool]]) -> None:
     width, low, high = 10.0, 0.0, 20.0

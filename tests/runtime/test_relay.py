@@ -261,7 +261,7 @@ def test_in_real_time_the_clock_goes_on_between_frames_from_the_first() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.floats(0.0, 1.0)), max_size=30))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_whatever_the_delays_each_message_leaves_once_and_not_before_its_time(plan: list[tuple[int, float]]) -> None:
     delays = iter([after_s for _, after_s in sorted(plan, key=lambda entry: entry[0])])
     host = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))

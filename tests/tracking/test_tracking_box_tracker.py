@@ -189,7 +189,7 @@ detections = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(detections, min_size=2, max_size=6), st.randoms(use_true_random=False))
 def test_the_order_of_detections_does_not_matter(frames, random):
     a, b = KalmanBoxTracker3D(), KalmanBoxTracker3D()
@@ -202,7 +202,7 @@ def test_the_order_of_detections_does_not_matter(frames, random):
             assert column.tobytes() == other.columns()[name].tobytes()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(detections, min_size=2, max_size=5))
 def test_filterpy_agrees_on_any_detections(frames):
     a, b = KalmanBoxTracker3D(), FilterpyBoxTracker3D()
