@@ -56,11 +56,6 @@ class Gather(Generic[Member, Item]):
         self._done_through = max(self._done_through, limit)
         self._complete = {frame for frame in self._complete if frame > self._done_through}
 
-    def flush(self) -> Iterator[tuple[int, dict[Member, Item]]]:
-        """Everything that is left, oldest first."""
-        for frame in sorted(self._frames):
-            yield frame, self._frames.pop(frame)
-
 
 class LatestBefore(Generic[Item]):
     """Keeps items by the frame in which they came, and answers which was the newest before a given frame.

@@ -17,7 +17,7 @@ def test_a_gathered_frame_does_not_depend_on_the_order_of_its_items(items: list,
     def outcome(order: list) -> dict:
         gather: Gather[str, tuple] = Gather("abc")
         ready = {frame: done for frame, member in order if (done := gather.add(frame, member, (frame, member)))}
-        return {"ready": ready, "left": dict(gather.flush())}
+        return {"ready": ready, "left": dict(gather.expired(5))}
 
     shuffled = list(items)
     random.shuffle(shuffled)
@@ -36,7 +36,7 @@ def test_an_incomplete_frame_is_given_up_when_the_next_clock_comes() -> None:
     assert list(gather.expired(0)) == []
     assert list(gather.expired(1)) == [(0, {"a": 1})]
     assert gather.add(0, "b", 2) is None, "what comes later is too late"
-    assert list(gather.flush()) == []
+    assert list(gather.expired(9)) == []
 
 
 def test_a_second_item_of_one_member_is_left_out_and_counted() -> None:
