@@ -193,7 +193,7 @@ def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[
         raise NotRunning(f"{run}: nobody answers at {endpoint}: the run has ended without a word")
     with open_client(endpoint) as session:
         replies = session.get(f"{prefix(record['id'])}/@control/intercept", payload=sealed, timeout=_TIMEOUT_S)
-        for reply in list(replies):  # all of them: the query is over when we leave
+        for reply in replies:
             if reply.ok is not None:
                 answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
                 return answer

@@ -69,7 +69,8 @@ class Launch:
     deployment: Deployment | None = None
     session: zenoh.Session | None = None
     depot: Depot | None = None
-    _asked: queue.SimpleQueue[bytes] = field(default_factory=queue.SimpleQueue)
+    # Not a SimpleQueue: its `get` never returns if a signal is still being handled when the timeout is over.
+    _asked: queue.Queue[bytes] = field(default_factory=queue.Queue)
     _handed_in: queue.SimpleQueue[tuple[str, bytes]] = field(default_factory=queue.SimpleQueue)
 
     def run(self) -> None:
@@ -147,7 +148,7 @@ class Launch:
         base = prefix(self.record["id"])
 
         def on_result(query: zenoh.Query) -> None:
-            with query:  # ends it without the interpreter's lock; to end when it is collected would hold that
+            with query:
                 payload = query.payload.to_bytes() if query.payload else b""
                 self._handed_in.put((str(query.key_expr).rpartition("/")[2], payload))
                 query.reply(query.key_expr, b"taken")

@@ -190,7 +190,7 @@ class MeshNode:
         deadline = time.monotonic() + _RESULT_TIMEOUT_S
         while time.monotonic() < deadline:
             replies = self.session.get(f"{self._prefix}/@control/result/{self.name}", payload=payload, timeout=5.0)
-            if any(reply.ok is not None for reply in list(replies)):  # all of them: the query is over when we leave
+            if any(reply.ok is not None for reply in replies):
                 return
         self.host.log.error("nobody took the results within %.0f s", _RESULT_TIMEOUT_S)
 
