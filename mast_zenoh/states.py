@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -83,15 +84,15 @@ class ObjectStates:
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
         """The states in a message body (further columns are left out)."""
-        return cls(*[columns[name] for name in STATE_COLUMNS])
+        return cls(*_pick_states(columns))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The states as message columns, by name; the arrays are shared, not copied."""
-        return {name: getattr(self, name) for name in STATE_COLUMNS}
+        return dict(zip(STATE_COLUMNS, _states_of(self), strict=True))
 
     def select(self, index: NDArray[Any] | slice) -> ObjectStates:
         """The rows that a mask, an index array or a slice picks."""
-        return ObjectStates(*_rows([getattr(self, name) for name in STATE_COLUMNS], index))
+        return ObjectStates(*_rows(_states_of(self), index))
 
     def with_(self, **columns: NDArray[Any]) -> ObjectStates:
         """A copy with some columns replaced."""
@@ -130,18 +131,18 @@ class Detections:
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Detections:
         """The detections in a message body (further columns are left out)."""
-        return cls(*[columns[name] for name in DETECTION_COLUMNS])
+        return cls(*_pick_detections(columns))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The detections as message columns, by name; the arrays are shared, not copied."""
-        return {name: getattr(self, name) for name in DETECTION_COLUMNS}
+        return dict(zip(DETECTION_COLUMNS, _detections_of(self), strict=True))
 
     def select(self, index: NDArray[Any] | slice) -> Detections:
         """The rows that a mask, an index array or a slice picks."""
-        return Detections(*_rows([getattr(self, name) for name in DETECTION_COLUMNS], index))
+        return Detections(*_rows(_detections_of(self), index))
 
 
-def _rows(columns: list[NDArray[Any]], index: NDArray[Any] | slice) -> list[NDArray[Any]]:
+def _rows(columns: tuple[NDArray[Any], ...], index: NDArray[Any] | slice) -> list[NDArray[Any]]:
     """The rows of each column that a mask, an index array or a slice picks."""
     if isinstance(index, slice):
         return [column[index] for column in columns]
@@ -152,13 +153,17 @@ def _rows(columns: list[NDArray[Any]], index: NDArray[Any] | slice) -> list[NDAr
 
 STATE_COLUMNS = tuple(field.name for field in fields(ObjectStates))
 DETECTION_COLUMNS = tuple(field.name for field in fields(Detections))
+#: All columns of one object, or of one message body, in one call: this is done for every message.
+_states_of, _pick_states = attrgetter(*STATE_COLUMNS), itemgetter(*STATE_COLUMNS)
+_detections_of, _pick_detections = attrgetter(*DETECTION_COLUMNS), itemgetter(*DETECTION_COLUMNS)
 
 
 def concatenate(parts: Sequence[ObjectStates]) -> ObjectStates:
-    """All rows of `parts`, in order."""
-    if not parts:
-        return ObjectStates.empty()
-    return ObjectStates(*[np.concatenate([getattr(part, name) for part in parts]) for name in STATE_COLUMNS])
+    """All rows of `parts`, in order; the arrays are those of the only part with rows, if there is but one."""
+    filled = [part for part in parts if len(part)]
+    if len(filled) < 2:
+        return filled[0] if filled else ObjectStates.empty()
+    return ObjectStates(*[np.concatenate(columns) for columns in zip(*map(_states_of, filled), strict=True)])
 
 
 def propagate(states: ObjectStates, dt: float) -> ObjectStates:

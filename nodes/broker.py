@@ -79,8 +79,7 @@ class Broker(Node):
             return
         body = received.body
         states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
-        columns = [states.position, states.velocity, states.size, states.covariance.reshape(len(states), 81)]
-        real = np.abs(np.concatenate(columns, axis=1)).max(axis=1) <= MOST
+        real = real_rows(states)
         if not real.all():
             self.absurd += np.count_nonzero(~real)
             states = states.select(real)
@@ -130,6 +129,15 @@ class Broker(Node):
         """How many batches were complete, what came too late, and what was left out."""
         left_out = {"overflowed": self.buffer.dropped, "absurd": self.absurd}
         return {"collation": {**self.batches, "late": self.buffer.late, **left_out}}
+
+
+def real_rows(states: ObjectStates) -> np.ndarray:
+    """(n,) bool: nothing of these objects is beyond MOST."""
+    columns = (states.position, states.velocity, states.size, states.covariance)
+    if sum([np.vdot(column, column) for column in columns]) <= MOST**2:
+        return np.ones(len(states), bool)  # mostly: none is beyond what all are together
+    flat = np.concatenate([column.reshape(len(states), -1) for column in columns], axis=1)
+    return np.asarray(np.abs(flat).max(axis=1) <= MOST)
 
 
 if __name__ == "__main__":

@@ -22,14 +22,16 @@ class Assigner(ABC):
 
         Only boxes of one group are paired, each at most once. The pairs do not depend on the order of the rows.
         """
-        by_truth, by_track = truth.order(), tracks.order()
-        i, j = self._assign(truth.select(by_truth), tracks.select(by_track))
+        if len(truth) == 0 or len(tracks) == 0:
+            return np.zeros((0, 2), np.int64)
+        (truth, by_truth), (tracks, by_track) = truth.sorted(), tracks.sorted()
+        i, j = self._assign(truth, tracks)
         pairs = np.column_stack([by_truth[i], by_track[j]])
         return pairs[np.argsort(pairs[:, 0])]
 
     @abstractmethod
     def _assign(self, truth: Boxes, tracks: Boxes) -> tuple[Ints, Ints]:
-        """Rows of the pairs, given boxes in their own order (`Boxes.order`)."""
+        """Rows of the pairs, given boxes in their own order (`Boxes.sorted`), some on either side."""
 
 
 class CenterDistanceAssigner(Assigner):
@@ -63,8 +65,6 @@ class IoU3DGreedyAssigner(Assigner):
         self.threshold = threshold
 
     def _assign(self, truth: Boxes, tracks: Boxes) -> tuple[Ints, Ints]:
-        if len(truth) == 0 or len(tracks) == 0:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
         reach = [np.hypot(boxes.size[:, 0], boxes.size[:, 1]) / 2.0 for boxes in (truth, tracks)]
         i, j = pairs_within(truth, tracks, float(reach[0].max() + reach[1].max()))
         touching = centre_distance(truth.position[i], tracks.position[j]) <= reach[0][i] + reach[1][j]

@@ -47,9 +47,15 @@ class Boxes:
         empty = cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
         return cls(*(np.concatenate([getattr(part, field.name) for part in (empty, *parts)]) for field in fields(cls)))
 
-    def order(self) -> Ints:
-        """(n,) rows by group, id and position: how ties are broken, whatever the order of the rows."""
-        return order_by(self.id, self.group, ties=tuple(self.position.T[::-1]))
+    def sorted(self) -> tuple[Boxes, Ints]:
+        """The boxes by group, id and position, which is how ties are broken; (n,) rows that they were in.
+
+        The boxes themselves where they are in order already.
+        """
+        if ascending(self.id, self.group):
+            return self, np.arange(len(self), dtype=np.int64)
+        order = order_by(self.id, self.group, ties=tuple(self.position.T[::-1]))
+        return self.select(order), order
 
 
 def order_by(*keys: Ints, ties: tuple[Floats, ...] = ()) -> Ints:
@@ -57,19 +63,22 @@ def order_by(*keys: Ints, ties: tuple[Floats, ...] = ()) -> Ints:
 
     The same as `np.lexsort((*ties, *keys))`, and quick where the rows are in order already or no two keys are equal.
     """
-    n = len(keys[0])
-    later, equal = np.zeros(max(n - 1, 0), bool), np.ones(max(n - 1, 0), bool)
-    for key in keys[::-1]:
-        step = np.diff(key)
-        later |= equal & (step > 0)
-        equal &= step == 0
-    if later.all():
-        return np.arange(n, dtype=np.int64)
+    if ascending(*keys):
+        return np.arange(len(keys[0]), dtype=np.int64)
     order = np.lexsort(keys)
-    equal[:] = True
-    for key in keys:
-        equal &= np.diff(key[order]) == 0
-    return (np.lexsort((*ties, *keys)) if ties and equal.any() else order).astype(np.int64)
+    if ties and not ascending(*[key.take(order) for key in keys]):
+        order = np.lexsort((*ties, *keys))
+    return order.astype(np.int64)
+
+
+def ascending(*keys: Ints) -> bool:
+    """Whether each row of integer keys, the last one first, is after the one before it: in order, and no two equal."""
+    n = max(len(keys[0]) - 1, 0)
+    later, equal = np.zeros(n, bool), np.ones(n, bool)
+    for key in keys[::-1]:
+        later |= equal & (key[1:] > key[:-1])
+        equal &= key[1:] == key[:-1]
+    return bool(later.all())
 
 
 def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:

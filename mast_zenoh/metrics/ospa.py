@@ -48,7 +48,7 @@ class SetDistance:
         least sum S over one-to-one assignments of X into Y of min(d, c)^p:
         OSPA = ((S + c^p (n - m)) / n)^(1/p), GOSPA = (S + c^p / alpha (n - m))^(1/p).
         """
-        truth, tracks = (boxes.select(boxes.order()) for boxes in (truth, tracks))
+        truth, tracks = (boxes.sorted()[0] for boxes in (truth, tracks))
         counts = [np.bincount(boxes.group, minlength=n_groups) for boxes in (truth, tracks)]
         fewer, more = np.minimum(*counts), np.maximum(*counts)
         cut = self.c**self.p
@@ -74,10 +74,8 @@ class SetDistance:
         i, j, saving = i[~lone], j[~lone], saving[~lone]
         if len(i) == 0:
             return gained
-        _, r = np.unique(i, return_inverse=True)
-        columns, c = np.unique(j, return_inverse=True)
-        size = int(r[-1]) + 1 + len(columns)
-        graph = coo_array((np.ones(len(i), np.int8), (r, c + int(r[-1]) + 1)), shape=(size, size))
+        (r, rows), (c, columns) = _ranks(i, len(truth)), _ranks(j, len(tracks))
+        graph = coo_array((np.ones(len(i), np.int8), (r, c + rows)), shape=(rows + columns, rows + columns))
         n_islands, label = connected_components(graph, directed=False)
         island = label[r]
         # Where nobody's nearest is the nearest of another as well, taking the nearest is the best there is.
@@ -94,6 +92,14 @@ class SetDistance:
             if len(edges):
                 gained[truth.group[i[edges[0]]]] += _best(i[edges], j[edges], saving[edges])
         return gained
+
+
+def _ranks(values: Ints, n: int) -> tuple[Ints, int]:
+    """The rank of each value, 0 to n - 1, among those that occur, and how many these are."""
+    present = np.zeros(n, np.int64)
+    present[values] = 1
+    ranks = present.cumsum()
+    return ranks[values] - 1, int(ranks[-1])
 
 
 def _favourites(end: Ints, saving: Floats) -> Bools:

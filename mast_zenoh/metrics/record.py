@@ -124,7 +124,7 @@ class Record:
         a = len(self.agents)
         parts = [self._truth[int(frame)] for frame in frames]
         return TruthTable(
-            boxes=_boxes([part[0] for part in parts]),
+            boxes=_joined([part[0] for part in parts])[0],
             points=np.concatenate([np.zeros((0, a), np.int32), *(part[1] for part in parts)]),
             agent_position=np.array([part[2] for part in parts]).reshape(len(parts), a, 3),
             agent_object=np.array([part[3] for part in parts], np.int64).reshape(len(parts), a),
@@ -134,15 +134,11 @@ class Record:
         """The tracks of one series in (f,) frames; none where there was no message."""
         mine = self._tracks[series]
         parts = [mine.get(int(frame), _NOTHING) for frame in frames]
-        return TrackTable(_boxes(parts), np.concatenate([_NOTHING.score, *(part.score for part in parts)]))
+        return TrackTable(*_joined(parts))
 
 
-def _boxes(parts: list[_Snapshot]) -> Boxes:
-    """The boxes of all parts, group = number of the part."""
-    return Boxes(
-        np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.id) for part in parts]),
-        *(
-            np.concatenate([getattr(part, name) for part in (_NOTHING, *parts)])
-            for name in ("id", "position", "size", "yaw")
-        ),
-    )
+def _joined(parts: list[_Snapshot]) -> tuple[Boxes, Floats]:
+    """The boxes of all parts, group = number of the part; and their scores."""
+    group = np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.id) for part in parts])
+    *columns, score = (np.concatenate(column) for column in zip(_NOTHING, *parts, strict=True))
+    return Boxes(group, *columns), score

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,32 +69,32 @@ class Scorer:
         frames = record.frames()
         frames = frames[self.skip_first : max(len(frames) - self.skip_last, self.skip_first)]
         table = record.truth(frames)
-        tables = {series: record.tracks(series, frames) for series in record.series()}
+        series = record.series()
+        tables = [record.tracks(each, frames) for each in series]
+        tracks = Boxes.join([mine.boxes for mine in tables])
+        start = np.cumsum([0, *(len(mine.score) for mine in tables)])
 
         # One series per agent and estimator; all are laid out in one row of groups and scored in one go.
-        names, truth, unevaluated, excused, tracks, score = [], [], [], [], [], []
+        names, rows = [], []
         for a, agent in enumerate(record.agents):
             near, evaluated, excusing = self._split(table, a)
-            for series in tables:
-                if series.agent not in ("", agent):
-                    continue
-                mine = tables[series]
-                heard = self._near(mine.boxes, table.agent_position[:, a])
-                names.append((agent, series.estimator))
-                truth.append(table.boxes.select(evaluated))
-                unevaluated.append(table.boxes.select(near & ~evaluated))
-                excused.append(table.boxes.select(excusing))
-                tracks.append(mine.boxes.select(heard))
-                score.append(mine.score[heard])
-        f = len(frames)
+            truth = [mask.nonzero()[0] for mask in (evaluated, near & ~evaluated, excusing)]
+            for k, each in enumerate(series):
+                if each.agent in ("", agent):
+                    heard = self._near(tables[k].boxes, table.agent_position[:, a])
+                    names.append((agent, each.estimator))
+                    rows.append((*truth, start[k] + heard.nonzero()[0]))
+        truth, unevaluated, excused, heard = ([each[kind] for each in rows] for kind in range(4))
+        laid_out, order = _laid_out(tracks, heard, len(frames)).sorted()
+        score = np.concatenate([np.zeros(0), *(mine.score for mine in tables)])
         layout = _Layout(
             series=tuple(names),
             frames=frames,
-            truth=_join(truth, f),
-            unevaluated=_join(unevaluated, f),
-            excused=_join(excused, f),
-            tracks=_join(tracks, f),
-            score=np.concatenate([np.zeros(0), *score]),
+            truth=_laid_out(table.boxes, truth, len(frames)),
+            unevaluated=_laid_out(table.boxes, unevaluated, len(frames)),
+            excused=_laid_out(table.boxes, excused, len(frames)),
+            tracks=laid_out,
+            score=score[_together(heard)[order]],
         )
         return _compare(self.assigner, self.distance, layout)
 
@@ -132,16 +132,23 @@ class _Layout:
     score: Floats
 
 
-def _join(parts: Iterable[Boxes], n_frames: int) -> Boxes:
-    """The boxes of all series, as a layout has them."""
-    return Boxes.join([part.in_group(k * n_frames + part.group) for k, part in enumerate(parts)])
+def _laid_out(boxes: Boxes, rows: Sequence[Ints], n_frames: int) -> Boxes:
+    """Of each series its rows of `boxes`, as a layout has them."""
+    series = np.repeat(np.arange(len(rows)), [len(each) for each in rows])
+    picked = boxes.select(_together(rows))
+    return picked.in_group(series * n_frames + picked.group)
+
+
+def _together(rows: Sequence[Ints]) -> Ints:
+    """The rows of all series."""
+    return np.concatenate([np.zeros(0, np.int64), *rows])
 
 
 def _compare(assigner: Assigner, distance: SetDistance, layout: _Layout) -> Scores:
     truth, tracks, excused = layout.truth, layout.tracks, layout.excused
     pairs = assigner.assign(truth, tracks)
     # Sums of fractions depend on the order of their terms: that of the ids, not that in which the messages came.
-    pairs = pairs[np.lexsort((truth.id[pairs[:, 0]], truth.group[pairs[:, 0]]))]
+    pairs = pairs[order_by(truth.id[pairs[:, 0]], truth.group[pairs[:, 0]])]
     of_truth, of_track = np.full(len(truth), -1, np.int64), np.full(len(tracks), -1, np.int64)
     of_truth[pairs[:, 0]] = tracks.id[pairs[:, 1]]
     of_track[pairs[:, 1]] = truth.id[pairs[:, 0]]
