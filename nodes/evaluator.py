@@ -148,7 +148,7 @@ class Evaluator(Node):
         kinds = {"node": object, "role": object, "frame": np.int64, "up": bool}
         presence = {name: np.array(column, kind) for (name, kind), column in zip(kinds.items(), columns, strict=True)}
         within = self.reach.aged_s / period_s + 1e-6
-        heard = [[self.heard.get((agent, int(f)), np.inf) - f <= within for agent in agents] for f in frames]
+        heard = [[self.heard.get((agent, f), np.inf) - f <= within for agent in agents] for f in frames.tolist()]
         unheard = ~np.array(heard, bool).reshape(len(frames), len(agents))
         return down(presence, agents, frames), unheard
 

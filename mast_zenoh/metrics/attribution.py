@@ -97,16 +97,21 @@ class _Case:
         self.how, self.objects, self.truth, self.period_s = how, objects, truth, period_s
         self.severed = severed
         self.coast = round(how.coast_s / period_s)
-        self.names = np.unique(np.asarray(attacks["adversary"], str))
+        self.names, self.adversary = np.unique(np.asarray(attacks["adversary"], str), return_inverse=True)
+        self.action = np.asarray(attacks["action"], str)
         picture = np.flatnonzero(objects["estimator"] == PICTURE)
-        self.tracks = self._rows(picture, "track")
-        self.truths = self._rows(picture, "truth")
+        agent, is_track = _numbered(objects["agent"][picture]), objects["kind"][picture] == "track"
+        self.tracks = self._rows(picture[is_track], agent[is_track])
+        self.truths = self._rows(picture[~is_track], agent[~is_track])
         self.attacks = attacks
+        self.hidden = [
+            (code, adversary, Hidden.of(attacks, self._reports(adversary, action), truth, how.hidden_m))
+            for action, code in (("removed", REMOVED), ("moved", MOVED))
+            for adversary in range(len(self.names))
+        ]
 
-    def _rows(self, picture: Ints, kind: str) -> _Rows:
-        rows = picture[self.objects["kind"][picture] == kind]
+    def _rows(self, rows: Ints, agent: Ints) -> _Rows:
         table = {name: self.objects[name][rows] for name in ("frame", "id", "match_id", "outcome", "x", "y", "z")}
-        _, agent = np.unique(self.objects["agent"][rows], return_inverse=True)
         order = np.lexsort((table["frame"], table["id"], agent))
         position = np.column_stack([table[axis] for axis in "xyz"])[order]
         frame, id_, match, outcome = (table[name][order] for name in ("frame", "id", "match_id", "outcome"))
@@ -121,21 +126,25 @@ class _Case:
         cause[self.tracks.row], by[self.tracks.row] = track_cause, track_by
         truth_cause, truth_by = self._missed(missed, track_cause, track_by)
         cause[self.truths.row], by[self.truths.row] = truth_cause, truth_by
-        words = np.array([*CAUSES, ""])
-        return words[cause], self._joined(by)
+        words = np.array(CAUSES)
+        named = np.zeros(n, words.dtype)
+        known = np.flatnonzero(cause >= 0)
+        named[known] = words[cause[known]]
+        return named, self._joined(by)
 
     def _joined(self, by: Bools) -> Texts:
         """(n,) the names in each row of (n, a)."""
         some = np.flatnonzero(by.any(axis=1))
-        kinds, which = np.unique(by[some], axis=0, return_inverse=True)
-        words = ["+".join(self.names[kind]) for kind in kinds]
-        result = np.full(len(by), "", dtype=f"<U{max(map(len, words), default=1)}")
-        result[some] = np.array(words or [""])[which.reshape(-1)]
+        kind = np.zeros(len(some), np.int64)
+        for column in by[some].T:
+            _, first, kind = np.unique(2 * kind + column, return_index=True, return_inverse=True)
+        words = ["+".join(self.names[each]) for each in by[some[first]]] if len(some) else []
+        result = np.zeros(len(by), dtype=f"<U{max(map(len, words), default=1)}")
+        result[some] = np.array(words or [""])[kind]
         return result
 
-    def _reports(self, adversary: int, *actions: str) -> Bools:
-        mine = np.asarray(self.attacks["adversary"], str) == self.names[adversary]
-        return np.asarray(mine & np.isin(np.asarray(self.attacks["action"], str), actions))
+    def _reports(self, adversary: int, action: str) -> Bools:
+        return np.asarray((self.adversary == adversary) & (self.action == action))
 
     def _lies(self, false: Bools) -> tuple[Ints, Bools]:
         """Of each track row, cause and adversaries if it is the track of a lie; else unknown."""
@@ -175,12 +184,10 @@ class _Case:
 
     def _blame_hiding(self, truth_id: Ints, frame: Ints, rows: Ints, cause: Ints, by: Bools) -> None:
         """Set cause and adversaries of `rows`, which are about these objects, where these were hidden lately."""
-        for action, code in (("removed", REMOVED), ("moved", MOVED)):
-            for a in range(len(self.names)):
-                hidden = Hidden.of(self.attacks, self._reports(a, action), self.truth, self.how.hidden_m)
-                guilty = rows[hidden.lately(truth_id, frame, self.coast)]
-                guilty = guilty[(cause[guilty] < 0) | (cause[guilty] == code)]
-                cause[guilty], by[guilty, a] = code, True
+        for code, adversary, hidden in self.hidden:
+            guilty = rows[hidden.lately(truth_id, frame, self.coast)]
+            guilty = guilty[(cause[guilty] < 0) | (cause[guilty] == code)]
+            cause[guilty], by[guilty, adversary] = code, True
 
     def _carried(self, rows: _Rows, valid: Bools, stops: Bools, backwards: bool = False) -> Ints:
         """(n,) of each row the last row of the same agent and id that `stops`, -1 unless it is `valid` and recent.
@@ -262,3 +269,12 @@ class _Case:
         first[1:] |= seen[1:] != seen[:-1]
         start = np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)) if len(first) else first.astype(int)
         return np.asarray(rows.frame[start])
+
+
+def _numbered(names: Texts) -> Ints:
+    """(n,) the number of each name among the different ones; quick where equal ones are next to each other."""
+    first = np.ones(len(names), bool)
+    first[1:] = names[1:] != names[:-1]
+    heads = first.nonzero()[0]
+    _, number = np.unique(names[heads], return_inverse=True)
+    return np.repeat(number, np.diff(heads, append=len(names)))

@@ -48,9 +48,9 @@ def time_to_first_false(objects: Table, attacks: Table, period_s: float) -> dict
     """By adversary that has injected anything: s from its first false object to the first false track of one of its
     objects in the picture (of any agent); None: there was none."""
     adversary, action = (np.asarray(attacks[name], str) for name in ("adversary", "action"))
-    injected = (objects["cause"] == "injected") & (objects["estimator"] == PICTURE) & (objects["kind"] == "track")
-    frame = objects["frame"][injected]
-    blamed = objects["by"][injected]
+    rows = np.flatnonzero(objects["cause"] == "injected")
+    rows = rows[(objects["estimator"][rows] == PICTURE) & (objects["kind"][rows] == "track")]
+    frame, blamed = objects["frame"][rows], objects["by"][rows]
     names, which = np.unique(blamed, return_inverse=True)
     first: dict[str, Any] = {}
     for name in np.unique(adversary[action == "added"]):

@@ -35,7 +35,9 @@ class Seen:
 
         frames: rows of `Scores.frames` that count; None: a series without objects
         """
-        rows = np.isin(self.frame, frames)
+        counts = np.zeros(max(int(table.max(initial=-1)) for table in (self.frame, frames)) + 1, bool)
+        counts[frames] = True
+        rows = counts[self.frame].nonzero()[0]
         ids, code = np.unique(self.id[rows], return_inverse=True)
         cell, shape = self.series[rows] * len(ids) + code, (n_series, len(ids))
         total = np.bincount(cell, minlength=n_series * len(ids)).reshape(shape)
@@ -106,13 +108,12 @@ class Scores:
         """
         result: dict[str, dict[str, dict[str, Any]]] = {}
         complete = self.seen.completeness(len(self.series), np.arange(len(self.frames))[scored])
+        names = ("fn", "fp", "tp", "ospa_m", "gospa_m")
+        spread = {name: means_and_stds(getattr(self, name)[:, scored]) for name in names}
         for k, (agent, estimator) in enumerate(self.series):
             pairs = int(self.tp[k, scored].sum())
             result.setdefault(agent, {})[estimator] = {
-                **{
-                    name: mean_and_std(getattr(self, name)[k, scored])
-                    for name in ("fn", "fp", "tp", "ospa_m", "gospa_m")
-                },
+                **{name: spread[name][k] for name in names},
                 "rmse_m": float(np.sqrt(self.squared_error[k, scored].sum() / pairs)) if pairs else None,
                 "id_switches": int(self.id_switches[k, scored].sum()),
                 "completeness": complete[k],
@@ -120,8 +121,14 @@ class Scores:
         return result
 
 
+def means_and_stds(values: NDArray[Any]) -> list[dict[str, float | None]]:
+    """Mean and standard deviation of each row of (s, f) values; None without columns."""
+    if values.shape[1] == 0:
+        return [{"mean": None, "std": None} for _ in values]
+    means, stds = values.mean(axis=1).tolist(), values.std(axis=1).tolist()
+    return [{"mean": mean, "std": std} for mean, std in zip(means, stds, strict=True)]
+
+
 def mean_and_std(values: NDArray[Any]) -> dict[str, float | None]:
     """Mean and standard deviation of (n,) values; None of none."""
-    if len(values) == 0:
-        return {"mean": None, "std": None}
-    return {"mean": float(np.mean(values)), "std": float(np.std(values))}
+    return means_and_stds(values[None])[0]
