@@ -73,7 +73,7 @@ def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> O
 
     Sizes stay as they are; yaw turns by the frame's heading.
     """
-    if rotation.tolist() == _NO_TURN and not any(origin.tolist()):
+    if _is_world(origin, rotation):
         return states
     matrix = rotation_from_quaternion(rotation)
     jacobian = np.eye(9)
@@ -88,9 +88,16 @@ def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> O
 
 def states_to_local(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:
     """States of the world frame in a frame of reference; inverse of `states_to_world`."""
+    if _is_world(origin, rotation):
+        return states
     matrix = rotation_from_quaternion(rotation)
     w, x, y, z = rotation
     return states_to_world(states, -origin @ matrix, np.array([w, -x, -y, -z]))
+
+
+def _is_world(origin: Floats, rotation: Floats) -> bool:
+    """Whether a frame of reference is the world frame, as that of most tracks is."""
+    return rotation.tolist() == _NO_TURN and not any(origin.tolist())
 
 
 def heading(rotation: Floats) -> Floats:

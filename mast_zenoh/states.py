@@ -53,7 +53,7 @@ class ObjectStates:
     @classmethod
     def empty(cls) -> ObjectStates:
         """No objects."""
-        return cls.of(np.zeros((0, 3)))
+        return _NO_STATES
 
     @classmethod
     def of(
@@ -92,7 +92,10 @@ class ObjectStates:
 
     def select(self, index: NDArray[Any] | slice) -> ObjectStates:
         """The rows that a mask, an index array or a slice picks."""
-        return ObjectStates(*_rows(_states_of(self), index))
+        rows = index if isinstance(index, slice) or index.dtype != bool else index.nonzero()[0]
+        if not isinstance(rows, slice) and len(rows) == 0:
+            return _NO_STATES
+        return ObjectStates(*_rows(_states_of(self), rows))
 
     def with_(self, **columns: NDArray[Any]) -> ObjectStates:
         """A copy with some columns replaced."""
@@ -155,6 +158,7 @@ STATE_COLUMNS = tuple(field.name for field in fields(ObjectStates))
 DETECTION_COLUMNS = tuple(field.name for field in fields(Detections))
 #: All columns of one object, or of one message body, in one call: this is done for every message.
 _states_of, _pick_states = attrgetter(*STATE_COLUMNS), itemgetter(*STATE_COLUMNS)
+_NO_STATES = ObjectStates.of(np.zeros((0, 3)))
 _detections_of, _pick_detections = attrgetter(*DETECTION_COLUMNS), itemgetter(*DETECTION_COLUMNS)
 
 

@@ -183,6 +183,8 @@ def targets_of(received: Received) -> Targets:
     body = received.body
 
     def states(prefix: str) -> ObjectStates:
+        if len(body[f"{prefix}_id"]) == 0:
+            return ObjectStates.empty()
         names = ("id", "velocity", "size", "yaw", "class_id")
         return ObjectStates.of(body[f"{prefix}_position"], **{name: body[f"{prefix}_{name}"] for name in names})
 

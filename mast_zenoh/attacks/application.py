@@ -40,7 +40,9 @@ def apply(
     added = targets.add.select(within_range(targets.add.position, agent_position, max_range_m))
     hidden, displaced = remove_row[remove_row >= 0], move_row[move_row >= 0]
     before = ordered.select(displaced)
-    moved = before.with_(position=before.position + targets.move_offset[move_row >= 0])
+    moved = before
+    if len(displaced):
+        moved = before.with_(position=before.position + targets.move_offset[move_row >= 0])
     keep = np.ones(len(objects), bool)
     keep[order[hidden]] = False
     numbers = [added.id, targets.remove.id[remove_row >= 0], targets.move.id[move_row >= 0]]
@@ -94,14 +96,18 @@ def nearest_first(origin: Floats, goal: Floats, radius: float) -> Ints:
 
 
 def _onto(states: ObjectStates, objects: ObjectStates, row: Ints, elapsed_s: float) -> ObjectStates:
-    met = row >= 0
-    if not met.any():
+    """The states at the rows of `objects` that they follow."""
+    met = (row >= 0).nonzero()[0]
+    if len(met) == 0:
         return states
+    goal = row.take(met)
     position, velocity = states.position.copy(), states.velocity.copy()
-    position[met] = objects.position[row[met]]
-    seen = objects.velocity[row[met]]
-    estimated = velocity[met]
-    if elapsed_s > 0.0:
-        estimated = estimated + VELOCITY_GAIN / elapsed_s * (position[met] - states.position[met])
-    velocity[met] = np.where(np.any(seen != 0.0, axis=1, keepdims=True), seen, estimated)
+    position[met], seen = objects.position.take(goal, 0), objects.velocity.take(goal, 0)
+    shows = seen.any(axis=1, keepdims=True)
+    if not shows.all():
+        estimated = velocity[met]
+        if elapsed_s > 0.0:
+            estimated = estimated + VELOCITY_GAIN / elapsed_s * (position[met] - states.position[met])
+        seen = np.where(shows, seen, estimated)
+    velocity[met] = seen
     return states.with_(position=position, velocity=velocity)

@@ -9,7 +9,7 @@ import numpy as np
 from mast_zenoh.attacks.propagation import Propagation
 from mast_zenoh.attacks.selection import Selection
 from mast_zenoh.attacks.targets import Targets
-from mast_zenoh.states import Floats, ObjectStates
+from mast_zenoh.states import Floats, ObjectStates, propagate
 from mast_zenoh.streams import stream
 
 NANOSECONDS = 1e9
@@ -61,8 +61,8 @@ class Campaign:
             assert self._selected_ns is not None
             elapsed = (time_ns - self._time_ns) / NANOSECONDS
             age = (self._time_ns - self._selected_ns) / NANOSECONDS
-            targets = self._targets.propagated(elapsed)
-            targets = replace(targets, add=self._targets.add)
+            held = self._targets
+            targets = replace(held, remove=propagate(held.remove, elapsed), move=propagate(held.move, elapsed))
         add = self._propagation.advance(targets.add, elapsed, age, self._stream("propagation", frame))
         return replace(targets, add=add, time_ns=time_ns), elapsed
 

@@ -168,25 +168,28 @@ def cluster_centres(objects: ObjectStates, source: Ints, radius_m: float) -> Obj
     if len(objects) == 0:
         return objects
     order = canonical_order(objects, source)
-    objects, source = objects.select(order), source[order]
-    i, j, dx, dy = neighbours(objects.position, objects.position, np.full(len(objects), radius_m))
+    position, source = objects.position.take(order, 0), source.take(order)
+    i, j, dx, dy = neighbours(position, position, np.full(len(objects), radius_m))
     others = ((i < j) & (source[i] != source[j])).nonzero()[0]
-    nearest = others[np.lexsort((j[others], i[others], (dx * dx + dy * dy)[others]))]
+    i, j = i.take(others), j.take(others)
+    nearest = np.lexsort((j, i, (dx * dx + dy * dy).take(others)))
     label = list(range(len(objects)))
     members = [[row] for row in label]
     sources = [{s} for s in source.tolist()]
-    for p, q in zip(i[nearest].tolist(), j[nearest].tolist(), strict=True):
+    for p, q in zip(i.take(nearest).tolist(), j.take(nearest).tolist(), strict=True):
         a, b = sorted((label[p], label[q]))
         if sources[a].isdisjoint(sources[b]):  # false as well when both are in one cluster already
             sources[a] |= sources[b]
             members[a] += members[b]
             for row in members[b]:
                 label[row] = a
-    first, member, size = np.unique(label, return_inverse=True, return_counts=True)
-    by_member = np.argsort(member, kind="stable")
-    both = np.concatenate([objects.position, objects.velocity], axis=1).take(by_member, 0)
-    mean = np.add.reduceat(both, np.cumsum(size) - size) / size[:, None]
-    return objects.select(first).with_(position=mean[:, :3], velocity=mean[:, 3:])
+    by_member = np.argsort(label, kind="stable")
+    head = np.asarray(label).take(by_member)
+    start = np.flatnonzero(np.diff(head, prepend=-1))  # a cluster is called by its first row
+    rows = order.take(by_member)
+    both = np.concatenate([objects.position.take(rows, 0), objects.velocity.take(rows, 0)], axis=1)
+    mean = np.add.reduceat(both, start) / np.diff(start, append=len(rows))[:, None]
+    return objects.select(order.take(head.take(start))).with_(position=mean[:, :3], velocity=mean[:, 3:])
 
 
 def _part(fraction: float, n: int) -> int:

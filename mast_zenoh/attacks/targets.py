@@ -131,7 +131,9 @@ class Tampering:
 
     def applied_to(self, objects: ObjectStates) -> ObjectStates:
         """What the victim's subscriber gets instead of `objects`: kept rows in their order, then added ones."""
-        columns = {name: column.copy() for name, column in objects.columns().items()}
-        for name, column in self.moved.columns().items():
-            columns[name][self.moved_index] = column
-        return concatenate([ObjectStates.from_columns(columns).select(self.keep), self.added])
+        if len(self.moved_index):
+            columns = {name: column.copy() for name, column in objects.columns().items()}
+            for name, column in self.moved.columns().items():
+                columns[name][self.moved_index] = column
+            objects = ObjectStates.from_columns(columns)
+        return concatenate([objects if self.keep.all() else objects.select(self.keep), self.added])
