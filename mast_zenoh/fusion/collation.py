@@ -108,14 +108,15 @@ class CollationBuffer(Generic[Item]):
     def push(self, agent: str, frame: int, item: Item) -> bool:
         """Take an item; False when it is a duplicate, or (counted as late) the batch of its frame has been emitted."""
         spoken = self._spoken.setdefault(agent, deque(maxlen=_REMEMBERED))
-        if frame in spoken or agent in self.present(frame):
+        heap = self._heaps.get(agent, [])
+        if frame in spoken or any(entry[0] == frame for entry in heap):
             self.duplicates += 1
             return False
         spoken.append(frame)
         if frame <= self._emitted:
             self.late[agent] = self.late.get(agent, 0) + 1
             return False
-        heap = self._heaps.setdefault(agent, [])
+        self._heaps[agent] = heap
         heapq.heappush(heap, (frame, item))  # no two are of the same frame, so that items are never compared
         if len(heap) > self.capacity:
             heapq.heappop(heap)

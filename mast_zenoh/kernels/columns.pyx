@@ -75,8 +75,8 @@ def exact_columns(body, list plan):
         array = body.get(planned[NAME])
         if type(array) is not ndarray or array.shape != planned[SHAPE]:
             return None
-        dtype = planned[DTYPE]
-        if array.dtype != (object if dtype is None else dtype):
+        dtype, found = planned[DTYPE], array.dtype
+        if found is not dtype and found != (object if dtype is None else dtype):
             return None
         if dtype is not None:
             PyObject_GetBuffer(array, &view, PyBUF_STRIDES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -62,9 +63,10 @@ class _Snapshot(NamedTuple):
 
     @classmethod
     def of(cls, states: ObjectStates) -> _Snapshot:
-        return cls(*(getattr(states, name).copy() for name in cls._fields))
+        return cls(*[column.copy() for column in _columns_kept(states)])
 
 
+_columns_kept = attrgetter(*_Snapshot._fields)
 _NOTHING = _Snapshot.of(ObjectStates.empty())
 
 

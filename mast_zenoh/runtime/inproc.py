@@ -45,6 +45,13 @@ class InProcess:
         self._wiring = Wiring.from_json(resolved.wiring)
         self._encode = encode
         self._roles = {name: spec.role for name, spec in resolved.nodes.items()}
+        self._hears: dict[str, list[str]] = defaultdict(list)
+        for key, _, subscriber in self._wiring.flows():
+            self._hears[key].append(subscriber)
+        self._tap = tap
+        self._progress = progress
+        self._pending: _Fifo | _Shuffled = _Fifo() if shuffle is None else _Shuffled(shuffle)
+        self._results: dict[str, dict[str, Any]] = {}
         #: those who are up
         self.hosts = {name: self._built(name) for name in resolved.nodes}
         sources = [host for host in self.hosts.values() if isinstance(host.node, Source)]
@@ -57,13 +64,6 @@ class InProcess:
         self.gone: dict[str, Host] = {}
         for name in self.timetable.absent:
             del self.hosts[name]
-        self._hears: dict[str, list[str]] = defaultdict(list)
-        for key, _, subscriber in self._wiring.flows():
-            self._hears[key].append(subscriber)
-        self._tap = tap
-        self._progress = progress
-        self._pending: _Fifo | _Shuffled = _Fifo() if shuffle is None else _Shuffled(shuffle)
-        self._results: dict[str, dict[str, Any]] = {}
 
     def run(self) -> dict[str, dict[str, Any]]:
         """Run to the end of the scene; the results of every node's `finish`, and wall-clock timings under ""."""
@@ -90,7 +90,9 @@ class InProcess:
         """A host of a node that is newly made."""
         node, ports = build_node(self._resolved.nodes[name], name), self._wiring.ports(name)
         period_ns = self._resolved.period_ns
-        return Host(name, node, ports, self._resolved.seed, encode=self._encode, period_ns=period_ns)
+        return Host(
+            name, node, ports, self._resolved.seed, encode=self._encode, period_ns=period_ns, emit=self._sent
+        )
 
     def _peers(self, name: str) -> dict[str, str]:
         return {peer: self._roles[peer] for peer in self.hosts if peer != name}
@@ -116,24 +118,18 @@ class InProcess:
 
     def _drain(self) -> None:
         """Deliver until nothing is under way: the frame is over."""
-        for host in self.hosts.values():
-            self._collect(host)
         while self._pending:
-            name, message = self._pending.pop()
-            host = self.hosts[name]
-            host.deliver(message.key, message.payload, message.step, flaw=message.flaw)
-            self._collect(host)
+            name, (key, payload, step, flaw) = self._pending.pop()
+            host = self.hosts.get(name)
+            if host:
+                host.deliver(key, payload, step, flaw=flaw)
 
-    def _collect(self, host: Host) -> None:
-        if not host.outbox:
-            return
-        for message in host.outbox:
-            if self._tap:
-                self._tap(message)
-            for subscriber in self._hears[message.key]:
-                if subscriber in self.hosts:
-                    self._pending.push(subscriber, message)
-        host.outbox.clear()
+    def _sent(self, message: Outgoing) -> None:
+        """A node has sent a message: it is under way to all who hear it."""
+        if self._tap:
+            self._tap(message)
+        for subscriber in self._hears[message.key]:
+            self._pending.push(subscriber, message)
 
 
 class _Fifo:
