@@ -12,12 +12,15 @@ import typing
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from mast_zenoh import attacks, faults, fusion, links, metrics, scenes, sensing, tracking
 from mast_zenoh.errors import ConfigurationError, nearest
 
 #: Importing these defines the algorithms that can be named.
 ALGORITHMS = (attacks, faults, fusion, links, metrics, scenes, sensing, tracking)
+
+_Signature = tuple[dict[str, inspect.Parameter], dict[str, Any]]
 
 
 def known_types(base: type) -> dict[str, type]:
@@ -50,8 +53,7 @@ def build(spec: object, base: type, path: str) -> Any:
 
 def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
     """An object of `cls` from plain values; nested dicts are built where a class is annotated."""
-    parameters = {k: p for k, p in inspect.signature(cls).parameters.items() if p.kind is not p.VAR_KEYWORD}
-    hints = typing.get_type_hints(getattr(cls, "__init__"))  # noqa: B009 (mypy takes cls for an instance)
+    parameters, hints = _signature(cls)
     for key in arguments:
         if key not in parameters:
             hint = nearest(str(key), parameters)
@@ -66,6 +68,19 @@ def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
         raise ConfigurationError(f"{path}: {error}") from None
     except (ValueError, TypeError) as error:
         raise ConfigurationError(f"{path}: {cls.__name__}: {error}") from None
+
+
+#: What `_signature` has found out. A class that nobody else holds any more is forgotten: it cannot be named either.
+_SIGNATURES: WeakKeyDictionary[type, _Signature] = WeakKeyDictionary()
+
+
+def _signature(cls: type) -> _Signature:
+    """The parameters of a class, and their annotations."""
+    if cls not in _SIGNATURES:
+        parameters = {k: p for k, p in inspect.signature(cls).parameters.items() if p.kind is not p.VAR_KEYWORD}
+        hints = typing.get_type_hints(getattr(cls, "__init__"))  # noqa: B009 (mypy takes cls for an instance)
+        _SIGNATURES[cls] = parameters, hints
+    return _SIGNATURES[cls]
 
 
 def _value(value: object, hint: Any, path: str) -> Any:

@@ -88,7 +88,16 @@ class ObjectStates:
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The states as message columns, by name; the arrays are shared, not copied."""
-        return dict(zip(STATE_COLUMNS, _states_of(self), strict=True))
+        return {  # written out: this is done for every message, and several times
+            "id": self.id,
+            "position": self.position,
+            "velocity": self.velocity,
+            "size": self.size,
+            "yaw": self.yaw,
+            "covariance": self.covariance,
+            "score": self.score,
+            "class_id": self.class_id,
+        }
 
     def select(self, index: NDArray[Any] | slice) -> ObjectStates:
         """The rows that a mask, an index array or a slice picks."""
@@ -156,7 +165,7 @@ def _rows(columns: tuple[NDArray[Any], ...], index: NDArray[Any] | slice) -> lis
 
 STATE_COLUMNS = tuple(field.name for field in fields(ObjectStates))
 DETECTION_COLUMNS = tuple(field.name for field in fields(Detections))
-#: All columns of one object, or of one message body, in one call: this is done for every message.
+#: All columns of one object, or of one message body, in one call.
 _states_of, _pick_states = attrgetter(*STATE_COLUMNS), itemgetter(*STATE_COLUMNS)
 _NO_STATES = ObjectStates.of(np.zeros((0, 3)))
 _detections_of, _pick_detections = attrgetter(*DETECTION_COLUMNS), itemgetter(*DETECTION_COLUMNS)

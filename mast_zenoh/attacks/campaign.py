@@ -14,6 +14,8 @@ from mast_zenoh.streams import stream
 
 NANOSECONDS = 1e9
 
+_UNUSED = np.random.default_rng(0)  # for those who draw nothing: to make a stream takes longer than to move the objects
+
 
 class Campaign:
     """Holds targets over time; the adversary that selects for itself and the coordinator each run one.
@@ -63,7 +65,8 @@ class Campaign:
             age = (self._time_ns - self._selected_ns) / NANOSECONDS
             held = self._targets
             targets = replace(held, remove=propagate(held.remove, elapsed), move=propagate(held.move, elapsed))
-        add = self._propagation.advance(targets.add, elapsed, age, self._stream("propagation", frame))
+        rng = self._stream("propagation", frame) if self._propagation.draws else _UNUSED
+        add = self._propagation.advance(targets.add, elapsed, age, rng)
         return replace(targets, add=add, time_ns=time_ns), elapsed
 
     def hold(self, targets: Targets, time_ns: int) -> None:

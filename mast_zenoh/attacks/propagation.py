@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from mast_zenoh.states import ObjectStates, propagate
 
 class Propagation(ABC):
     """Moves the false objects of an adversary."""
+
+    #: Whether `advance` draws anything. If not it is spared a stream of its own.
+    draws: ClassVar[bool] = True
 
     @abstractmethod
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
@@ -23,6 +27,8 @@ class Propagation(ABC):
 
 class StaticPropagation(Propagation):
     """False objects stand where they were put, and say so: their velocity is zero."""
+
+    draws = False
 
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
         return states.with_(velocity=np.zeros_like(states.velocity))
@@ -50,6 +56,8 @@ class MarkovPropagation(Propagation):
 
 class TrajectoryPropagation(Propagation):
     """A planned path: constant velocity for `duration_s` seconds, then standing at its end."""
+
+    draws = False
 
     def __init__(self, *, duration_s: float = 10.0) -> None:
         self.duration_s = duration_s

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -119,7 +119,7 @@ class InProcess:
     def _drain(self) -> None:
         """Deliver until nothing is under way: the frame is over."""
         while self._pending:
-            name, (key, payload, step, flaw) = self._pending.pop()
+            name, (key, payload, step, flaw) = self._pending.next()
             host = self.hosts.get(name)
             if host:
                 host.deliver(key, payload, step, flaw=flaw)
@@ -128,20 +128,17 @@ class InProcess:
         """A node has sent a message: it is under way to all who hear it."""
         if self._tap:
             self._tap(message)
-        for subscriber in self._hears[message.key]:
-            self._pending.push(subscriber, message)
+        self._pending.push(self._hears[message.key], message)
 
 
-class _Fifo:
+class _Fifo(deque[tuple[str, Outgoing]]):
     """Deliveries in the order in which they were sent."""
 
-    def __init__(self) -> None:
-        self._queue: deque[tuple[str, Outgoing]] = deque()
-        self.push = lambda subscriber, message: self._queue.append((subscriber, message))
-        self.pop = self._queue.popleft
+    def push(self, subscribers: Sequence[str], message: Outgoing) -> None:
+        self.extend([(subscriber, message) for subscriber in subscribers])
 
-    def __bool__(self) -> bool:
-        return bool(self._queue)
+    def next(self) -> tuple[str, Outgoing]:
+        return self.popleft()
 
 
 class _Shuffled:
@@ -151,10 +148,11 @@ class _Shuffled:
         self._rng = np.random.default_rng(seed)
         self._queues: dict[tuple[str, str], deque[tuple[str, Outgoing]]] = {}
 
-    def push(self, subscriber: str, message: Outgoing) -> None:
-        self._queues.setdefault((subscriber, message.key), deque()).append((subscriber, message))
+    def push(self, subscribers: Sequence[str], message: Outgoing) -> None:
+        for subscriber in subscribers:
+            self._queues.setdefault((subscriber, message.key), deque()).append((subscriber, message))
 
-    def pop(self) -> tuple[str, Outgoing]:
+    def next(self) -> tuple[str, Outgoing]:
         names = list(self._queues)
         name = names[int(self._rng.integers(len(names)))]
         queue = self._queues[name]

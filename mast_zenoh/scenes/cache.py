@@ -7,7 +7,6 @@ import hashlib
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -88,14 +87,25 @@ def _digest(scene: Scene, seed: int, frames: int | None, cache_key: str) -> str:
     return digest.hexdigest()
 
 
-def _identity(path: Path) -> Iterator[str]:
-    """Path, size and time of change of a file, or of every file below a folder."""
-    yield str(path.absolute())
-    files = [path] if path.is_file() else sorted(path.rglob("*"))
-    for file in files:
-        with contextlib.suppress(OSError):
-            stat = file.stat()
-            yield f"{file} {stat.st_size} {stat.st_mtime_ns}"
+def _identity(path: Path) -> list[str]:
+    """Path, size and time of change of a file, or of everything below a folder."""
+    found = [str(path.absolute())]
+    if path.is_file():
+        return [*found, _line(path, path.stat())]
+    # Every run of a scene comes by here, and a data set has thousands of files: no Path is made of any.
+    folders = [str(path)]
+    while folders:
+        with contextlib.suppress(OSError), os.scandir(folders.pop()) as entries:
+            for entry in entries:
+                with contextlib.suppress(OSError):
+                    found.append(_line(entry.path, entry.stat()))
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(entry.path)
+    return sorted(found)
+
+
+def _line(path: Path | str, stat: os.stat_result) -> str:
+    return f"{path} {stat.st_size} {stat.st_mtime_ns}"
 
 
 @cache
