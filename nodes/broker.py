@@ -101,7 +101,7 @@ class Broker(Node):
         """Emit, oldest first, what is old enough and has everyone's word."""
         for frame in sorted(self.open_frames):
             time_ns = self.open_frames[frame]
-            if time_ns > context.time_ns - self.latency_ns or not self.agents <= self.buffer.present(frame):
+            if time_ns > context.time_ns - self.latency_ns or not self.buffer.complete(frame, self.agents):
                 return
             self.emit(frame, "complete", context)
 

@@ -66,7 +66,8 @@ class PictureFirst(MissionEstimator):
         alone = np.ones(len(own), bool)
         alone[seen] = False
         rest = own.select(alone)
-        return concatenate([picture.with_(id=2 * picture.id), rest.with_(id=2 * rest.id + 1)])
+        ids = np.concatenate([2 * picture.id, 2 * rest.id + 1])
+        return concatenate([picture, rest]).with_(id=ids)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator, Set
 from typing import Generic, TypeVar
 
 Member = TypeVar("Member", bound=Hashable)
@@ -126,6 +126,10 @@ class CollationBuffer(Generic[Item]):
     def present(self, frame: int) -> set[str]:
         """The agents whose word of this very frame is there."""
         return {agent for agent, heap in self._heaps.items() if any(entry[0] == frame for entry in heap)}
+
+    def complete(self, frame: int, agents: Set[str]) -> bool:
+        """Whether the word of this very frame is there of all these agents."""
+        return agents <= self._heaps.keys() and agents <= self.present(frame)
 
     def pop(self, frame: int) -> dict[str, Item]:
         """Every agent's newest item up to `frame`. They and older ones go; what comes of those frames now is late."""
