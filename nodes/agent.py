@@ -17,6 +17,11 @@ from mast_zenoh.runtime.process import main
 from mast_zenoh.sensing import LidarSensor
 from mast_zenoh.states import Detections, ObjectStates, propagate
 
+#: The frame of reference of what is in the world frame.
+WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+for _part in WORLD.values():
+    _part.setflags(write=False)
+
 
 class Agent(Node):
     """pipeline: its stages; lidar: its sensor; mobile: whether it moves; status_every: frames between two statuses;
@@ -97,8 +102,7 @@ class Agent(Node):
         if context.connected("mission"):
             own = states_to_world(tracks, origin, rotation)
             mission = self.pipeline.mission.estimate(own, self.picture_at(frame, time_ns))
-            world = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
-            context.publish("mission", mission.columns() | world, frame=frame, time_ns=time_ns)
+            context.publish("mission", mission.columns() | WORLD, frame=frame, time_ns=time_ns)
         if frame % self.status_every == 0:
             status = {"mobile": [self.mobile], "detections": [len(detections)], "tracks": [len(tracks)]}
             context.publish("status", {k: np.array(v) for k, v in status.items()}, frame=frame, time_ns=time_ns)

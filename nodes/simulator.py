@@ -33,6 +33,7 @@ class Simulator(Source):
             (agent.sensor.mount_position, quaternion_from_rotation(agent.sensor.mount_rotation)) for agent in agents
         ]
         self.rotations = quaternion_from_rotation(recording.agent_rotation)
+        self.rotations.setflags(write=False)
 
     def advance(self, context: Context) -> bool:
         """Publish the clock, the truth, and every agent's pose and detections of the next frame."""

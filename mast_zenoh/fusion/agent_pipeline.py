@@ -18,6 +18,8 @@ from mast_zenoh.tracking.view import SensorView
 
 _NO_OFFSET = np.zeros(3)
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
+_NO_OFFSET.setflags(write=False)
+_NO_TURN.setflags(write=False)
 _NOWHERE = SensorView(_NO_OFFSET, np.eye(3), -np.pi, np.pi, -np.pi / 2, np.pi / 2, 0.0)
 
 

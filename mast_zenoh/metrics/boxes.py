@@ -65,6 +65,9 @@ def order_by(*keys: Ints, ties: tuple[Floats, ...] = ()) -> Ints:
     """
     if ascending(*keys):
         return np.arange(len(keys[0]), dtype=np.int64)
+    order = keys[-1].argsort(kind="stable")
+    if ascending(*[key.take(order) for key in keys]):  # the rows of an equal last key are in order already
+        return order.astype(np.int64)
     order = np.lexsort(keys)
     if ties and not ascending(*[key.take(order) for key in keys]):
         order = np.lexsort((*ties, *keys))

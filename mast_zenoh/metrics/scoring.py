@@ -81,20 +81,20 @@ class Scorer:
             truth = [mask.nonzero()[0] for mask in (evaluated, near & ~evaluated, excusing)]
             for k, each in enumerate(series):
                 if each.agent in ("", agent):
-                    heard = self._near(tables[k].boxes, table.agent_position[:, a])
+                    heard = start[k] + self._near(tables[k].boxes, table.agent_position[:, a]).nonzero()[0]
                     names.append((agent, each.estimator))
-                    rows.append((*truth, start[k] + heard.nonzero()[0]))
-        truth, unevaluated, excused, heard = ([each[kind] for each in rows] for kind in range(4))
-        laid_out, order = _laid_out(tracks, heard, len(frames)).sorted()
+                    rows.append((*truth, heard))
+        seen, unevaluated, excused, believed = ([each[kind] for each in rows] for kind in range(4))
+        laid_out, order = _laid_out(tracks, believed, len(frames)).sorted()
         score = np.concatenate([np.zeros(0), *(mine.score for mine in tables)])
         layout = _Layout(
             series=tuple(names),
             frames=frames,
-            truth=_laid_out(table.boxes, truth, len(frames)),
+            truth=_laid_out(table.boxes, seen, len(frames)),
             unevaluated=_laid_out(table.boxes, unevaluated, len(frames)),
             excused=_laid_out(table.boxes, excused, len(frames)),
             tracks=laid_out,
-            score=score[_together(heard)[order]],
+            score=score[_together(believed)[order]],
         )
         return _compare(self.assigner, self.distance, layout)
 

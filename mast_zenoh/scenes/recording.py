@@ -183,6 +183,8 @@ class Recording:
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
+            for array in arrays.values():
+                array.setflags(write=False)  # what is sent of it needs no protection of its own
             head = json.loads(str(arrays["head"]))
             if head["format"] != _FORMAT:
                 raise SceneError(f"{path}: format {head['format']}, expected {_FORMAT}")
