@@ -132,3 +132,15 @@ def test_of_several_that_come_in_one_frame_the_one_about_the_latest_stays(order:
         latest.add(4, item, about=about)
     latest.add(4, "a duplicate", about=3)
     assert latest.get(5) == (4, "b")
+
+
+def test_a_frame_is_complete_with_the_word_of_that_very_frame_of_everyone() -> None:
+    buffer: CollationBuffer[str] = CollationBuffer()
+    buffer.push("a", 3, "of a")
+    assert buffer.complete(3, {"a"})
+    assert not buffer.complete(3, {"a", "b"})
+    buffer.push("b", 2, "older")
+    assert not buffer.complete(3, {"a", "b"})
+    buffer.push("b", 3, "of b")
+    assert buffer.complete(3, {"a", "b"})
+    assert buffer.complete(3, set())

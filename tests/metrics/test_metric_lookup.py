@@ -1,0 +1,36 @@
+"""Rows of one table are found in another, whatever numbers are in it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mast_zenoh.metrics.boxes import order_by
+from mast_zenoh.metrics.lookup import find, occurs
+
+
+@pytest.mark.parametrize("far", [1, 1 << 31, 1 << 61])
+def test_find_tells_the_last_row_that_is_equal(far):
+    random = np.random.default_rng(far)
+    wanted, among = ([random.integers(-3, 4, n) * far for _ in range(3)] for n in (200, 150))
+    row = {key: k for k, key in enumerate(zip(*map(np.ndarray.tolist, among), strict=True))}
+    expected = [row.get(key, -1) for key in zip(*map(np.ndarray.tolist, wanted), strict=True)]
+    assert max(expected) >= 0
+    assert find(tuple(wanted), tuple(among)).tolist() == expected
+    assert occurs(tuple(wanted), tuple(among)).tolist() == [each >= 0 for each in expected]
+
+
+def test_nothing_is_found_in_nothing():
+    none, one = (np.zeros(0, np.int64),), (np.ones(1, np.int64),)
+    assert find(one, none).tolist() == [-1]
+    assert find(none, one).tolist() == []
+
+
+@pytest.mark.parametrize("spread", [1, 3, 1000])
+def test_rows_come_in_the_order_of_a_lexical_sort(spread):
+    random = np.random.default_rng(spread)
+    for n in (0, 1, 2, 50):
+        ids, groups = random.integers(0, spread, n), random.integers(0, 4, n)
+        tie = random.permutation(n).astype(float)
+        for first, second in ((ids, groups), (np.sort(ids), groups), (np.sort(ids), np.sort(groups))):
+            assert order_by(first, second, ties=(tie,)).tolist() == np.lexsort((tie, first, second)).tolist()
