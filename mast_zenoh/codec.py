@@ -32,9 +32,7 @@ LEAST_QUATERNION = 1e-3  #: length of a quaternion; they are normalised by those
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
 _MAP_OF_6, _MAP_OF_7, _BODY_KEY = b"\x86", b"\x87", b"\xa4body"
 _LONGEST_HEADER = 4096  #: bytes
-_WIRE_DTYPE = {
-    name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")
-}  # the very ones that arrays have
+_WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")}  # little-endian: see below
 _DTYPE_NAME = {name: dtype.str for name, dtype in _WIRE_DTYPE.items()} | {"str": "str"}
 _INDEX_LIMITS = {"class_id": len(CLASSES), "action": 3, "port": 5, "fate": 5}
 _HEADER_LIMIT = 1 << 62

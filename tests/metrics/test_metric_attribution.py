@@ -122,6 +122,20 @@ def test_an_object_whose_track_is_lured_away_is_the_liars() -> None:
     assert found == [(frame, "truth", "injected", "eve") for frame in range(12, 16)]
 
 
+def test_what_is_said_of_one_agent_does_not_depend_on_another_in_whose_range_nothing_is_believed() -> None:
+    lies = [("eve", frame, "added", 0, (2.0 * (frame - 11), 0.0), (20.0, 0.0)) for frame in range(12, 16)]
+    truth = cars((0.0, 0.0), (-500.0, 0.0), id=[1, 9])
+    record = Record(["apart", "ego"])
+    for frame in range(16):
+        record.add_truth(frame, truth, np.full((2, 2), 50), np.array([[-500.0, 0, 0], [0, 0, 0]]), np.array([-1, -1]))
+        record.add_picture(frame, cars((0.0 if frame < 12 else 2.0 * (frame - 10), 0.0), id=[5]))
+    table = Scorer().score(record).objects
+    boxes = record.truth(record.frames()).boxes
+    cause, by = Attribution().label(table, attacks(*lies), boxes, PERIOD_S)
+    mine = (table["agent"] == "ego") & (table["kind"] == "truth") & (cause != "")
+    assert set(zip(cause[mine].tolist(), by[mine].tolist(), strict=True)) == {("injected", "eve")}
+
+
 def test_a_second_track_of_an_object_is_a_duplicate() -> None:
     assert causes(seen([CAR], [cars((0.0, 0.0), (2.5, 0.0), id=[5, 6])])) == [(0, "track", "duplicate", "")]
 
