@@ -4,18 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from mast_zenoh.faults.base import LATEST_S, Event, Fault, Rule, check_after
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessFault(Fault):
-    """A fault that happens to the processes of its targets; never before the first frame."""
+    """A fault that happens to the processes of its targets; never before the first frame.
+
+    begins, ends: what is done to them at `at`, and when it is over (steps.ACTIONS); who does other things overrides
+    `events`
+    """
+
+    begins: ClassVar[str]
+    ends: ClassVar[str] = "start"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.at == 0.0:
             raise ValueError("at: found 0.0, expected a time after the first frame; who is to come later has a Join")
+
+    def events(self) -> Sequence[Event]:
+        """See Fault."""
+        begin = (self.at, self.begins)
+        return [begin] if self.over is None else [begin, (self.over, self.ends)]
 
 
 def _wait(name: str, value: float | None) -> None:
@@ -27,6 +40,7 @@ def _wait(name: str, value: float | None) -> None:
 class Kill(ProcessFault):
     """Its targets die at once and hand in nothing. restart_after: s until they are started again; None: never."""
 
+    begins = "kill"
     restart_after: float | None = None
 
     def __post_init__(self) -> None:
@@ -38,15 +52,12 @@ class Kill(ProcessFault):
         """See Fault."""
         return None if self.restart_after is None else self.at + self.restart_after
 
-    def events(self) -> Sequence[Event]:
-        """See Fault."""
-        return [(self.at, "kill"), *_again(self.over)]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Leave(ProcessFault):
     """Its targets finish as at the end of a run. return_after: s until they come again; None: never."""
 
+    begins = "leave"
     return_after: float | None = None
 
     def __post_init__(self) -> None:
@@ -58,15 +69,12 @@ class Leave(ProcessFault):
         """See Fault."""
         return None if self.return_after is None else self.at + self.return_after
 
-    def events(self) -> Sequence[Event]:
-        """See Fault."""
-        return [(self.at, "leave"), *_again(self.over)]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Restart(ProcessFault):
     """Its targets are ended in good order and started again. down_s: s in between, at least a frame."""
 
+    begins = "leave"
     down_s: float = 0.5
 
     def __post_init__(self) -> None:
@@ -77,10 +85,6 @@ class Restart(ProcessFault):
     def over(self) -> float | None:
         """See Fault."""
         return self.at + self.down_s
-
-    def events(self) -> Sequence[Event]:
-        """See Fault."""
-        return [(self.at, "leave"), *_again(self.over)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +109,7 @@ class Pause(ProcessFault):
     what others see of it: links hold back what they say and hear, and then let it go in order.
     """
 
+    begins, ends = "pause", "resume"
     until: float
 
     def __post_init__(self) -> None:
@@ -120,10 +125,6 @@ class Pause(ProcessFault):
         """See Fault."""
         return ({"type": "Hold"},) if lockstep else ()
 
-    def events(self) -> Sequence[Event]:
-        """See Fault."""
-        return [(self.at, "pause"), (self.until, "resume")]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Unplug(ProcessFault):
@@ -133,6 +134,7 @@ class Unplug(ProcessFault):
     else a Partition does it.
     """
 
+    begins, ends = "disconnect", "connect"
     until: float
 
     def __post_init__(self) -> None:
@@ -143,11 +145,3 @@ class Unplug(ProcessFault):
     def over(self) -> float | None:
         """See Fault."""
         return self.until
-
-    def events(self) -> Sequence[Event]:
-        """See Fault."""
-        return [(self.at, "disconnect"), (self.until, "connect")]
-
-
-def _again(at_s: float | None) -> list[Event]:
-    return [] if at_s is None else [(at_s, "start")]
