@@ -43,6 +43,7 @@ class Kernels(BuildHookInterface):
 
 def compiled(root: Path, folder: Path) -> list[Path]:
     """The extension modules, made in `folder`; none where they cannot be made."""
+    import numpy
     from Cython.Build import cythonize
     from setuptools import Distribution, Extension
     from setuptools.command.build_ext import build_ext
@@ -51,7 +52,7 @@ def compiled(root: Path, folder: Path) -> list[Path]:
     from source_digest import digest  # type: ignore[import-not-found]
 
     flags = [] if sys.platform == "win32" else FLAGS
-    macros = [("SOURCE_DIGEST", f'"{digest()}"')]
+    macros = [("SOURCE_DIGEST", f'"{digest()}"'), ("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")]
     names = sorted(path.stem for path in (root / PACKAGE).glob("*.pyx"))
     extensions = [
         Extension(
@@ -59,6 +60,7 @@ def compiled(root: Path, folder: Path) -> list[Path]:
             [f"{PACKAGE}/{name}.pyx"],
             extra_compile_args=flags,
             define_macros=macros,
+            include_dirs=[numpy.get_include()],
         )
         for name in names
     ]

@@ -136,9 +136,7 @@ class Detections:
     @classmethod
     def empty(cls) -> Detections:
         """No detections."""
-        return cls(
-            np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), np.zeros((0, 3, 3))
-        )
+        return _NO_DETECTIONS
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Detections:
@@ -167,8 +165,11 @@ STATE_COLUMNS = tuple(field.name for field in fields(ObjectStates))
 DETECTION_COLUMNS = tuple(field.name for field in fields(Detections))
 #: All columns of one object, or of one message body, in one call.
 _states_of, _pick_states = attrgetter(*STATE_COLUMNS), itemgetter(*STATE_COLUMNS)
-_NO_STATES = ObjectStates.of(np.zeros((0, 3)))
 _detections_of, _pick_detections = attrgetter(*DETECTION_COLUMNS), itemgetter(*DETECTION_COLUMNS)
+_NO_STATES = ObjectStates.of(np.zeros((0, 3)))
+_NO_DETECTIONS = Detections(
+    np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), np.zeros((0, 3, 3))
+)
 
 
 def concatenate(parts: Sequence[ObjectStates]) -> ObjectStates:

@@ -64,10 +64,10 @@ class PictureFirst(MissionEstimator):
 
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
         """See MissionEstimator."""
-        seen, _, _, _ = neighbours(own.position, picture.position, np.full(len(own), self.radius))
-        alone = np.ones(len(own), bool)
-        alone[seen] = False
-        rest = own.select(alone)
+        near, _, _, _ = neighbours(own.position, picture.position, np.full(len(own), self.radius))
+        seen = np.zeros(len(own), bool)
+        seen[near] = True
+        rest = own.select(~seen)
         ids = np.concatenate([2 * picture.id, 2 * rest.id + 1])
         return concatenate([picture, rest]).with_(id=ids)
 
@@ -94,7 +94,7 @@ class AgentPipeline:
         self.tracker = tracker
         self.mission = mission
         self.frame = frame
-        self._view: tuple[bytes, SensorView] = (b"", _NOWHERE)
+        self._view: tuple[list[bytes], SensorView] = ([], _NOWHERE)
 
     def track(
         self, time_ns: int, detections: Detections, pose: Pose, mount: Pose, lidar: LidarSensor
@@ -111,7 +111,8 @@ class AgentPipeline:
 
     def _view_from(self, base: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:
         """What the sensor has in view; remembered, because most agents stand still."""
-        key = b"".join(part.tobytes() for pose in (base, mount) for part in (pose.position, pose.quaternion))
+        parts = base.position, base.quaternion, mount.position, mount.quaternion
+        key = [part.tobytes() for part in parts]
         if key != self._view[0]:
             agent, sensor = (rotation_from_quaternion(pose.quaternion) for pose in (base, mount))
             self._view = (key, view_of(lidar, *sensor_pose(base.position, agent, mount.position, sensor)))

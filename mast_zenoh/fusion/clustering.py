@@ -81,7 +81,7 @@ def _canonical_order(states: ObjectStates, agent: Ints) -> Ints:
     """(n,) rows by (agent, id); by place where a faulty source uses an id twice."""
     order = np.lexsort((states.id, agent))
     a, b = agent.take(order), states.id.take(order)
-    if ((b[1:] == b[:-1]) & (a[1:] == a[:-1])).any():
+    if np.count_nonzero((b[1:] == b[:-1]) & (a[1:] == a[:-1])):
         order = np.lexsort((*states.position.T, states.id, agent))
     return order
 

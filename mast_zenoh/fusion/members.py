@@ -39,7 +39,7 @@ class Members:
         label = labels.take(order)
         within = label[1:] == label[:-1]
         x = x.take(order)
-        if (within & (x[1:] == x[:-1])).any():
+        if np.count_nonzero(within & (x[1:] == x[:-1])):
             order = np.lexsort((states.id, *states.velocity.T, *states.position.T, labels))
         if weights is None:
             weight = np.ones(len(order))

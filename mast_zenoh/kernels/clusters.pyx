@@ -1,98 +1,109 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, cdivision=True
 """Clustering and fusion at the command centre. The references say what each function does.
 
 The members of a cluster lie next to each other; `start` (c,) is the row of each cluster's first one.
 """
 
-import numpy as np
-
+cimport numpy as np
 from libc.math cimport atan2, copysign, cos, fmax, sin
 from libc.string cimport memcpy, memset
 
 from mast_zenoh.kernels.algebra cimport MOST, factorise, invert, wrapped
+from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, squares, table, whole, writable, zeros
 from mast_zenoh.kernels.table cimport N_CLASSES, SOURCE_DIGEST
 
+np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
 
 cdef double PI = 3.141592653589793
 
 
-def symmetrised(const double[:, :, :] covariance, double least, double most):
-    cdef Py_ssize_t r, i, j, k = covariance.shape[1]
+def symmetrised(covariance, double least, double most):
+    covariance = whole(covariance)
+    cdef const double* given = floats(covariance, 3)
+    cdef Py_ssize_t r, i, j, k = length(covariance, 1)
     cdef double[MOST * MOST] shifted
     cdef bint fit = True
     if k > MOST:
         raise ValueError(f"covariance: found {k} rows, expected at most {MOST}")
-    result = np.empty((covariance.shape[0], k, k))
-    cdef double[:, :, ::1] out = result
-    for r in range(covariance.shape[0]):
+    result = squares(length(covariance), k)
+    cdef double* out = writable(result, 3)
+    for r in range(length(covariance)):
         for i in range(k):
             for j in range(i + 1):
-                out[r, i, j] = out[r, j, i] = 0.5 * (covariance[r, i, j] + covariance[r, j, i])
-            fit = fit and out[r, i, i] <= most
+                out[k * i + j] = out[k * j + i] = 0.5 * (given[k * i + j] + given[k * j + i])
+            fit = fit and out[k * i + i] <= most
         if fit:
-            memcpy(shifted, &out[r, 0, 0], k * k * sizeof(double))
+            memcpy(shifted, out, k * k * sizeof(double))
             for i in range(k):
                 shifted[i * k + i] -= 0.5 * least
             factorise(shifted, k)
             for i in range(k):
                 fit = fit and shifted[i * k + i] > 0.0
+        given, out = given + k * k, out + k * k
     return result, fit
 
 
-def intersection(const double[:, :, :] covariance, const double[:, ::1] state, const double[::1] weight, const long long[::1] start):
-    cdef Py_ssize_t c, r, i, j, end, n = covariance.shape[0], count = start.shape[0]
+def intersection(covariance, state, weight, start):
+    covariance = whole(covariance)
+    cdef const double* given = floats(covariance, 3)
+    cdef const double* vector = floats(state, 2)
+    cdef const double* share = floats(weight, 1)
+    cdef const np.int64_t* first = ints(start)
+    cdef Py_ssize_t c, r, i, j, end, n = length(covariance), count = length(start)
     cdef double[81] own, information, inverse
     cdef double[9] total
-    means, covariances = np.empty((count, 9)), np.empty((count, 9, 9))
-    cdef double[:, ::1] mean = means
-    cdef double[:, :, ::1] fused = covariances
+    means, covariances = table(count, 9), squares(count, 9)
+    cdef double* mean = writable(means, 2)
+    cdef double* fused = writable(covariances, 3)
     for c in range(count):
         memset(information, 0, sizeof(information))
         memset(total, 0, sizeof(total))
-        end = start[c + 1] if c + 1 < count else n
-        for r in range(start[c], end):
-            for i in range(9):
-                for j in range(9):
-                    own[9 * i + j] = covariance[r, i, j]
+        end = first[c + 1] if c + 1 < count else n
+        for r in range(first[c], end):
+            memcpy(own, given + 81 * r, sizeof(own))
             invert(own, 9, inverse)
             for i in range(9):
                 for j in range(9):
-                    own[9 * i + j] = weight[r] * inverse[9 * i + j]
+                    own[9 * i + j] = share[r] * inverse[9 * i + j]
                     information[9 * i + j] += own[9 * i + j]
-                    total[i] += own[9 * i + j] * state[r, j]
-        invert(information, 9, &fused[c, 0, 0])
+                    total[i] += own[9 * i + j] * vector[9 * r + j]
+        invert(information, 9, fused)
         for i in range(9):
-            mean[c, i] = 0.0
+            mean[i] = 0.0
             for j in range(9):
-                mean[c, i] += fused[c, i, j] * total[j]
+                mean[i] += fused[9 * i + j] * total[j]
+        mean, fused = mean + 9, fused + 81
     return means, covariances
 
 
-def agreement(
-    const double[::1] yaw, const unsigned char[::1] class_id, const double[::1] score, const double[::1] weight,
-    const long long[::1] start,
-):
-    cdef Py_ssize_t c, r, k, end, best, n = yaw.shape[0], count = start.shape[0]
+def agreement(yaw, class_id, score, weight, start):
+    cdef const double* heading = floats(yaw, 1)
+    cdef const np.uint8_t* class_of = octets(class_id)
+    cdef const double* sure = floats(score, 1)
+    cdef const double* share = floats(weight, 1)
+    cdef const np.int64_t* first = ints(start)
+    cdef Py_ssize_t c, r, k, end, best, n = length(yaw), count = length(start)
     cdef double x, y, axis, sense
     cdef double[N_CLASSES] votes
-    yaws, classes, scores = np.empty(count), np.empty(count, np.uint8), np.empty(count)
-    cdef double[::1] heading = yaws, highest = scores
-    cdef unsigned char[::1] chosen = classes
+    yaws, classes, scores = made(np.NPY_DOUBLE, count), made(np.NPY_UINT8, count), made(np.NPY_DOUBLE, count)
+    cdef double* agreed = writable(yaws, 1)
+    cdef double* highest = writable(scores, 1)
+    cdef np.uint8_t* chosen = octets(classes)
     for c in range(count):
-        end = start[c + 1] if c + 1 < count else n
+        end = first[c + 1] if c + 1 < count else n
         memset(votes, 0, sizeof(votes))
         x = y = sense = 0.0
-        highest[c] = score[start[c]]
-        for r in range(start[c], end):
-            x += weight[r] * cos(2.0 * yaw[r])
-            y += weight[r] * sin(2.0 * yaw[r])
-            votes[class_id[r] if class_id[r] < N_CLASSES else 0] += weight[r]
-            highest[c] = fmax(highest[c], score[r])
+        highest[c] = sure[first[c]]
+        for r in range(first[c], end):
+            x += share[r] * cos(2.0 * heading[r])
+            y += share[r] * sin(2.0 * heading[r])
+            votes[class_of[r] if class_of[r] < N_CLASSES else 0] += share[r]
+            highest[c] = fmax(highest[c], sure[r])
         axis = 0.5 * atan2(y, x)
-        for r in range(start[c], end):
-            sense += weight[r] * copysign(1.0, cos(yaw[r] - axis))
-        heading[c] = wrapped(axis + PI if sense < 0.0 else axis)
+        for r in range(first[c], end):
+            sense += share[r] * copysign(1.0, cos(heading[r] - axis))
+        agreed[c] = wrapped(axis + PI if sense < 0.0 else axis)
         best = 0
         for k in range(1, N_CLASSES):
             if votes[k] > votes[best]:
@@ -101,32 +112,39 @@ def agreement(
     return yaws, classes, scores
 
 
-def plain_clusters(const long long[::1] agent, const long long[::1] i, const long long[::1] j):
-    cdef Py_ssize_t p, k = 0, n = agent.shape[0], count = i.shape[0]
-    cdef long long a, b
-    roots = np.arange(n)
-    cdef long long[::1] root = roots
-    cdef long long[:, ::1] tally = np.zeros((2, n), np.int64)  # members, pairs
-    cdef unsigned char[::1] odd = np.zeros(n, np.uint8)
-    for p in range(count):
-        root[j[p]] = min(root[j[p]], i[p])
+def plain_clusters(agent, i, j):
+    cdef const np.int64_t* of = ints(agent)
+    cdef const np.int64_t* one = ints(i)
+    cdef const np.int64_t* other = ints(j)
+    cdef Py_ssize_t p, k = 0, n = length(agent), count = length(i)
+    cdef np.int64_t a, b
+    roots, of_members = made(np.NPY_INT64, n), zeros(np.NPY_INT64, n)
+    of_pairs, of_odd = zeros(np.NPY_INT64, n), zeros(np.NPY_UINT8, n)
+    cdef np.int64_t* root = ints(roots)
+    cdef np.int64_t* members = ints(of_members)
+    cdef np.int64_t* pairs = ints(of_pairs)
+    cdef np.uint8_t* odd = octets(of_odd)
     for p in range(n):
-        tally[0, root[p]] += 1
+        root[p] = p
     for p in range(count):
-        a, b = root[i[p]], root[j[p]]
-        tally[1, a] += 1
-        if a != b or agent[i[p]] == agent[j[p]]:
+        root[other[p]] = min(root[other[p]], one[p])
+    for p in range(n):
+        members[root[p]] += 1
+    for p in range(count):
+        a, b = root[one[p]], root[other[p]]
+        pairs[a] += 1
+        if a != b or of[one[p]] == of[other[p]]:
             odd[a] = odd[b] = 1
     for p in range(n):
-        if tally[1, p] != tally[0, p] * (tally[0, p] - 1) // 2:
+        if pairs[p] != members[p] * (members[p] - 1) // 2:
             odd[p] = 1
     for p in range(count):
-        k += odd[root[i[p]]]
-    others = np.empty(k, np.int64)
-    cdef long long[::1] rest = others
+        k += odd[root[one[p]]]
+    others = made(np.NPY_INT64, k)
+    cdef np.int64_t* rest = ints(others)
     k = 0
     for p in range(count):
-        if odd[root[i[p]]]:
+        if odd[root[one[p]]]:
             rest[k] = p
             k += 1
     return roots, others

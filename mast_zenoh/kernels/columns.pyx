@@ -1,18 +1,15 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+# cython: language_level=3, cdivision=True
 """Checks of the columns of messages. The references, in `codec`, say what each function does."""
 
-import numpy as np
-
-from cpython.buffer cimport (
-    PyBUF_SIMPLE, PyBUF_STRIDES, PyBuffer_IsContiguous, PyBuffer_Release, PyObject_GetBuffer,
-)
+cimport numpy as np
 from libc.math cimport INFINITY
+
+import numpy
 
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST
 
+np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
-
-cdef object ndarray = np.ndarray
 
 cdef enum:  # places in the planned columns
     NAME, DTYPE, DTYPE_NAME, SHAPE, DIMS, N_BYTES, LIMIT
@@ -33,10 +30,20 @@ cdef double sum_of_squares(const double* values, Py_ssize_t n) noexcept nogil:
     return (a + b) + (c + d)
 
 
+cdef np.ndarray read_only(object owner, void* data, int axes, np.npy_intp* shape, int kind):
+    """An array of the numbers at `data`, which belong to `owner`."""
+    cdef np.ndarray array = np.PyArray_SimpleNewFromData(axes, shape, kind, data)
+    np.set_array_base(array, owner)
+    np.PyArray_CLEARFLAGS(array, np.NPY_ARRAY_WRITEABLE)
+    return array
+
+
 def packed_columns(dict body, list plan):
-    cdef tuple planned
+    cdef tuple planned, sizes
     cdef list packed, dims
     cdef dict columns = {}
+    cdef Py_ssize_t axis
+    cdef np.npy_intp[np.NPY_MAXDIMS] shape
     for entry in plan:
         planned = <tuple>entry  # of a subclass
         found = body.get(planned[NAME])
@@ -55,49 +62,56 @@ def packed_columns(dict body, list plan):
             for text in data:
                 if type(text) is not str:
                     return None
-            array = np.empty(len(<list>data), object)
+            array = numpy.empty(len(<list>data), object)
             array[:] = data
         elif type(data) is not bytes or len(<bytes>data) != <Py_ssize_t>planned[N_BYTES]:
             return None
         else:
-            array = ndarray(planned[SHAPE], planned[DTYPE], data)
+            sizes = planned[SHAPE]
+            for axis in range(len(sizes)):
+                shape[axis] = sizes[axis]
+            array = read_only(data, <char*><bytes>data, <int>len(sizes), shape, (<np.dtype>planned[DTYPE]).type_num)
         columns[planned[NAME]] = array
     return columns
 
 
 def exact_columns(body, list plan):
-    cdef Py_buffer view
-    cdef bint contiguous, locked
-    cdef tuple planned
+    cdef np.ndarray array
+    cdef tuple planned, sizes
     cdef dict columns = {}
+    cdef Py_ssize_t axis, axes
     for entry in plan:
         planned = <tuple>entry  # of a subclass
-        array = body.get(planned[NAME])
-        if type(array) is not ndarray or array.shape != planned[SHAPE]:
+        found = body.get(planned[NAME])
+        if not np.PyArray_CheckExact(found):
             return None
-        dtype, found = planned[DTYPE], array.dtype
-        if found is not dtype and found != (object if dtype is None else dtype):
+        array, sizes, dtype = found, planned[SHAPE], planned[DTYPE]
+        axes = len(sizes)
+        own = array.dtype
+        if np.PyArray_NDIM(array) != axes or (own is not dtype and own != (object if dtype is None else dtype)):
             return None
-        if dtype is not None:
-            PyObject_GetBuffer(array, &view, PyBUF_STRIDES)
-            contiguous, locked = PyBuffer_IsContiguous(&view, b"C"), view.readonly
-            PyBuffer_Release(&view)
-            if not contiguous:
+        for axis in range(axes):
+            if np.PyArray_DIM(array, axis) != <Py_ssize_t>sizes[axis]:
                 return None
-            if not locked:
-                array = array.view()
-                array.setflags(False)
+        if dtype is not None:
+            if not np.PyArray_IS_C_CONTIGUOUS(array):
+                return None
+            if np.PyArray_ISWRITEABLE(array):
+                array = read_only(
+                    array, np.PyArray_DATA(array), <int>axes, np.PyArray_DIMS(array), np.PyArray_TYPE(array)
+                )
         columns[planned[NAME]] = array
     return columns
 
 
 def sound_values(dict columns, list plan):
-    cdef Py_buffer view
+    cdef np.ndarray array
     cdef tuple planned
     cdef str kind
     cdef double squares = 0.0, own, limit
     cdef Py_ssize_t k
-    cdef unsigned char highest
+    cdef np.uint8_t highest
+    cdef const np.uint8_t* octets
     for entry in plan:
         planned = <tuple>entry  # of a subclass
         array, kind, limit = columns[planned[NAME]], planned[DTYPE_NAME], planned[LIMIT]
@@ -106,19 +120,14 @@ def sound_values(dict columns, list plan):
                 if not isinstance(text, str) or len(<str>text) > limit:
                     return INFINITY
         elif kind == "<f8":
-            PyObject_GetBuffer(array, &view, PyBUF_SIMPLE)
-            own = sum_of_squares(<const double*>view.buf, view.len // 8)
-            PyBuffer_Release(&view)
+            own = sum_of_squares(<const double*>np.PyArray_DATA(array), np.PyArray_SIZE(array))
             squares += own
             if own < limit:
                 return INFINITY
         elif kind == "|u1":
-            highest = 0
-            PyObject_GetBuffer(array, &view, PyBUF_SIMPLE)
-            for k in range(view.len):
-                highest = max(highest, (<const unsigned char*>view.buf)[k])
-            k = view.len
-            PyBuffer_Release(&view)
-            if k and highest >= limit:
+            highest, octets = 0, <const np.uint8_t*>np.PyArray_DATA(array)
+            for k in range(np.PyArray_SIZE(array)):
+                highest = max(highest, octets[k])
+            if np.PyArray_SIZE(array) and highest >= limit:
                 return INFINITY
     return squares

@@ -1,84 +1,97 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, cdivision=True
 """Detections and objects in other frames and at other times. The references say what each function does."""
 
-import numpy as np
-
+cimport numpy as np
 from libc.math cimport atan2, fmax, fmin, sqrt
+from libc.string cimport memcpy, memset
 
 from mast_zenoh.kernels.algebra cimport wrapped
+from mast_zenoh.kernels.arrays cimport floats, ints, length, made, squares, table, whole, writable
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST
 
+np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
 
 
-def moved(const double[:, :] position, const double[:, :] velocity, const double[:, :, :] covariance, double dt):
-    cdef Py_ssize_t r, i, k, n = position.shape[0]
-    places, covariances = np.empty((n, 3)), np.empty((n, 9, 9))
-    cdef double[:, ::1] place = places
-    cdef double[:, :, ::1] out = covariances
+def moved(position, velocity, covariance, double dt):
+    position, velocity, covariance = whole(position), whole(velocity), whole(covariance)
+    cdef const double* at = floats(position, 2)
+    cdef const double* speed = floats(velocity, 2)
+    cdef const double* before = floats(covariance, 3)
+    cdef Py_ssize_t r, i, k, n = length(position)
+    places, covariances = table(n, 3), squares(n, 9)
+    cdef double* place = writable(places, 2)
+    cdef double* out = writable(covariances, 3)
+    memcpy(out, before, 81 * n * sizeof(double))
     for r in range(n):
-        for i in range(9):
-            for k in range(9):
-                out[r, i, k] = covariance[r, i, k]
         for i in range(3):
-            place[r, i] = position[r, i] + dt * velocity[r, i]
+            place[i] = at[3 * r + i] + dt * speed[3 * r + i]
             for k in range(9):
-                out[r, i, k] += dt * out[r, 6 + i, k]
+                out[9 * i + k] += dt * out[9 * (6 + i) + k]
         for k in range(9):
             for i in range(3):
-                out[r, k, i] += dt * out[r, k, 6 + i]
+                out[9 * k + i] += dt * out[9 * k + 6 + i]
+        place += 3
+        out += 81
     return places, covariances
 
 
-def turned(
-    const double[:, :] position, const double[:] yaw, const double[:, :, :] covariance, const double[:] origin,
-    const double[:, :] rotation,
-):
-    cdef Py_ssize_t r, i, j, k, n = position.shape[0]
-    cdef double heading = atan2(rotation[1, 0], rotation[0, 0])
+def turned(position, yaw, covariance, origin, rotation):
+    position, yaw, covariance, rotation = whole(position), whole(yaw), whole(covariance), whole(rotation)
+    cdef const double* local = floats(position, 2)
+    cdef const double* own = floats(yaw, 1)
+    cdef const double* before = floats(covariance, 3)
+    cdef const double* centre = floats(origin, 1)
+    cdef const double* R = floats(rotation, 2)
+    cdef Py_ssize_t r, i, j, k, n = length(position)
+    cdef double heading = atan2(R[3], R[0])
     cdef double[9] half
-    places, headings, covariances = np.empty((n, 3)), np.empty(n), np.empty((n, 3, 3))
-    cdef double[:, ::1] place = places
-    cdef double[::1] angle = headings
-    cdef double[:, :, ::1] out = covariances
+    places, headings, covariances = table(n, 3), made(np.NPY_DOUBLE, n), squares(n, 3)
+    cdef double* place = writable(places, 2)
+    cdef double* angle = writable(headings, 1)
+    cdef double* out = writable(covariances, 3)
     for r in range(n):
-        angle[r] = wrapped(yaw[r] + heading)
+        angle[r] = wrapped(own[r] + heading)
         for i in range(3):
-            place[r, i] = origin[i]
+            place[i] = centre[i]
             for j in range(3):
-                place[r, i] += rotation[i, j] * position[r, j]
+                place[i] += R[3 * i + j] * local[j]
                 half[3 * i + j] = 0.0
                 for k in range(3):
-                    half[3 * i + j] += rotation[i, k] * covariance[r, k, j]
+                    half[3 * i + j] += R[3 * i + k] * before[3 * k + j]
         for i in range(3):
             for j in range(3):
-                out[r, i, j] = 0.0
+                out[3 * i + j] = 0.0
                 for k in range(3):
-                    out[r, i, j] += half[3 * i + k] * rotation[j, k]
+                    out[3 * i + j] += half[3 * i + k] * R[3 * j + k]
+        local, before, place, out = local + 3, before + 9, place + 3, out + 9
     return places, headings, covariances
 
 
-def box_noise(
-    const double[:, :, :] covariance, const long long[::1] order, const double[::1] variance, double least, double most
-):
-    cdef Py_ssize_t r, s, i, j, n = order.shape[0]
+def box_noise(covariance, order, variance, double least, double most):
+    covariance = whole(covariance)
+    cdef const double* given = floats(covariance, 3)
+    cdef const np.int64_t* row = ints(order)
+    cdef const double* usual = floats(variance, 1)
+    cdef const double* own
+    cdef Py_ssize_t r, i, n = length(order)
     cdef double bound
     cdef bint said = False
-    result = np.zeros((n, 6, 6))
-    cdef double[:, :, ::1] noise = result
+    result = squares(n, 6)
+    cdef double* noise = writable(result, 3)
+    memset(noise, 0, 36 * n * sizeof(double))
+    for i in range(9 * n):
+        said = said or given[i] != 0.0
     for r in range(n):
-        for i in range(3):
-            for j in range(3):
-                said = said or covariance[r, i, j] != 0.0
-    for r in range(n):
-        s = order[r]
+        own = given + 9 * row[r]
         for i in range(6):
-            noise[r, i, i] = variance[i]
+            noise[7 * i] = usual[i]
         if said:
             for i in range(3):
-                if covariance[s, i, i] > 0.0:
-                    noise[r, i, i] = covariance[s, i, i]
-                noise[r, i, i] = fmin(fmax(noise[r, i, i], least), most)
-            bound = sqrt((noise[r, 0, 0] - 0.5 * least) * (noise[r, 1, 1] - 0.5 * least))
-            noise[r, 0, 1] = noise[r, 1, 0] = fmin(fmax(covariance[s, 0, 1], -bound), bound)
+                if own[4 * i] > 0.0:
+                    noise[7 * i] = own[4 * i]
+                noise[7 * i] = fmin(fmax(noise[7 * i], least), most)
+            bound = sqrt((noise[0] - 0.5 * least) * (noise[7] - 0.5 * least))
+            noise[1] = noise[6] = fmin(fmax(own[1], -bound), bound)
+        noise += 36
     return result

@@ -1,49 +1,62 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, cdivision=True
 """What lies near what, and in front of it: gating, overlap, view. The references say what each function does."""
 
-import numpy as np
-
+cimport numpy as np
 from libc.math cimport atan2, cos, fabs, fmax, fmin, log, sin, sqrt
 
-from mast_zenoh.kernels.table cimport SOURCE_DIGEST, XX, XY, YY, ODDS, CLASS
+from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, table, whole, writable, zeros
+from mast_zenoh.kernels.table cimport SOURCE_DIGEST, XX, XY, YY, ODDS, CLASS, WIDTH
 
+np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
 
 cdef double PI = 3.141592653589793
 cdef double LOG_2_PI = log(2.0 * 3.141592653589793)
 
 
-def reach(const double[:, ::1] t, const double[:, :, ::1] covariance, const double[::1] jump, double gate):
-    cdef Py_ssize_t r, m = covariance.shape[0]
+def reach(t, covariance, jump, double gate):
+    cdef const double* row = floats(t, 2)
+    cdef const double* own = floats(covariance, 3)
+    cdef const double* more = floats(jump, 1)
+    cdef Py_ssize_t r, n = length(t), k = length(covariance, 1)
     cdef double widest = 0.0
-    result = np.empty(t.shape[0])
-    cdef double[::1] out = result
-    for r in range(m):
-        widest = fmax(widest, covariance[r, 0, 0] + covariance[r, 1, 1])
-    for r in range(t.shape[0]):
-        out[r] = sqrt(gate * (t[r, XX] + t[r, YY] + 0.5 * jump[r] + widest))
+    result = made(np.NPY_DOUBLE, n)
+    cdef double* out = writable(result, 1)
+    for r in range(length(covariance)):
+        widest = fmax(widest, own[0] + own[k + 1])
+        own += k * k
+    for r in range(n):
+        out[r] = sqrt(gate * (row[XX] + row[YY] + 0.5 * more[r] + widest))
+        row += WIDTH
     return result
 
 
-def pairs_in_reach(const double[:, :] a, const double[:, :] b, const double[::1] reach):
-    cdef Py_ssize_t n = a.shape[0], m = b.shape[0], i, j, p = 0
+def pairs_in_reach(a, b, reach):
+    a, b = whole(a), whole(b)
+    cdef const double* here = floats(a, 2)
+    cdef const double* there = floats(b, 2)
+    cdef const double* far = floats(reach, 1)
+    cdef Py_ssize_t n = length(a), m = length(b), wide = length(a, 1), broad = length(b, 1), i, j, p = 0
     cdef double dx, dy, limit
     # Twice: counted, then written.
     for i in range(n):
-        limit = reach[i] * reach[i]
+        limit = far[i] * far[i]
         for j in range(m):
-            dx = b[j, 0] - a[i, 0]
-            dy = b[j, 1] - a[i, 1]
+            dx = there[broad * j] - here[wide * i]
+            dy = there[broad * j + 1] - here[wide * i + 1]
             p += dx * dx + dy * dy <= limit
-    rows, others, east, north = np.empty(p, np.int64), np.empty(p, np.int64), np.empty(p), np.empty(p)
-    cdef long long[::1] of_a = rows, of_b = others
-    cdef double[::1] x = east, y = north
+    rows, others = made(np.NPY_INT64, p), made(np.NPY_INT64, p)
+    east, north = made(np.NPY_DOUBLE, p), made(np.NPY_DOUBLE, p)
+    cdef np.int64_t* of_a = ints(rows)
+    cdef np.int64_t* of_b = ints(others)
+    cdef double* x = writable(east, 1)
+    cdef double* y = writable(north, 1)
     p = 0
     for i in range(n):
-        limit = reach[i] * reach[i]
+        limit = far[i] * far[i]
         for j in range(m):
-            dx = b[j, 0] - a[i, 0]
-            dy = b[j, 1] - a[i, 1]
+            dx = there[broad * j] - here[wide * i]
+            dy = there[broad * j + 1] - here[wide * i + 1]
             if dx * dx + dy * dy <= limit:
                 of_a[p], of_b[p], x[p], y[p] = i, j, dx, dy
                 p += 1
@@ -61,112 +74,140 @@ cdef inline double distance_of(double dx, double dy, double a, double b, double 
 
 
 def gated(
-    const double[:, ::1] t, const double[:, ::1] position, const double[:, :, ::1] covariance, const double[::1] jump,
-    const long long[::1] i, const long long[::1] j, const double[::1] dx, const double[::1] dy,
-    tuple gates, double level_m, tuple moving, double log_jump,
+    t, position, covariance, jump, i, j, dx, dy, tuple gates, double level_m, tuple moving, double log_jump,
 ):
-    cdef Py_ssize_t p, q, r, s, k = 0, count = i.shape[0]
+    cdef const double* rows = floats(t, 2)
+    cdef const double* at = floats(position, 2)
+    cdef const double* noise = floats(covariance, 3)
+    cdef const double* sudden = floats(jump, 1)
+    cdef const np.int64_t* of_t = ints(i)
+    cdef const np.int64_t* of_m = ints(j)
+    cdef const double* x = floats(dx, 1)
+    cdef const double* y = floats(dy, 1)
+    cdef Py_ssize_t n = length(t), m = length(position), wide = length(position, 1), w = length(covariance, 1)
+    cdef Py_ssize_t p, q, r, s, k = 0, count = length(i)
     cdef double gate = gates[0], sudden_gate = gates[1], standing = moving[0], per_speed = moving[1]
     cdef double a, b, c, more
-    near = np.zeros(count, np.uint8)
-    explained, measured = np.zeros(t.shape[0], np.uint8), np.zeros(position.shape[0], np.uint8)
-    density, added = np.empty(count), np.zeros(count)
-    cdef unsigned char[::1] chosen = near, of_track = explained, of_measurement = measured
-    cdef double[::1] log_density = density, variance = added
+    cdef const double* row
+    cdef const double* own
+    near, explained, measured = zeros(np.NPY_UINT8, count), zeros(np.NPY_UINT8, n), zeros(np.NPY_UINT8, m)
+    density, added = made(np.NPY_DOUBLE, count), zeros(np.NPY_DOUBLE, count)
+    cdef np.uint8_t* chosen = octets(near)
+    cdef np.uint8_t* of_track = octets(explained)
+    cdef np.uint8_t* of_measurement = octets(measured)
+    cdef double* log_density = writable(density, 1)
+    cdef double* variance = writable(added, 1)
     for p in range(count):
-        r, s = i[p], j[p]
-        a = t[r, XX] + covariance[s, 0, 0]
-        b = t[r, XY] + covariance[s, 0, 1]
-        c = t[r, YY] + covariance[s, 1, 1]
-        if fabs(position[s, 2] - t[r, 2]) <= level_m:
+        r, s = of_t[p], of_m[p]
+        row, own = rows + WIDTH * r, noise + w * w * s
+        a = row[XX] + own[0]
+        b = row[XY] + own[1]
+        c = row[YY] + own[w + 1]
+        if fabs(at[wide * s + 2] - row[2]) <= level_m:
             chosen[p] = 2  # on one level
-            if distance_of(dx[p], dy[p], a, b, c, &log_density[p]) <= gate:
+            if distance_of(x[p], y[p], a, b, c, &log_density[p]) <= gate:
                 chosen[p] = 1
                 of_track[r] = of_measurement[s] = 1
                 k += 1
     for p in range(count):
-        r, s = i[p], j[p]
+        r, s = of_t[p], of_m[p]
         if chosen[p] == 2:
             chosen[p] = 0
             if not of_track[r] and not of_measurement[s]:
-                more = jump[r] * fmin(standing + per_speed * (t[r, 6] * t[r, 6] + t[r, 7] * t[r, 7]), 1.0)
-                a = t[r, XX] + covariance[s, 0, 0] + more
-                b = t[r, XY] + covariance[s, 0, 1]
-                c = t[r, YY] + covariance[s, 1, 1] + more
-                if distance_of(dx[p], dy[p], a, b, c, &log_density[p]) <= sudden_gate:
+                row, own = rows + WIDTH * r, noise + w * w * s
+                more = sudden[r] * fmin(standing + per_speed * (row[6] * row[6] + row[7] * row[7]), 1.0)
+                a = row[XX] + own[0] + more
+                b = row[XY] + own[1]
+                c = row[YY] + own[w + 1] + more
+                if distance_of(x[p], y[p], a, b, c, &log_density[p]) <= sudden_gate:
                     log_density[p] += log_jump
                     variance[p] = more
                     chosen[p] = 1
                     k += 1
     if k == count:
-        return np.asarray(i), np.asarray(j), density, added
-    rows, others, kept, sudden = np.empty(k, np.int64), np.empty(k, np.int64), np.empty(k), np.empty(k)
-    cdef long long[::1] out_i = rows, out_j = others
-    cdef double[::1] out_density = kept, out_added = sudden
+        return i, j, density, added
+    tracks, measurements = made(np.NPY_INT64, k), made(np.NPY_INT64, k)
+    densities, jumps = made(np.NPY_DOUBLE, k), made(np.NPY_DOUBLE, k)
+    cdef np.int64_t* out_i = ints(tracks)
+    cdef np.int64_t* out_j = ints(measurements)
+    cdef double* out_density = writable(densities, 1)
+    cdef double* out_added = writable(jumps, 1)
     q = 0
     for p in range(count):
         if chosen[p]:
-            out_i[q], out_j[q], out_density[q], out_added[q] = i[p], j[p], log_density[p], variance[p]
+            out_i[q], out_j[q], out_density[q], out_added[q] = of_t[p], of_m[p], log_density[p], variance[p]
             q += 1
-    return rows, others, kept, sudden
+    return tracks, measurements, densities, jumps
 
 
-def gains(
-    const double[:, ::1] t, const double[::1] detected, const long long[::1] class_id, const double[:, ::1] confusion,
-    const long long[::1] i, const long long[::1] j, const double[::1] log_density, double log_clutter,
-):
-    cdef Py_ssize_t p, r, n = t.shape[0]
-    ratios, total, worths = np.empty(i.shape[0]), np.empty(i.shape[0]), np.empty(n)
-    cdef double[::1] ratio = ratios, gain = total, worth = worths
+def gains(t, detected, class_id, confusion, i, j, log_density, double log_clutter):
+    cdef const double* row = floats(t, 2)
+    cdef const double* seen = floats(detected, 1)
+    cdef const np.int64_t* class_of = ints(class_id)
+    cdef const double* confused = floats(confusion, 2)
+    cdef const np.int64_t* of_t = ints(i)
+    cdef const np.int64_t* of_m = ints(j)
+    cdef const double* density = floats(log_density, 1)
+    cdef Py_ssize_t p, r, n = length(t), count = length(i), classes = length(confusion, 1)
+    ratios, total, worths = made(np.NPY_DOUBLE, count), made(np.NPY_DOUBLE, count), made(np.NPY_DOUBLE, n)
+    cdef double* ratio = writable(ratios, 1)
+    cdef double* gain = writable(total, 1)
+    cdef double* worth = writable(worths, 1)
     for r in range(n):
-        worth[r] = log(detected[r] * t[r, ODDS] / ((1.0 - detected[r]) * (1.0 + t[r, ODDS])))
-    for p in range(i.shape[0]):
-        r = i[p]
-        ratio[p] = log_density[p] - log_clutter + confusion[<Py_ssize_t>t[r, CLASS], class_id[j[p]]]
+        worth[r] = log(seen[r] * row[WIDTH * r + ODDS] / ((1.0 - seen[r]) * (1.0 + row[WIDTH * r + ODDS])))
+    for p in range(count):
+        r = of_t[p]
+        ratio[p] = density[p] - log_clutter + confused[classes * <Py_ssize_t>row[WIDTH * r + CLASS] + class_of[of_m[p]]]
         gain[p] = ratio[p] + worth[r]
     return ratios, total
 
 
-def useful_pairs(const long long[::1] row, const long long[::1] column, const double[::1] cost):
-    cdef Py_ssize_t p, k = 0, count = row.shape[0]
-    cdef long long last_row = -1, last_column = -1
+def useful_pairs(row, column, cost):
+    cdef const np.int64_t* of_row = ints(row)
+    cdef const np.int64_t* of_column = ints(column)
+    cdef const double* costs = floats(cost, 1)
+    cdef Py_ssize_t p, k = 0, count = length(row)
+    cdef np.int64_t last_row = -1, last_column = -1
     for p in range(count):
-        if cost[p] < 0.0:
+        if costs[p] < 0.0:
             k += 1
-            last_row, last_column = max(last_row, row[p]), max(last_column, column[p])
-    chosen, alone = np.empty(k, np.int64), np.empty(k, bool)
+            last_row, last_column = max(last_row, of_row[p]), max(last_column, of_column[p])
+    chosen, alone = made(np.NPY_INT64, k), made(np.NPY_BOOL, k)
     if k == 0:
         return chosen, alone
-    cdef long long[::1] rows = np.zeros(last_row + 1, np.int64), columns = np.zeros(last_column + 1, np.int64)
-    cdef long long[::1] useful = chosen
-    cdef unsigned char[::1] single = alone.view(np.uint8)
+    in_rows, in_columns = zeros(np.NPY_INT64, last_row + 1), zeros(np.NPY_INT64, last_column + 1)
+    cdef np.int64_t* rows = ints(in_rows)
+    cdef np.int64_t* columns = ints(in_columns)
+    cdef np.int64_t* useful = ints(chosen)
+    cdef np.uint8_t* single = octets(alone)
     k = 0
     for p in range(count):
-        if cost[p] < 0.0:
+        if costs[p] < 0.0:
             useful[k] = p
             k += 1
-            rows[row[p]] += 1
-            columns[column[p]] += 1
+            rows[of_row[p]] += 1
+            columns[of_column[p]] += 1
     for p in range(k):
-        single[p] = rows[row[useful[p]]] == 1 and columns[column[useful[p]]] == 1
+        single[p] = rows[of_row[useful[p]]] == 1 and columns[of_column[useful[p]]] == 1
     return chosen, alone
 
 
-def in_view(
-    const double[:, :] boxes, const double[::1] position, const double[:, :] rotation, tuple azimuth, tuple elevation,
-    double max_range, double edge_m,
-):
-    cdef Py_ssize_t r, k
+def in_view(boxes, position, rotation, tuple azimuth, tuple elevation, double max_range, double edge_m):
+    boxes, rotation = whole(boxes), whole(rotation)
+    cdef const double* box = floats(boxes, 2)
+    cdef const double* origin = floats(position, 1)
+    cdef const double* R = floats(rotation, 2)
+    cdef Py_ssize_t r, k, n = length(boxes), wide = length(boxes, 1)
     cdef double low = azimuth[0], high = azimuth[1], down = elevation[0], up = elevation[1]
     cdef double ground, distance, inside, angle, x, y, z
     cdef bint partial = high - low < 2 * PI - 1e-6
     cdef double[3] at
-    result = np.empty(boxes.shape[0])
-    cdef double[::1] out = result
-    for r in range(boxes.shape[0]):
-        x, y, z = boxes[r, 0] - position[0], boxes[r, 1] - position[1], boxes[r, 2] - position[2]
+    result = made(np.NPY_DOUBLE, n)
+    cdef double* out = writable(result, 1)
+    for r in range(n):
+        x, y, z = box[0] - origin[0], box[1] - origin[1], box[2] - origin[2]
         for k in range(3):
-            at[k] = x * rotation[0, k] + y * rotation[1, k] + z * rotation[2, k]
+            at[k] = x * R[k] + y * R[3 + k] + z * R[6 + k]
         ground = sqrt(at[0] * at[0] + at[1] * at[1])
         distance = sqrt(ground * ground + at[2] * at[2])
         inside = max_range - distance
@@ -176,86 +217,107 @@ def in_view(
         angle = atan2(at[2], ground)
         inside = fmin(inside, fmin(angle - down, up - angle) * distance)
         out[r] = fmin(fmax(0.5 + (0.5 / edge_m) * inside, 0.0), 1.0)
+        box += wide
     return result
 
 
-def hidden_table(const double[::1] origin, const double[:, :] boxes, const double[:, :] screens, double nearest_m):
-    cdef Py_ssize_t r, s, n = screens.shape[0]
+def hidden_table(origin, boxes, screens, double nearest_m):
+    boxes, screens = whole(boxes), whole(screens)
+    cdef const double* centre = floats(origin, 1)
+    cdef const double* box = floats(boxes, 2)
+    cdef const double* screen = floats(screens, 2)
+    cdef Py_ssize_t r, s, k = length(boxes), n = length(screens)
+    cdef Py_ssize_t wide = length(boxes, 1), broad = length(screens, 1)
     cdef double x, y, z, ground, top, u, v
-    result = np.zeros(boxes.shape[0], bool)
-    cdef unsigned char[::1] out = result.view(np.uint8)
-    cdef double[:, ::1] other = np.empty((n, 5))  # x, y, radius, distance of the far side, slope of the line over the top
+    result, others = zeros(np.NPY_BOOL, k), table(n, 5)
+    cdef np.uint8_t* out = octets(result)
+    cdef double* first = writable(others, 2)  # x, y, radius, distance of the far side, slope of the line over the top
+    cdef double* other = first
     for s in range(n):
-        x, y, z = screens[s, 0] - origin[0], screens[s, 1] - origin[1], screens[s, 2] - origin[2]
+        x, y, z = screen[0] - centre[0], screen[1] - centre[1], screen[2] - centre[2]
         ground = fmax(sqrt(x * x + y * y), nearest_m)
-        other[s, 0], other[s, 1] = x, y
-        other[s, 2] = 0.25 * (screens[s, 3] + screens[s, 4])
-        other[s, 3] = ground + 0.5 * screens[s, 4]
-        other[s, 4] = (z + 0.5 * screens[s, 5]) / ground
-    for r in range(boxes.shape[0]):
-        x, y, z = boxes[r, 0] - origin[0], boxes[r, 1] - origin[1], boxes[r, 2] - origin[2]
+        other[0], other[1] = x, y
+        other[2] = 0.25 * (screen[3] + screen[4])
+        other[3] = ground + 0.5 * screen[4]
+        other[4] = (z + 0.5 * screen[5]) / ground
+        screen, other = screen + broad, other + 5
+    for r in range(k):
+        x, y, z = box[0] - centre[0], box[1] - centre[1], box[2] - centre[2]
         ground = fmax(sqrt(x * x + y * y), nearest_m)
-        top = (z + 0.5 * boxes[r, 5]) / ground
+        top = (z + 0.5 * box[5]) / ground
+        other = first
         for s in range(n):
-            u, v = other[s, 0], other[s, 1]
+            u, v = other[0], other[1]
             if (
-                ground > other[s, 3] and top < other[s, 4] and x * u + y * v > 0.0
-                and fabs(y * u - x * v) < ground * other[s, 2]
+                ground > other[3] and top < other[4] and x * u + y * v > 0.0
+                and fabs(y * u - x * v) < ground * other[2]
             ):
                 out[r] = 1
                 break
+            other += 5
+        box += wide
     return result
 
 
-def overlap(
-    const double[:, :] offset, const double[:, :] size, const double[:] yaw, const double[:, :] other_size,
-    const double[:] other_yaw, double one_object,
-):
-    cdef Py_ssize_t p
+def overlap(offset, size, yaw, other_size, other_yaw, double one_object):
+    offset, size, yaw = whole(offset), whole(size), whole(yaw)
+    other_size, other_yaw = whole(other_size), whole(other_yaw)
+    cdef const double* off = floats(offset, 2)
+    cdef const double* own = floats(size, 2)
+    cdef const double* heading = floats(yaw, 1)
+    cdef const double* other = floats(other_size, 2)
+    cdef const double* other_heading = floats(other_yaw, 1)
+    cdef Py_ssize_t p, n = length(offset), wide = length(offset, 1)
     cdef double c, s, u, v
-    result = np.empty(offset.shape[0], bool)
-    cdef unsigned char[::1] out = result.view(np.uint8)
-    for p in range(offset.shape[0]):
-        c, s = cos(yaw[p]), sin(yaw[p])
-        u, v = fabs(cos(other_yaw[p] - yaw[p])), fabs(sin(other_yaw[p] - yaw[p]))
+    result = made(np.NPY_BOOL, n)
+    cdef np.uint8_t* out = octets(result)
+    for p in range(n):
+        c, s = cos(heading[p]), sin(heading[p])
+        u, v = fabs(cos(other_heading[p] - heading[p])), fabs(sin(other_heading[p] - heading[p]))
         out[p] = (
-            fabs(c * offset[p, 0] + s * offset[p, 1])
-            < 0.5 * one_object * (size[p, 0] + u * other_size[p, 0] + v * other_size[p, 1])
-            and fabs(c * offset[p, 1] - s * offset[p, 0])
-            < 0.5 * one_object * (size[p, 1] + v * other_size[p, 0] + u * other_size[p, 1])
+            fabs(c * off[0] + s * off[1]) < 0.5 * one_object * (own[0] + u * other[0] + v * other[1])
+            and fabs(c * off[1] - s * off[0]) < 0.5 * one_object * (own[1] + v * other[0] + u * other[1])
         )
+        off, own, other = off + wide, own + 3, other + 3
     return result
 
 
-def pairs_in_groups(
-    const long long[::1] a_group, const double[:, :] a_position, const long long[::1] b_group,
-    const double[:, :] b_position, double radius,
-):
-    cdef Py_ssize_t i, k, p = 0, n = a_group.shape[0], m = b_group.shape[0], room = 2 * max(n, m)
-    cdef long long group, last = -1
+def pairs_in_groups(a_group, a_position, b_group, b_position, double radius):
+    a_position, b_position = whole(a_position), whole(b_position)
+    cdef const np.int64_t* of = ints(a_group)
+    cdef const double* here = floats(a_position, 2)
+    cdef const np.int64_t* other = ints(b_group)
+    cdef const double* there = floats(b_position, 2)
+    cdef Py_ssize_t n = length(a_group), m = length(b_group), wide = length(a_position, 1), broad = length(b_position, 1)
+    cdef Py_ssize_t i, k, p = 0, room = 2 * max(n, m)
+    cdef np.int64_t group, last = -1
     cdef double dx, dy, limit = radius * (1.0 + 1e-9) + 1e-9
     for k in range(m):
-        last = max(last, b_group[k])
+        last = max(last, other[k])
     # The boxes of b by group, in their order.
-    by_group = np.argsort(b_group, kind="stable")
-    cdef long long[::1] row = by_group, start = np.zeros(last + 2, np.int64)
+    by_group = b_group.argsort(kind="stable")
+    begins = zeros(np.NPY_INT64, last + 2)
+    cdef const np.int64_t* row = ints(by_group)
+    cdef np.int64_t* start = ints(begins)
     for k in range(m):
-        start[b_group[k] + 1] += 1
+        start[other[k] + 1] += 1
     for group in range(last + 1):
         start[group + 1] += start[group]
-    rows, others = np.empty(room, np.int64), np.empty(room, np.int64)
-    cdef long long[::1] of_a = rows, of_b = others
+    rows, others = made(np.NPY_INT64, room), made(np.NPY_INT64, room)
+    cdef np.int64_t* of_a = ints(rows)
+    cdef np.int64_t* of_b = ints(others)
     for i in range(n):
-        group = a_group[i]
+        group = of[i]
         if group > last:
             continue
         if p + start[group + 1] - start[group] > room:
             room = 2 * room + start[group + 1] - start[group]
-            rows, others = np.resize(rows, room), np.resize(others, room)
-            of_a, of_b = rows, others
+            rows.resize(room, refcheck=False)
+            others.resize(room, refcheck=False)
+            of_a, of_b = ints(rows), ints(others)
         for k in range(start[group], start[group + 1]):
-            dx = a_position[i, 0] - b_position[row[k], 0]
-            dy = a_position[i, 1] - b_position[row[k], 1]
+            dx = here[wide * i] - there[broad * row[k]]
+            dy = here[wide * i + 1] - there[broad * row[k] + 1]
             if dx * dx + dy * dy <= limit * limit:
                 of_a[p], of_b[p] = i, row[k]
                 p += 1

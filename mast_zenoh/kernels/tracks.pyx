@@ -1,17 +1,18 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, cdivision=True
 """A table of tracks: prediction, correction, evidence. The references say what each function does."""
 
-import numpy as np
-
+cimport numpy as np
 from libc.math cimport cos, exp, fabs, fmax, fmin, rint, sin, sqrt
 from libc.string cimport memcpy
 
 from mast_zenoh.kernels.algebra cimport factorise, forward, wrapped
+from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, squares, table, writable
 from mast_zenoh.kernels.table cimport (
     SOURCE_DIGEST, P, XX, XY, YY, YAW, YAW_VARIANCE, TURN, ASIDE, ODDS, HITS, MISSES, VOTES, N_CLASSES, CLASS,
     CONFIRMED, AGE, ID, ROW, WIDTH,
 )
 
+np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
 
 COLUMNS = dict(
@@ -22,13 +23,13 @@ COLUMNS = dict(
 cdef double PI = 3.141592653589793
 
 
-def predict(double[:, ::1] t, double dt, const double[:, :, ::1] noise):
-    cdef Py_ssize_t r, i, k
-    cdef double* row
+def predict(t, double dt, noise):
+    cdef double* row = writable(t, 2)
+    cdef const double* by_class = floats(noise, 3)
     cdef const double* added
-    for r in range(t.shape[0]):
-        row = &t[r, 0]
-        added = &noise[<Py_ssize_t>row[CLASS], 0, 0]
+    cdef Py_ssize_t r, i, k
+    for r in range(length(t)):
+        added = by_class + 81 * <Py_ssize_t>row[CLASS]
         for i in range(3):
             row[i] += dt * row[6 + i]
             for k in range(9):
@@ -38,21 +39,23 @@ def predict(double[:, ::1] t, double dt, const double[:, :, ::1] noise):
                 row[P + 9 * k + i] += dt * row[P + 9 * k + 6 + i]
         for k in range(81):
             row[P + k] += added[k]
+        row += WIDTH
 
 
-def correct(double[:, ::1] t, const double[:, ::1] measured, const double[:, :, ::1] noise):
-    cdef Py_ssize_t m = measured.shape[1]
+def correct(t, measured, noise):
+    cdef double* row = writable(t, 2)
+    cdef const double* found = floats(measured, 2)
+    cdef const double* own = floats(noise, 3)
+    cdef Py_ssize_t m = length(measured, 1)
     cdef Py_ssize_t r, i, j, k
     cdef double[81] total
     cdef double[90] columns  # of what was measured: innovation, and covariance with the state
-    cdef double* row
     cdef double factor
-    for r in range(t.shape[0]):
-        row = &t[r, 0]
+    for r in range(length(t)):
         for i in range(m):
             for j in range(m):
-                total[i * m + j] = row[P + 9 * i + j] + noise[r, i, j]
-            columns[10 * i] = measured[r, i] - row[i]
+                total[i * m + j] = row[P + 9 * i + j] + own[i * m + j]
+            columns[10 * i] = found[i] - row[i]
             memcpy(&columns[10 * i + 1], &row[P + 9 * i], 9 * sizeof(double))
         factorise(total, m)
         forward(total, m, columns, 10)
@@ -67,152 +70,185 @@ def correct(double[:, ::1] t, const double[:, ::1] measured, const double[:, :, 
         for j in range(9):
             for k in range(j):
                 row[P + 9 * k + j] = row[P + 9 * j + k]
+        row, found, own = row + WIDTH, found + m, own + m * m
 
 
-def correct_speed(double[:, ::1] t, const double[:, ::1] direction, const double[::1] noise):
+def correct_speed(t, direction, noise):
+    cdef double* row = writable(t, 2)
+    cdef const double* along = floats(direction, 2)
+    cdef const double* own = floats(noise, 1)
     cdef Py_ssize_t r, i, j
     cdef double[9] cross
-    cdef double* row
     cdef double x, y, variance, speed
-    for r in range(t.shape[0]):
-        row = &t[r, 0]
-        x, y = direction[r, 0], direction[r, 1]
+    for r in range(length(t)):
+        x, y = along[2 * r], along[2 * r + 1]
         for i in range(9):
             cross[i] = row[P + 9 * i + 6] * x + row[P + 9 * i + 7] * y
-        variance = 1.0 / (cross[6] * x + cross[7] * y + noise[r])
+        variance = 1.0 / (cross[6] * x + cross[7] * y + own[r])
         speed = (row[6] * x + row[7] * y) * variance
         for i in range(9):
             row[i] -= cross[i] * speed
             for j in range(i + 1):
                 row[P + 9 * i + j] -= cross[i] * cross[j] * variance
                 row[P + 9 * j + i] = row[P + 9 * i + j]
+        row += WIDTH
 
 
-def correct_heading(double[:, ::1] t, const double[::1] yaw, double variance):
+def correct_heading(t, yaw, double variance):
+    cdef double* row = writable(t, 2)
+    cdef const double* measured = floats(yaw, 1)
     cdef Py_ssize_t r
     cdef double innovation, half_turns, gain
-    for r in range(t.shape[0]):
-        innovation = yaw[r] - t[r, YAW]
+    for r in range(length(t)):
+        innovation = measured[r] - row[YAW]
         half_turns = rint(innovation * (1.0 / PI))
-        gain = t[r, YAW_VARIANCE] / (t[r, YAW_VARIANCE] + variance)
-        t[r, YAW] += gain * (innovation - PI * half_turns)
-        t[r, YAW_VARIANCE] = variance * gain
-        t[r, TURN] += 1.0 - 2.0 * fabs(half_turns - 2.0 * rint(0.5 * half_turns))
+        gain = row[YAW_VARIANCE] / (row[YAW_VARIANCE] + variance)
+        row[YAW] += gain * (innovation - PI * half_turns)
+        row[YAW_VARIANCE] = variance * gain
+        row[TURN] += 1.0 - 2.0 * fabs(half_turns - 2.0 * rint(0.5 * half_turns))
+        row += WIDTH
 
 
-def settle_sense(double[:, ::1] t, double forward, double limit):
+def settle_sense(t, double forward, double limit):
+    cdef double* row = writable(t, 2)
     cdef Py_ssize_t r
     cdef double along
-    for r in range(t.shape[0]):
-        along = t[r, 6] * cos(t[r, YAW]) + t[r, 7] * sin(t[r, YAW])
+    for r in range(length(t)):
+        along = row[6] * cos(row[YAW]) + row[7] * sin(row[YAW])
         if along > forward:
-            t[r, TURN] += 1.0
+            row[TURN] += 1.0
         elif along < -forward:
-            t[r, TURN] -= 1.0
-        if t[r, TURN] < 0.0:
-            t[r, YAW] += PI
-        t[r, TURN] = fmin(fabs(t[r, TURN]), limit)
+            row[TURN] -= 1.0
+        if row[TURN] < 0.0:
+            row[YAW] += PI
+        row[TURN] = fmin(fabs(row[TURN]), limit)
+        row += WIDTH
 
 
-def across(double[:, ::1] t, const double[:, ::1] surprise, const double[::1] free, double slip, double share, double s):
-    cdef Py_ssize_t r
+def across(t, surprise, free, double slip, double share, double s):
+    cdef double* row = writable(t, 2)
+    cdef const double* off = floats(surprise, 2)
+    cdef const double* by_class = floats(free, 1)
+    cdef Py_ssize_t r, n = length(t)
     cdef double c, d, squared
-    directions, variances = np.empty((t.shape[0], 2)), np.empty(t.shape[0])
-    cdef double[:, ::1] direction = directions
-    cdef double[::1] variance = variances
-    for r in range(t.shape[0]):
-        c, d = cos(t[r, YAW]), sin(t[r, YAW])
-        t[r, ASIDE] += share * (surprise[r, 1] * c - surprise[r, 0] * d - t[r, ASIDE])
-        squared = t[r, 6] * t[r, 6] + t[r, 7] * t[r, 7]
-        variance[r] = slip * slip + (t[r, ASIDE] / s) ** 2 + squared * t[r, YAW_VARIANCE]
-        variance[r] += free[<Py_ssize_t>t[r, CLASS]]
-        direction[r, 0], direction[r, 1] = -d, c
+    directions, variances = table(n, 2), made(np.NPY_DOUBLE, n)
+    cdef double* direction = writable(directions, 2)
+    cdef double* variance = writable(variances, 1)
+    for r in range(n):
+        c, d = cos(row[YAW]), sin(row[YAW])
+        row[ASIDE] += share * (off[2 * r + 1] * c - off[2 * r] * d - row[ASIDE])
+        squared = row[6] * row[6] + row[7] * row[7]
+        variance[r] = slip * slip + (row[ASIDE] / s) ** 2 + squared * row[YAW_VARIANCE]
+        variance[r] += by_class[<Py_ssize_t>row[CLASS]]
+        direction[2 * r], direction[2 * r + 1] = -d, c
+        row += WIDTH
     return directions, variances
 
 
-def vote(double[:, ::1] t, const long long[::1] class_id):
+def vote(t, class_id):
+    cdef double* row = writable(t, 2)
+    cdef const np.int64_t* seen = ints(class_id)
     cdef Py_ssize_t r, k, best
-    for r in range(t.shape[0]):
-        t[r, VOTES + class_id[r]] += 1.0
+    for r in range(length(t)):
+        row[VOTES + seen[r]] += 1.0
         best = 0
         for k in range(1, N_CLASSES):
-            if t[r, VOTES + k] > t[r, VOTES + best]:
+            if row[VOTES + k] > row[VOTES + best]:
                 best = k
-        t[r, CLASS] = best
+        row[CLASS] = best
+        row += WIDTH
 
 
-def survive(double[:, ::1] t, double dt, double lifetime_s, double memory_s):
+def survive(t, double dt, double lifetime_s, double memory_s):
+    cdef double* row = writable(t, 2)
     cdef Py_ssize_t r, k
     cdef double leaves = exp(dt / lifetime_s), fades = exp(-dt / memory_s)
-    for r in range(t.shape[0]):
-        t[r, ODDS] /= leaves + (leaves - 1.0) * t[r, ODDS]
+    for r in range(length(t)):
+        row[ODDS] /= leaves + (leaves - 1.0) * row[ODDS]
         for k in range(HITS, VOTES + N_CLASSES):
-            t[r, k] *= fades
+            row[k] *= fades
+        row += WIDTH
 
 
-def detection_probability(const double[:, ::1] t, double prior, double weight):
-    cdef Py_ssize_t r
-    result = np.empty(t.shape[0])
-    cdef double[::1] out = result
-    for r in range(t.shape[0]):
-        out[r] = fmin((t[r, HITS] + prior * weight) / (t[r, HITS] + t[r, MISSES] + weight), prior)
+def detection_probability(t, double prior, double weight):
+    cdef const double* row = floats(t, 2)
+    cdef Py_ssize_t r, n = length(t)
+    result = made(np.NPY_DOUBLE, n)
+    cdef double* out = writable(result, 1)
+    for r in range(n):
+        out[r] = fmin((row[HITS] + prior * weight) / (row[HITS] + row[MISSES] + weight), prior)
+        row += WIDTH
     return result
 
 
-def hit(double[:, ::1] t, const double[::1] detected, const double[::1] log_ratio, double most):
+def hit(t, detected, log_ratio, double most):
+    cdef double* row = writable(t, 2)
+    cdef const double* p = floats(detected, 1)
+    cdef const double* log_of = floats(log_ratio, 1)
     cdef Py_ssize_t r
-    for r in range(t.shape[0]):
-        t[r, ODDS] = fmin(t[r, ODDS] * (detected[r] * exp(log_ratio[r]) + (1.0 - detected[r])), most)
-        t[r, HITS] += 1.0
+    for r in range(length(t)):
+        row[ODDS] = fmin(row[ODDS] * (p[r] * exp(log_of[r]) + (1.0 - p[r])), most)
+        row[HITS] += 1.0
+        row += WIDTH
 
 
-def miss(double[:, ::1] t, const double[::1] detected, const double[::1] expected, double birth):
+def miss(t, detected, expected, double birth):
+    cdef double* row = writable(t, 2)
+    cdef const double* p = floats(detected, 1)
+    cdef const double* share = floats(expected, 1)
     cdef Py_ssize_t r
-    for r in range(t.shape[0]):
-        t[r, ODDS] = fmax(t[r, ODDS] * (1.0 - detected[r] * expected[r]), birth * t[r, CONFIRMED])
-        t[r, MISSES] += expected[r]
+    for r in range(length(t)):
+        row[ODDS] = fmax(row[ODDS] * (1.0 - p[r] * share[r]), birth * row[CONFIRMED])
+        row[MISSES] += share[r]
+        row += WIDTH
 
 
-def to_columns(const double[:, ::1] t):
-    cdef Py_ssize_t r, n = t.shape[0]
-    cdef const double* row
-    ids, positions, velocities = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3))
-    sizes, yaws, covariances = np.empty((n, 3)), np.empty(n), np.empty((n, 9, 9))
-    scores, classes = np.empty(n), np.empty(n, np.uint8)
-    cdef long long[::1] id = ids
-    cdef double[:, ::1] position = positions, velocity = velocities, size = sizes
-    cdef double[::1] yaw = yaws, score = scores
-    cdef double[:, :, ::1] covariance = covariances
-    cdef unsigned char[::1] class_id = classes
+def to_columns(t):
+    cdef const double* row = floats(t, 2)
+    cdef Py_ssize_t r, n = length(t)
+    ids, positions, velocities = made(np.NPY_INT64, n), table(n, 3), table(n, 3)
+    sizes, yaws, covariances = table(n, 3), made(np.NPY_DOUBLE, n), squares(n, 9)
+    scores, classes = made(np.NPY_DOUBLE, n), made(np.NPY_UINT8, n)
+    cdef np.int64_t* id = ints(ids)
+    cdef double* position = writable(positions, 2)
+    cdef double* velocity = writable(velocities, 2)
+    cdef double* size = writable(sizes, 2)
+    cdef double* yaw = writable(yaws, 1)
+    cdef double* covariance = writable(covariances, 3)
+    cdef double* score = writable(scores, 1)
+    cdef np.uint8_t* class_id = octets(classes)
     for r in range(n):
-        row = &t[r, 0]
-        id[r] = <long long>row[ID]
-        memcpy(&position[r, 0], row, 3 * sizeof(double))
-        memcpy(&size[r, 0], row + 3, 3 * sizeof(double))
-        memcpy(&velocity[r, 0], row + 6, 3 * sizeof(double))
-        memcpy(&covariance[r, 0, 0], row + P, 81 * sizeof(double))
+        id[r] = <np.int64_t>row[ID]
+        memcpy(position + 3 * r, row, 3 * sizeof(double))
+        memcpy(size + 3 * r, row + 3, 3 * sizeof(double))
+        memcpy(velocity + 3 * r, row + 6, 3 * sizeof(double))
+        memcpy(covariance + 81 * r, row + P, 81 * sizeof(double))
         yaw[r] = wrapped(row[YAW])
         score[r] = row[ODDS] / (1.0 + row[ODDS])
-        class_id[r] = <unsigned char>row[CLASS]
+        class_id[r] = <np.uint8_t>row[CLASS]
+        row += WIDTH
     return ids, positions, velocities, sizes, yaws, covariances, scores, classes
 
 
 def kept(
-    double[:, ::1] t, double confirm, double report, double doubtful, double max_age, double lost, double max_speed,
+    t, double confirm, double report, double doubtful, double max_age, double lost, double max_speed,
     double max_variance,
 ):
-    cdef Py_ssize_t r, n = t.shape[0]
+    cdef double* row = writable(t, 2)
+    cdef Py_ssize_t r, n = length(t)
     cdef double variance, speed
-    keeps, reports = np.empty(n, bool), np.empty(n, bool)
-    cdef unsigned char[::1] keep = keeps.view(np.uint8), tell = reports.view(np.uint8)
+    keeps, reports = made(np.NPY_BOOL, n), made(np.NPY_BOOL, n)
+    cdef np.uint8_t* keep = octets(keeps)
+    cdef np.uint8_t* tell = octets(reports)
     for r in range(n):
-        if t[r, ODDS] > confirm:
-            t[r, CONFIRMED] = 1.0
-        variance = t[r, XX] + t[r, YY]
-        speed = sqrt(t[r, 6] * t[r, 6] + t[r, 7] * t[r, 7])
+        if row[ODDS] > confirm:
+            row[CONFIRMED] = 1.0
+        variance = row[XX] + row[YY]
+        speed = sqrt(row[6] * row[6] + row[7] * row[7])
         keep[r] = (
-            t[r, ODDS] >= doubtful * (1.0 - t[r, CONFIRMED]) and t[r, AGE] <= max_age and variance <= lost
+            row[ODDS] >= doubtful * (1.0 - row[CONFIRMED]) and row[AGE] <= max_age and variance <= lost
             and speed <= max_speed
         )
-        tell[r] = t[r, CONFIRMED] > 0.0 and t[r, ODDS] > report and variance <= max_variance
+        tell[r] = row[CONFIRMED] > 0.0 and row[ODDS] > report and variance <= max_variance
+        row += WIDTH
     return keeps, reports

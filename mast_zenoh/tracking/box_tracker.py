@@ -212,7 +212,7 @@ class KalmanBoxTracker3D(Tracker):
         """A copy of the matched tracks, brought up to date but for mean and covariance."""
         used = match.measurement
         hit = self._tracks.take(match.track, 0)
-        if match.jump.any():
+        if np.count_nonzero(match.jump):
             hit[:, XX] += match.jump
             hit[:, YY] += match.jump
         correct_heading(hit, seen.yaw.take(used), self._yaw_noise)
@@ -235,18 +235,18 @@ class KalmanBoxTracker3D(Tracker):
 
     def _unexplained(self, match: _Match, seen: Measured) -> Ints:
         """Rows of the measurements that may be new objects: not matched, and not of one that was matched to another."""
-        new = np.ones(len(seen.row), bool)
-        new[match.measurement] = False
+        explained = np.zeros(len(seen.row), bool)
+        explained[match.measurement] = True
         if match.contested:
             t, i, j = self._tracks, match.near.track, match.near.measurement
-            rest = (new[j] & (t[i, ROW] >= 0.0)).nonzero()[0]
+            rest = (~explained[j] & (t[i, ROW] >= 0.0)).nonzero()[0]
             if len(rest):
                 mean, j = t[i[rest]], j[rest]
                 state = seen.state[j]
                 offset = state[:, :2] - mean[:, :2]
                 same = overlap(offset, mean[:, 3:6], mean[:, YAW], state[:, 3:6], seen.yaw[j], ONE_OBJECT)
-                new[j[same]] = False
-        return new.nonzero()[0]
+                explained[j[same]] = True
+        return (~explained).nonzero()[0]
 
     def _born(self, new: Ints, seen: Measured) -> Floats:
         """Tracks for the measurements at `new`, but for mean, covariance and odds."""
@@ -270,7 +270,7 @@ class KalmanBoxTracker3D(Tracker):
             keep &= ~duplicates(t)
         report &= keep
         reported = t.take(report.nonzero()[0], 0)
-        t = t if keep.all() else t[keep]
+        t = t if np.count_nonzero(keep) == len(t) else t[keep]
         self._tracks = np.concatenate([t, born]) if len(born) else t
         self._matched = reported[:, ROW].astype(np.int64)
         return tracks.to_states(reported)

@@ -42,7 +42,7 @@ def duplicates(t: Floats) -> Bools:
     yaw = mean[:, YAW]
     i, j, _, _ = neighbours(mean, mean, ONE_OBJECT * mean[:, 3])
     others = i != j
-    if not others.any():
+    if not np.count_nonzero(others):
         return bad
     i, j = i[others], j[others]
     same = overlap(mean[j, :2] - mean[i, :2], mean[i, 3:6], yaw[i], mean[j, 3:6], yaw[j], ONE_OBJECT)

@@ -32,7 +32,7 @@ class Measured(NamedTuple):
         x = d.position[:, 0]
         order = x.argsort(kind="stable")
         x = x.take(order)
-        if (x[1:] == x[:-1]).any():
+        if np.count_nonzero(x[1:] == x[:-1]):
             order = np.lexsort((d.score, d.class_id, *d.size.T, d.yaw, *d.position.T))
         box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
         noise = box_noise(d.covariance, order, variance, LEAST, MOST)
