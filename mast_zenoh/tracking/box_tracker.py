@@ -229,8 +229,7 @@ class KalmanBoxTracker3D(Tracker):
         rows = coasts.nonzero()[0]
         if view is not None and len(rows):
             screens = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report)).nonzero()[0]
-            boxes = t[:, kalman.BOX].copy()
-            missed[rows] = view.expects(boxes.take(rows, 0), boxes.take(screens, 0))
+            missed[rows] = view.expects(t.take(rows, 0), t.take(screens, 0))
         return missed
 
     def _unexplained(self, match: _Match, seen: Measured) -> Ints:

@@ -37,27 +37,30 @@ class SensorView:
     max_range: float
 
     def expects(self, boxes: Floats, screens: Floats) -> Floats:
-        """(k,) in [0, 1]: how much of each of k `boxes` (k, 6) is in the field of view and not behind another object.
+        """(k,) in [0, 1]: how much of each of k boxes (k, >= 6) is in the field of view and not behind another object.
 
-        screens: (n, 6) what may hide them; the boxes themselves may be among them. Both are x y z l w h in m, in the
-        world frame. A box at the edge of the field of view is half in.
+        screens: (n, >= 6) what may hide them; the boxes themselves may be among them. Both begin with x y z l w h in m,
+        in the world frame. A box at the edge of the field of view is half in.
         """
         azimuth, elevation = (self.azimuth_min, self.azimuth_max), (self.elevation_min, self.elevation_max)
-        share = in_view(boxes, self.position, self.rotation, azimuth, elevation, self.max_range, EDGE_M)
-        return np.asarray(share * ~hidden(self.position, boxes, screens))
+        return expected(
+            boxes, screens, self.position, self.rotation, azimuth, elevation, self.max_range, EDGE_M, NEAREST_M
+        )
 
 
 @kernel
-def in_view(
+def expected(
     boxes: Floats,
+    screens: Floats,
     position: Floats,
     rotation: Floats,
     azimuth: tuple[float, float],
     elevation: tuple[float, float],
     max_range: float,
     edge_m: float,
+    nearest_m: float,
 ) -> Floats:
-    """(k,) in [0, 1]: how much of each box is in the field of view of `SensorView`; edge_m: EDGE_M."""
+    """See `SensorView.expects`; edge_m: EDGE_M; nearest_m: NEAREST_M."""
     x, y, z = ((boxes[:, :3] - position) @ rotation).T
     ground = np.hypot(x, y)
     distance = np.hypot(ground, z)
@@ -67,27 +70,21 @@ def in_view(
         inside = np.minimum(inside, np.minimum(angle - azimuth[0], azimuth[1] - angle) * ground)
     angle = np.arctan2(z, ground)
     inside = np.minimum(inside, np.minimum(angle - elevation[0], elevation[1] - angle) * distance)
-    return np.asarray(np.minimum(np.maximum(0.5 + (0.5 / edge_m) * inside, 0.0), 1.0))
+    share = np.minimum(np.maximum(0.5 + (0.5 / edge_m) * inside, 0.0), 1.0)
+    return np.asarray(share * ~_hidden(position, boxes[:, :6], screens[:, :6], nearest_m))
 
 
-def hidden(origin: Floats, boxes: Floats, screens: Floats) -> Bools:
+def _hidden(origin: Floats, boxes: Floats, screens: Floats, nearest_m: float) -> Bools:
     """(k,) which of k `boxes` (k, 6) are behind a nearer one of n `screens` (n, 6), as seen from `origin` (3,) m.
 
     An object hides what has its centre in the sector of azimuth that the object's footprint fills (taken as a disc of
     its mean horizontal extent), and is not above the line from the sensor over its top.
     """
     # A table of boxes and screens, in pieces that fit into memory whatever a hostile source says is there.
-    piece = max(1, TABLE // max(1, len(screens)))
-    if len(boxes) > piece:
-        starts = range(0, len(boxes), piece)
-        return np.concatenate([hidden(origin, boxes[start : start + piece], screens) for start in starts])
-    return hidden_table(origin, boxes, screens, NEAREST_M)
-
-
-@kernel
-def hidden_table(origin: Floats, boxes: Floats, screens: Floats, nearest_m: float) -> Bools:
-    """See `hidden`; nearest_m: NEAREST_M."""
-    k = len(boxes)
+    k, piece = len(boxes), max(1, TABLE // max(1, len(screens)))
+    if k > piece:
+        starts = range(0, k, piece)
+        return np.concatenate([_hidden(origin, boxes[start : start + piece], screens, nearest_m) for start in starts])
     both = np.concatenate([boxes, screens])
     both[:, :3] -= origin
     x, y, z, length, width, height = both.T

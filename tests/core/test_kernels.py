@@ -89,7 +89,7 @@ def clusters(random, n):
 def view(random, n, m):
     azimuth = (-np.pi, np.pi) if random.random() < 0.5 else (-1.0, 0.6)
     rotation = np.linalg.qr(random.normal(size=(3, 3)))[0]
-    return boxes(random, n), random.normal(size=3), rotation, azimuth, (-0.5, 0.3), 60.0, 2.5
+    return boxes(random, n), boxes(random, m), random.normal(size=3), rotation, azimuth, (-0.5, 0.3), 60.0, 2.5, 0.1
 
 
 def boxes(random, n):
@@ -171,8 +171,7 @@ ARGUMENTS = {
     "miss": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.uniform(0, 1, n), 0.03),
     "kept": lambda r, n, m: (table(r, n), 19.0, 1.0, 0.0015, 3.0, 9.0, 6.0, 2.0),
     "to_columns": lambda r, n, m: (table(r, n),),
-    "in_view": view,
-    "hidden_table": lambda r, n, m: (r.normal(size=3), boxes(r, n), boxes(r, m), 0.1),
+    "expected": view,
     "overlap": overlap,
     "moved": lambda r, n, m: (places(r, n), places(r, n), covariances(r, n), 0.1),
     "turned": lambda r, n, m: (

@@ -18,7 +18,6 @@ from mast_zenoh.tracking.inversion import inverse
 from mast_zenoh.tracking.kalman import BatchedFilter, process_noise
 from mast_zenoh.tracking.soundness import sound
 from mast_zenoh.tracking.tracks import CLASS, COVARIANCE, MEAN, covariances, empty
-from mast_zenoh.tracking.view import hidden
 
 # -- assignment
 
@@ -168,6 +167,11 @@ def boxes(position, size) -> np.ndarray:
     return np.concatenate([np.asarray(position, float), np.tile(size, (len(position), 1))], axis=1)
 
 
+def all_round(position) -> SensorView:
+    """Of a sensor that sees wherever nothing is in the way."""
+    return SensorView(np.asarray(position, float), np.eye(3), -np.pi, np.pi, -np.pi, np.pi, 1e4)
+
+
 def test_an_object_is_expected_inside_the_field_of_view_and_half_at_its_edge():
     pole = SensorView(
         np.array([0.0, 0.0, 15.0]),
@@ -192,7 +196,7 @@ def test_a_full_turn_has_no_edge_behind():
 def test_an_object_hides_what_is_behind_it_but_not_what_is_beside_or_before_it():
     cars = boxes([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7], [8.0, 0.0, 0.7], [-40.0, 0.0, 0.7]], CAR)
     lorry = boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])
-    assert hidden(np.array([0.0, 0.0, 1.8]), cars, lorry).tolist() == [True, False, False, False]
+    assert all_round([0.0, 0.0, 1.8]).expects(cars, lorry).tolist() == [0.0, 1.0, 1.0, 1.0]
 
 
 def test_what_is_hidden_is_not_expected():
@@ -203,12 +207,12 @@ def test_what_is_hidden_is_not_expected():
 
 def test_a_pole_looks_over_a_car():
     behind, before = boxes([[40.0, 0.0, 0.7]], CAR), boxes([[20.0, 0.0, 0.7]], CAR)
-    assert hidden(np.array([0.0, 0.0, 15.0]), behind, before).tolist() == [False]
+    assert all_round([0.0, 0.0, 15.0]).expects(behind, before).tolist() == [1.0]
 
 
 def test_nothing_hides_itself():
     cars = boxes([[40.0, 0.0, 0.7], [60.0, 30.0, 0.7]], CAR)
-    assert hidden(np.zeros(3), cars, cars).tolist() == [False, False]
+    assert all_round([0.0, 0.0, 0.0]).expects(cars, cars).tolist() == [1.0, 1.0]
 
 
 # -- footprints
