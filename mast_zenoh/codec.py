@@ -30,6 +30,7 @@ MAX_MAGNITUDE = 1e9  #: no quantity of a scene in SI units comes near it; more w
 LEAST_QUATERNION = 1e-3  #: length of a quaternion; they are normalised by those who use them
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
+_HEADER_NAMES = frozenset(_HEADER_KEYS)
 _MAP_OF_6, _MAP_OF_7, _BODY_KEY = b"\x86", b"\x87", b"\xa4body"
 _LONGEST_HEADER = 4096  #: bytes
 _WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")}  # little-endian: see below
@@ -109,6 +110,10 @@ class _Layout:
                 self._plans[sizes] = plan
         return plan
 
+    def sizes(self, body: Body) -> tuple[int, ...]:
+        """The sizes of a body of arrays; raises KeyError or IndexError where a column or an axis is missing."""
+        return tuple([body[name].shape[axis] for name, axis in self.sources])
+
     def quick(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """The columns of a packed body with nothing odd about it; None where there is, whatever it may be."""
         try:
@@ -120,7 +125,7 @@ class _Layout:
 
     def sound(self, body: Body) -> bool:
         """Whether there is nothing odd about the values of a body that `conform` made; what it is, others find out."""
-        sizes = tuple([body[name].shape[axis] for name, axis in self.sources])
+        sizes = self.sizes(body)
         plan = self.plan(sizes)
         if sizes not in self._fit:
             if sum([planned.n_bytes for planned in plan]) > MAX_BYTES:
@@ -212,7 +217,7 @@ def conform(header: Header, body: Body) -> Message:
     layout = _LAYOUTS[schema.name]
     sizes: dict[str, int] = {}
     try:
-        found = tuple([body[name].shape[axis] for name, axis in layout.sources])
+        found = layout.sizes(body)
         plan = layout.plan(found)
         exact = exact_columns(body, plan)
         if exact is not None:
@@ -257,13 +262,14 @@ def check_values(message: Message) -> None:
 
 def encode(message: Message) -> bytes:
     """The bytes of a message that `conform` made."""
-    header, schema = message.header, SCHEMAS[message.header.schema]
+    header, columns = message
+    layout = _LAYOUTS[header.schema]
     body: dict[str, list[Any]] = {}
-    for column in schema.columns:
-        array = message.body[column.name]
-        data = list(array) if column.dtype == "str" else array.tobytes()
-        body[column.name] = [_DTYPE_NAME[column.dtype], list(array.shape), data]
-    values = (schema.name, schema.version, header.source, header.frame, header.time_ns, header.seq, body)
+    for name, dtype, dtype_name, _, dims, _, _ in layout.plan(layout.sizes(columns)):
+        array = columns[name]
+        body[name] = [dtype_name, dims, list(array) if dtype is None else array.tobytes()]
+    version = SCHEMAS[header.schema].version
+    values = (header.schema, version, header.source, header.frame, header.time_ns, header.seq, body)
     packed: bytes = msgpack.packb(dict(zip(_HEADER_KEYS, values, strict=True)))
     return packed
 
@@ -349,16 +355,16 @@ def _opened(payload: bytes, expected: str) -> tuple[Header, Any]:
         fields = msgpack.unpackb(payload, strict_map_key=True, max_ext_len=0, max_map_len=64, max_array_len=MAX_ROWS)
     except Exception as error:
         raise MessageError(f"{expected}: not MessagePack: {type(error).__name__}: {error}") from None
-    if not isinstance(fields, dict) or fields.keys() != set(_HEADER_KEYS):
+    if not isinstance(fields, dict) or fields.keys() != _HEADER_NAMES:
         raise MessageError(f"{expected}: not a map of {', '.join(_HEADER_KEYS)}")
-    schema = SCHEMAS[expected]
-    version = fields["version"]
-    if fields["schema"] != schema.name or type(version) is not int or version != schema.version:
-        found = f"{str(fields['schema'])[:40]} version {str(version)[:10]}"
-        raise MessageError(f"{expected}: found {found}, expected {schema.name} version {schema.version}")
-    header = Header(*(fields[name] for name in ("schema", "source", "frame", "time_ns", "seq")))
+    schema, version, source, frame, time_ns, seq, body = [fields[name] for name in _HEADER_KEYS]
+    wanted = SCHEMAS[expected].version
+    if schema != expected or type(version) is not int or version != wanted:
+        found = f"{str(schema)[:40]} version {str(version)[:10]}"
+        raise MessageError(f"{expected}: found {found}, expected {expected} version {wanted}")
+    header = Header(expected, source, frame, time_ns, seq)
     _check_header(header)
-    return header, fields["body"]
+    return header, body
 
 
 def _columns(schema: Schema, body: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
