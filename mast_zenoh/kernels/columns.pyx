@@ -1,5 +1,5 @@
 # cython: language_level=3, cdivision=True
-"""Checks of the columns of messages. The references, in `codec`, say what each function does."""
+"""Checks of the columns of messages. The references, in `columns`, say what each function does."""
 
 cimport numpy as np
 from libc.math cimport INFINITY

@@ -28,6 +28,8 @@ LAYERS = (
         "messagelog",
         "security",
         "codec",
+        "flaws",
+        "columns",
         "messages",
         "bundle",
     ),

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 import mast_zenoh
 from mast_zenoh import codec, kernels
+from mast_zenoh.columns import LAYOUTS
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.states import ObjectStates
 from mast_zenoh.tracking import classes, tracks
@@ -109,7 +110,7 @@ def message(random, n):
         "agents": np.array(["ego"], object),
         "age_ns": np.zeros(1, np.int64),
     }
-    return codec.conform(Header("collated", "broker", 0, 0, 0), body), codec._LAYOUTS["collated"].plan((n, 1))
+    return codec.conform(Header("collated", "broker", 0, 0, 0), body), LAYOUTS["collated"].plan((n, 1))
 
 
 def packed(random, n, m):

@@ -7,7 +7,7 @@ import pytest
 
 from mast_zenoh import bundle, links, loading
 from mast_zenoh.attacks import ACTIONS
-from mast_zenoh.codec import _INDEX_LIMITS
+from mast_zenoh.columns import INDEX_LIMITS
 from mast_zenoh.messages import SCHEMAS, text
 from mast_zenoh.node import Node
 from mast_zenoh.states import CLASSES
@@ -34,7 +34,7 @@ def test_every_message_type_says_what_its_columns_are(name: str) -> None:
 
 def test_indices_are_limited_to_what_they_index() -> None:
     limits = {"class_id": CLASSES, "action": ACTIONS, "port": links.WIRES, "fate": links.FATES}
-    assert {name: len(known) for name, known in limits.items()} == _INDEX_LIMITS
+    assert {name: len(known) for name, known in limits.items()} == INDEX_LIMITS
 
 
 @pytest.mark.parametrize("node", OURS, ids=lambda node: node.__name__)
