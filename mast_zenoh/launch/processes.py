@@ -85,19 +85,14 @@ class Processes(Supervisor):
         child.process.kill()
         child.process.wait()
 
-    def pause(self, child: Child) -> None:
-        """See Supervisor."""
+    def _stand_still(self, child: Child) -> None:
         assert isinstance(child, Process)
-        child.paused = True
         child.process.send_signal(signal.SIGSTOP)
 
-    def resume(self, children: Iterable[Child]) -> None:
-        """See Supervisor."""
+    def _go_on(self, children: Iterable[Child]) -> None:
         for child in children:
             assert isinstance(child, Process)
-            if child.paused:
-                child.paused = False
-                child.process.send_signal(signal.SIGCONT)
+            child.process.send_signal(signal.SIGCONT)
 
     def wait(self, child: Child, seconds: float) -> bool:
         """See Supervisor."""

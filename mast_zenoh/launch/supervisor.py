@@ -96,13 +96,25 @@ class Supervisor(ABC):
         child.notes.append("killed by the scenario")
         self.end_now(child)
 
-    @abstractmethod
     def pause(self, child: Child) -> None:
         """Have a node stand still until it is resumed."""
+        self._stand_still(child)
+        child.paused = True
 
     @abstractmethod
+    def _stand_still(self, child: Child) -> None:
+        """Have a node that runs stand still."""
+
     def resume(self, children: Iterable[Child]) -> None:
         """Have those go on that stand still."""
+        paused = [child for child in children if child.paused]
+        for child in paused:
+            child.paused = False
+        self._go_on(paused)
+
+    @abstractmethod
+    def _go_on(self, children: Iterable[Child]) -> None:
+        """Have nodes go on that have been paused, unless they have ended since."""
 
     def disconnect(self, child: Child) -> None:
         """Take a node off its networks until it is connected again; raises BackendError where that cannot be done."""

@@ -119,19 +119,14 @@ class Containers(Supervisor):
         if not child.ended_now.wait(_END_S):
             raise EngineError(f"the container {child.container} does not end")
 
-    def pause(self, child: Child) -> None:
-        """See Supervisor."""
+    def _stand_still(self, child: Child) -> None:
         assert isinstance(child, Container)
         docker("pause", child.container)
-        child.paused = True
 
-    def resume(self, children: Iterable[Child]) -> None:
-        """See Supervisor."""
+    def _go_on(self, children: Iterable[Child]) -> None:
         for child in children:
             assert isinstance(child, Container)
-            if child.paused:
-                child.paused = False
-                docker("unpause", child.container, check=False)
+            docker("unpause", child.container, check=False)
 
     def disconnect(self, child: Child) -> None:
         """See Supervisor."""

@@ -95,17 +95,11 @@ class RemoteNodes(Supervisor):
         if not self.wait(child, _ANSWER_S):
             raise EngineError(f"{child.name} does not end")
 
-    def pause(self, child: Child) -> None:
-        """See Supervisor."""
-        child.paused = True
+    def _stand_still(self, child: Child) -> None:
         self._signal([child], signal.SIGSTOP)
 
-    def resume(self, children: Iterable[Child]) -> None:
-        """See Supervisor."""
-        paused = [child for child in children if child.paused]
-        for child in paused:
-            child.paused = False
-        self._signal(paused, signal.SIGCONT)
+    def _go_on(self, children: Iterable[Child]) -> None:
+        self._signal(children, signal.SIGCONT)
 
     def wait(self, child: Child, seconds: float) -> bool:
         """See Supervisor."""
@@ -130,7 +124,7 @@ class RemoteNodes(Supervisor):
             assert isinstance(child, RemoteNode)
             child.notes.append(f"{child.attachment.host.called} is out of reach")
 
-    def _signal(self, children: Sequence[Child], number: int) -> None:
+    def _signal(self, children: Iterable[Child], number: int) -> None:
         """Send a signal, and wait until the hosts have done so. Raises EngineError when one does not answer."""
         named: dict[Attachment, list[str]] = {}
         for child in children:

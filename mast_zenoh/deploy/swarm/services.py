@@ -138,19 +138,14 @@ class Services(Supervisor):
         self._scale(child, 0)  # or Docker would start it again
         self._until_gone(child)
 
-    def pause(self, child: Child) -> None:
-        """See Supervisor."""
+    def _stand_still(self, child: Child) -> None:
         assert isinstance(child, Service)
         docker("pause", self._container(child, "paused"))
-        child.paused = True
 
-    def resume(self, children: Iterable[Child]) -> None:
-        """See Supervisor."""
+    def _go_on(self, children: Iterable[Child]) -> None:
         for child in children:
             assert isinstance(child, Service)
-            if child.paused:
-                child.paused = False
-                docker("unpause", child.container(), check=False)
+            docker("unpause", child.container(), check=False)
 
     def wait(self, child: Child, seconds: float) -> bool:
         """See Supervisor."""
