@@ -1,7 +1,34 @@
 """What holds for all tests."""
 
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from itertools import count
+from pathlib import Path
+
+import pytest
 from hypothesis import HealthCheck, settings
+from launched import Launched
 
 # How long an example takes says something about the machine, not about the code.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Launched]]:
+    """Starts runs by command, each in a folder of its own; kills those that the test has left running.
+
+    afterwards: called with each when it has ended
+    """
+    numbers = count()
+    with ExitStack() as stack:
+
+        def begin(
+            *command: str, afterwards: Callable[[Launched], None] = lambda _: None, **environment: str
+        ) -> Launched:
+            run = Launched(tmp_path / f"run_{next(numbers)}", *command, **environment)
+            stack.callback(afterwards, run)
+            stack.callback(run.kill)
+            return run
+
+        yield begin

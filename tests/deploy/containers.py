@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
-import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
+from launched import MAST
 
 from mast_zenoh.deploy import docker, image
 from mast_zenoh.errors import EngineError
@@ -58,26 +55,6 @@ def left(run: str) -> dict[str, list[str]]:
     return {kind: names for kind, names in found.items() if names}
 
 
-class Up:
-    """`mast deploy up` as a user starts it, in a process of its own."""
-
-    def __init__(self, out: Path, *words: str) -> None:
-        self.out = out
-        command = [sys.executable, "-m", "mast_zenoh", "deploy", "up", *words, "--no-report", "--out", str(out)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-
-    def record(self) -> dict[str, Any]:
-        """run.json; empty while there is none."""
-        path = self.out / "run.json"
-        return json.loads(path.read_text()) if path.is_file() else {}
-
-    def end(self, seconds: float = 240.0) -> tuple[int, str]:
-        """(exit code, output) when it has ended by itself."""
-        output, _ = self.process.communicate(timeout=seconds)
-        return self.process.returncode, output
-
-
 def mast(*words: str) -> subprocess.CompletedProcess[str]:
     """A command of ours."""
-    command = [sys.executable, "-m", "mast_zenoh", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    return subprocess.run([*MAST, *words], capture_output=True, text=True, timeout=240, check=False)

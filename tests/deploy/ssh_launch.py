@@ -1,6 +1,6 @@
 """The launcher of a run over SSH, as a program, because it is to be where the hosts can be reached.
 
-python ssh_launch.py run   HOSTS.toml OUT '{"frames": 20, "secure": "acl", "n_infrastructure": 7, "steps": [], …}'
+python ssh_launch.py run   HOSTS.toml '{"frames": 20, "secure": "acl", "n_infrastructure": 7, "steps": [], …}' OUT
 python ssh_launch.py check HOSTS.toml...      what is wrong with each: {file: [exit code, message]}
 python ssh_launch.py status|logs|down OUT     as `mast deploy` does, from the run folder alone
 """
@@ -30,7 +30,7 @@ def resolved(
     return replace(found, steps=tuple(ProcessStep(*step) for step in steps))
 
 
-def run(hosts: str, out: str, options: str) -> None:
+def run(hosts: str, options: str, out: str) -> None:
     told: dict[str, Any] = json.loads(options)
     secure = told.pop("secure", "open")
     ended = local.run(resolved(**told), Path(out), engine=Ssh(Path(hosts)), secure=secure)

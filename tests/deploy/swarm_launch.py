@@ -1,6 +1,6 @@
 """The launcher of a run in a swarm, as a program, because it is to be interrupted and killed.
 
-python swarm_launch.py IMAGE OUT '{"frames": 60, "mode": "realtime", "secure": "acl", "faults": [], …}'
+python swarm_launch.py IMAGE '{"frames": 60, "mode": "realtime", "secure": "acl", "faults": [], …}' OUT
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def resolved(
 
 
 if __name__ == "__main__":
-    image, out, options = sys.argv[1:]
+    image, options, out = sys.argv[1:]
     told: dict[str, Any] = json.loads(options)
     secure = told.pop("secure", "open")
     ended = local.run(resolved(**told), Path(out), engine=Swarm(image, patience_s=5.0), secure=secure)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-from containers import Up, built, left, mast
+from containers import built, left, mast
+from launched import MAST, Launched, eventually
 
 from mast_zenoh import scenario
 from mast_zenoh.deploy.docker import docker
@@ -27,32 +24,17 @@ SMALL = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1")
 FAULTED = ("n_infrastructure=2", "attack_start_s=0.1", "partition_s=0.2", "partition_until_s=0.4", "kill_s=0.5")
 
 
-def eventually(condition: Callable[[], Any], what: str, seconds: float = 180.0) -> Any:
-    deadline = time.monotonic() + seconds
-    while not (value := condition()):
-        assert time.monotonic() < deadline, f"not within {seconds:.0f} s: {what}"
-        threading.Event().wait(0.2)
-    return value
-
-
 @pytest.fixture
-def up(tmp_path: Path) -> Iterator[Callable[..., Up]]:
-    """Starts composed runs; takes down those that the test has left."""
-    runs: list[Up] = []
-    tag = built()
+def up(start: Callable[..., Launched]) -> Callable[..., Launched]:
+    """Starts composed runs; takes down what is left of them."""
+    how = ("--engine", "compose", "--image", built(), "--no-report", "--out")
+    return lambda *words: start(*MAST, "deploy", "up", *words, *how, afterwards=take_down)
 
-    def start(*words: str) -> Up:
-        runs.append(Up(tmp_path / f"run_{len(runs)}", *words, "--engine", "compose", "--image", tag))
-        return runs[-1]
 
-    yield start
-    for run in runs:
-        if run.process.poll() is None:
-            run.process.kill()
-            run.process.communicate()
-        if "deployment" in run.record():
-            mast("deploy", "down", str(run.out))
-            assert not left(run.record()["id"])
+def take_down(run: Launched) -> None:
+    if "deployment" in run.record():
+        mast("deploy", "down", str(run.out))
+        assert not left(run.record()["id"])
 
 
 def settings(of: tuple[str, ...]) -> list[str]:
@@ -146,8 +128,7 @@ def test_a_node_that_is_unplugged_is_not_heard_and_comes_back(up, tmp_path: Path
 def test_a_node_that_is_cut_off_when_all_is_to_end_hands_in_its_results(up, tmp_path: Path) -> None:
     (tmp_path / "unplugged.py").write_text(UNPLUGGED.format(at=1.0, until=60.0))
     run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--patience", "5")
-    eventually(lambda: run.record().get("nodes"), "the nodes are there")
-    where = run.record()["nodes"]["infra_1"]["container"]
+    where = run.started()["nodes"]["infra_1"]["container"]
     networks = "{{len .NetworkSettings.Networks}}"
     eventually(lambda: docker("inspect", "--format", networks, where).strip() == "0", "it is off its networks")
     eventually(lambda: UP not in docker("exec", where, "ls", "/tmp"), "it has noticed")
@@ -162,7 +143,7 @@ def test_a_node_that_is_cut_off_when_all_is_to_end_hands_in_its_results(up, tmp_
 def test_ctrl_c_keeps_what_there_is_and_leaves_nothing_running(up) -> None:
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", *settings(("n_infrastructure=1",)))
     recording = run.out / "messages.mcap"
-    eventually(lambda: recording.is_file() and recording.stat().st_size > 20_000, "a recording that grows here")
+    run.until(lambda: recording.is_file() and recording.stat().st_size > 20_000, "a recording that grows here")
     record = run.record()
     inside = docker("exec", record["nodes"]["ego"]["container"], "stat", "-c", "%a %u", "/run/secrets/key.pem").split()
     assert inside == ["600", docker("exec", record["nodes"]["ego"]["container"], "id", "-u").strip()]
@@ -186,10 +167,9 @@ def test_ctrl_c_keeps_what_there_is_and_leaves_nothing_running(up) -> None:
 def test_what_a_killed_launcher_has_started_leaves_by_itself_and_down_takes_away_the_rest(up) -> None:
     words = settings(("n_infrastructure=1",))
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", "--patience", "2", *words)
-    eventually(lambda: (run.out / "messages.mcap").is_file(), "the run goes on")
+    run.until(run.recorded, "the run goes on")
     record = run.record()
-    os.kill(run.process.pid, signal.SIGKILL)
-    run.process.communicate()
+    run.kill()
     label = f"label=org.mast-zenoh.run={record['id']}"
     eventually(
         lambda: not docker("ps", "--quiet", "--filter", label).split(), "all containers have ended by themselves"

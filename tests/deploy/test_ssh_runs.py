@@ -6,10 +6,8 @@ import json
 import os
 import signal
 import stat
-import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ import psutil
 import pytest
 import ssh_hosts
 import ssh_launch
+from launched import Launched, eventually
 from ssh_hosts import NAMES, SshHosts
 
 from mast_zenoh.errors import EngineError, Interrupted
@@ -36,54 +35,6 @@ def hosts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshHosts]:
     ssh_hosts.require()
     with SshHosts(tmp_path_factory.mktemp("hosts")) as made:
         yield made
-
-
-class Launching:
-    """A run over SSH in a process of its own."""
-
-    def __init__(self, hosts: SshHosts, out: Path, temporary: Path, toml: Path, options: dict[str, Any]) -> None:
-        self.hosts = hosts
-        self.out = out
-        command = [*hosts.inside, *PROGRAM, "run", str(toml), str(out), json.dumps(options)]
-        self.process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env={**os.environ, "TMPDIR": str(temporary)},
-        )
-
-    def record(self) -> dict[str, Any]:
-        path = self.out / "run.json"
-        return json.loads(path.read_text()) if path.is_file() else {}
-
-    def until(self, condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
-        """Wait for something that comes while the run goes on."""
-
-        def happened() -> Any:
-            assert self.process.poll() is None or condition(), self.process.communicate()[0]
-            return condition()
-
-        return eventually(happened, what, seconds)
-
-    def recorded(self) -> bool:
-        """Whether the recorder has handed in something: frames are played."""
-        path = self.out / "messages.mcap"
-        return path.is_file() and path.stat().st_size > 0
-
-    def end(self, seconds: float = 150.0) -> tuple[int, str]:
-        output, _ = self.process.communicate(timeout=seconds)
-        return self.process.returncode, output
-
-
-def eventually(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
-    """Wait until `condition` is true and return its value; fail when the deadline passes."""
-    pause, deadline = threading.Event(), time.monotonic() + seconds
-    while not (value := condition()):
-        assert time.monotonic() < deadline, f"not within {seconds:.0f} s: {what}"
-        pause.wait(0.05)
-    return value
 
 
 def left(hosts: SshHosts) -> list[str]:
@@ -107,30 +58,27 @@ def _cmdline(process: psutil.Process) -> list[str]:
 
 
 @pytest.fixture
-def launch(hosts: SshHosts, tmp_path: Path) -> Iterator[Callable[..., Launching]]:
+def launch(hosts: SshHosts, start: Callable[..., Launched], tmp_path: Path) -> Callable[..., Launched]:
     """Starts runs; fails if anything is left of them when the test is over."""
-    runs: list[Launching] = []
     temporary = tmp_path / "tmp"
     temporary.mkdir()
 
-    def start(text: str = "", places: dict[str, str] | None = None, **options: Any) -> Launching:
+    def run(text: str = "", places: dict[str, str] | None = None, **options: Any) -> Launched:
         toml = hosts.hosts_toml("hosts.toml", text, **(PLACES if places is None else places))
-        runs.append(Launching(hosts, tmp_path / f"run_{len(runs)}", temporary, toml, options))
-        return runs[-1]
+        command = [*hosts.inside, *PROGRAM, "run", str(toml), json.dumps(options)]
+        return start(*command, afterwards=nothing_is_left, TMPDIR=str(temporary))
 
-    yield start
-    for run in runs:
-        if run.process.poll() is None:
-            run.process.kill()
-            run.process.communicate()
-    eventually(lambda: not left(hosts), f"nothing is left: {left(hosts)}", 30.0)
-    assert [path for path in temporary.rglob("*") if path.suffix in (".pem", ".whl")] == []
+    def nothing_is_left(_: Launched) -> None:
+        eventually(lambda: not left(hosts), f"nothing is left: {left(hosts)}", 30.0)
+        assert [path for path in temporary.rglob("*") if path.suffix in (".pem", ".whl")] == []
+
+    return run
 
 
 def test_a_secure_run_on_three_hosts_equals_the_one_in_this_process(launch, hosts: SshHosts, tmp_path: Path) -> None:
     """With a router on one of the hosts, and with nodes that are killed, leave and come back."""
     steps = ((5, "kill", "infra_1"), (6, "leave", "infra_2"), (9, "start", "infra_2"), (10, "start", "infra_1"))
-    run: Launching = launch('[router]\non = "beta"', secure="acl", frames=15, steps=steps)
+    run: Launched = launch('[router]\non = "beta"', secure="acl", frames=15, steps=steps)
     keys = run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/credentials/*/key.pem")], "keys come to hosts")
     modes = {stat.S_IMODE(os.stat(place).st_mode) for key in keys for place in (key.parent, key.parent.parent)}
     assert modes == {0o700}
@@ -159,7 +107,7 @@ def test_a_secure_run_on_three_hosts_equals_the_one_in_this_process(launch, host
 def test_a_host_that_is_cut_off_for_five_seconds_takes_part_again(launch, hosts: SshHosts) -> None:
     """And a lost connection of SSH alone is nothing at all: it comes again, and the host's nodes have not noticed."""
     steps = ((20, "pause", "infra_7"), (30, "resume", "infra_7"))
-    run: Launching = launch(mode="realtime", frames=110, steps=steps)
+    run: Launched = launch(mode="realtime", frames=110, steps=steps)
     run.until(run.recorded, "frames are played")
     pids = {name: node["pid"] for name, node in run.record()["nodes"].items()}
     assert hosts.drop_connections("beta") > 0
@@ -192,10 +140,9 @@ def test_a_host_that_is_cut_off_for_five_seconds_takes_part_again(launch, hosts:
 def test_what_a_killed_launcher_has_left_is_shown_and_can_be_taken_away(launch, hosts: SshHosts) -> None:
     """Also where hosts share a home."""
     shared = {name: f'folder = "{hosts.home("alpha")}"' for name in ("beta", "gamma")}
-    run: Launching = launch("patience_s = 600", mode="realtime", frames=5000, n_infrastructure=1, places=shared)
+    run: Launched = launch("patience_s = 600", mode="realtime", frames=5000, n_infrastructure=1, places=shared)
     run.until(run.recorded, "frames are played")
-    run.process.kill()
-    run.process.communicate()
+    run.kill()
     shown = json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)
     assert {entry["state"] for entry in shown} == {"running"}
     assert {entry["node"] for entry in shown} == set(run.record()["nodes"])
@@ -210,16 +157,15 @@ def test_what_a_killed_launcher_has_left_is_shown_and_can_be_taken_away(launch, 
 
 def test_what_a_killed_launcher_has_left_ends_by_itself(launch, hosts: SshHosts) -> None:
     """Also a node that stands still, which cannot see that the launcher has gone."""
-    run: Launching = launch("patience_s = 1", mode="realtime", frames=5000, n_infrastructure=1, places={}, secure="acl")
+    run: Launched = launch("patience_s = 1", mode="realtime", frames=5000, n_infrastructure=1, places={}, secure="acl")
     run.until(run.recorded, "frames are played")
     os.kill(run.until(lambda: run.record()["nodes"]["infra_1"]["pid"], "its process is known"), signal.SIGSTOP)
-    run.process.kill()
-    run.process.communicate()
+    run.kill()
     eventually(lambda: not left(hosts), "nothing is left", 60.0)
 
 
 def test_ctrl_c_while_hosts_are_made_ready_leaves_nothing(launch, hosts: SshHosts) -> None:
-    run: Launching = launch(n_infrastructure=1, places={}, secure="acl")
+    run: Launched = launch(n_infrastructure=1, places={}, secure="acl")
     run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/control")], "the first supervisor is there")
     run.process.send_signal(signal.SIGINT)
     code, output = run.end()
@@ -228,7 +174,7 @@ def test_ctrl_c_while_hosts_are_made_ready_leaves_nothing(launch, hosts: SshHost
 
 
 def test_a_supervisor_that_is_killed_takes_its_nodes_with_it_and_the_run_says_so(launch, hosts: SshHosts) -> None:
-    run: Launching = launch(mode="realtime", frames=5000, n_infrastructure=1, places={"beta": 'nodes = ["broker"]'})
+    run: Launched = launch(mode="realtime", frames=5000, n_infrastructure=1, places={"beta": 'nodes = ["broker"]'})
     run.until(run.recorded, "frames are played")
     for process in hosts.processes("beta"):
         if "mast_zenoh.deploy.ssh.warden" in _cmdline(process):
@@ -240,7 +186,7 @@ def test_a_supervisor_that_is_killed_takes_its_nodes_with_it_and_the_run_says_so
 
 
 def test_a_router_that_a_host_cannot_reach_is_said_before_nodes_start(launch) -> None:
-    run: Launching = launch('[router]\naddress = "10.78.0.99"', n_infrastructure=1, places={})
+    run: Launched = launch('[router]\naddress = "10.78.0.99"', n_infrastructure=1, places={})
     code, output = run.end()
     assert code == EngineError.exit_code, output
     assert "cannot reach the router at tcp/10.78.0.99:7447" in output

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +13,7 @@ from typing import Any
 import pytest
 import swarm_launch
 import swarms
+from launched import Launched, eventually
 
 from mast_zenoh import bundle, scenario
 from mast_zenoh.deploy.docker import docker
@@ -155,60 +154,25 @@ def test_a_node_that_docker_starts_again_takes_part_at_the_current_frame_of_a_lo
     assert ended.record["steps"] == [], "nobody but Docker has started it"
 
 
-class Launching:
-    """A run in a process of its own."""
-
-    def __init__(self, image: str, out: Path, **options: Any) -> None:
-        self.out = out
-        self.process = subprocess.Popen(
-            [sys.executable, swarm_launch.__file__, image, str(out), json.dumps(options)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
-
-    def record(self) -> dict[str, Any]:
-        path = self.out / "run.json"
-        return json.loads(path.read_text()) if path.is_file() else {}
-
-
 @pytest.fixture
-def launch(image: str, tmp_path: Path) -> Iterator[Callable[..., Launching]]:
-    runs: list[Launching] = []
-
-    def start(**options: Any) -> Launching:
-        runs.append(Launching(image, tmp_path / f"run_{len(runs)}", **options))
-        return runs[-1]
-
-    yield start
-    for run in runs:
-        if run.process.poll() is None:
-            run.process.kill()
-            run.process.communicate()
-        if deployment := run.record().get("deployment"):
-            stack.remove(deployment["stack"])
+def launch(image: str, start: Callable[..., Launched]) -> Callable[..., Launched]:
+    """Starts runs in the swarm; removes the stacks that are left of them."""
+    program = (sys.executable, swarm_launch.__file__, image)
+    return lambda **options: start(*program, json.dumps(options), afterwards=remove)
 
 
-def on_its_way(run: Launching) -> dict[str, Any]:
-    """run.json, when frames are being played: the recorder has handed in some."""
-
-    def ready() -> bool:
-        assert run.process.poll() is None, run.process.communicate()[0]
-        log = run.out / "messages.mcap"
-        return log.is_file() and log.stat().st_size > 0
-
-    swarms.eventually(ready, "something is recorded")
-    return run.record()
+def remove(run: Launched) -> None:
+    if deployment := run.record().get("deployment"):
+        stack.remove(deployment["stack"])
 
 
 def test_a_run_in_real_time_that_is_stopped_keeps_what_it_has_and_leaves_nothing(
-    launch: Callable[..., Launching], capsys: pytest.CaptureFixture[str]
+    launch: Callable[..., Launched], capsys: pytest.CaptureFixture[str]
 ) -> None:
     pause = dict(type="Pause", at=1.0, until=60.0, node="infra_2")
     run = launch(frames=900, mode="realtime", secure="acl", faults=[pause])
-    record = on_its_way(run)
+    run.until(run.recorded, "frames are played")
+    record = run.record()
     states = {entry["node"]: entry for entry in Swarm.status(run.out, record)}
     assert states.keys() == {"router", *record["nodes"]}
     assert {entry["state"] for entry in states.values()} <= {"running", "starting"}
@@ -220,10 +184,10 @@ def test_a_run_in_real_time_that_is_stopped_keeps_what_it_has_and_leaves_nothing
     def paused() -> bool:
         return docker("inspect", "--format", "{{.State.Paused}}", container).strip() == "true"
 
-    swarms.eventually(paused, "the scenario pauses infra_2")
+    eventually(paused, "the scenario pauses infra_2")
     run.process.send_signal(signal.SIGINT)
-    output, _ = run.process.communicate(timeout=180)
-    assert run.process.returncode == 130, output
+    code, output = run.end()
+    assert code == 130, output
     record = run.record()
     assert record["status"] == "interrupted"
     assert {name: node["exit"] for name, node in record["nodes"].items()} == dict.fromkeys(record["nodes"], 0)
@@ -232,17 +196,17 @@ def test_a_run_in_real_time_that_is_stopped_keeps_what_it_has_and_leaves_nothing
 
 
 def test_what_a_killed_launcher_leaves_goes_by_itself_and_down_removes_the_rest(
-    launch: Callable[..., Launching],
+    launch: Callable[..., Launched],
 ) -> None:
     run = launch(frames=900, mode="realtime", secure="tls")
-    record = on_its_way(run)
-    os.kill(run.process.pid, signal.SIGKILL)
-    run.process.communicate()
+    run.until(run.recorded, "frames are played")
+    record = run.record()
+    run.kill()
 
     def gone() -> bool:
         return all(entry["state"] not in ("running", "starting") for entry in Swarm.status(run.out, record))
 
-    swarms.eventually(gone, "all tasks have ended by themselves")
+    eventually(gone, "all tasks have ended by themselves")
     assert stack.left(record["deployment"]["stack"]).keys() == {"service", "network", "secret", "container"}
     for _ in range(2):
         Swarm.down(run.out, record)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
-from launched import Observer, alive, eventually
+from launched import Launched, Observer, alive, eventually
 
 from mast_zenoh import codec, scenario
 from mast_zenoh.faults.steps import ProcessStep
@@ -82,10 +80,10 @@ def test_in_lock_step_the_mesh_says_what_one_process_says_whoever_dies_and_comes
         }
 
 
-def started(tmp_path: Path, *steps: tuple[int, str, str]) -> tuple[subprocess.Popen[bytes], Path]:
-    """A run in real time, longer than any test, whose launcher is a process of its own."""
-    script = tmp_path / "launch.py"
-    script.write_text(
+@pytest.fixture
+def launch(start: Callable[..., Launched]) -> Callable[..., Launched]:
+    """Starts runs in real time, longer than any test, to whose processes these steps are done."""
+    code = (
         "import sys\n"
         "from dataclasses import replace\n"
         "from pathlib import Path\n"
@@ -94,82 +92,58 @@ def started(tmp_path: Path, *steps: tuple[int, str, str]) -> tuple[subprocess.Po
         "from mast_zenoh.launch import local\n"
         "path, loaded = scenario.load('baseline', ['n_infrastructure=2'])\n"
         "found = scenario.resolve(path, loaded, mode='realtime', rate=0.5, record=True)\n"
-        f"steps = tuple(ProcessStep(*step) for step in {steps!r})\n"
+        "steps = tuple(ProcessStep(*step) for step in {steps!r})\n"
         "ended = local.run(replace(found, steps=steps), Path(sys.argv[1]))\n"
         "print(ended.record['status'])\n"
     )
-    out = tmp_path / "run"
-    return subprocess.Popen([sys.executable, str(script), str(out)], stdout=subprocess.PIPE), out
+    return lambda *steps: start(sys.executable, "-c", code.format(steps=steps))
 
 
-def record_of(out: Path) -> dict[str, Any]:
-    """run.json, as soon as it names the processes."""
-
-    def named() -> dict[str, Any] | None:
-        path = out / "run.json"
-        record = json.loads(path.read_text()) if path.is_file() else {}
-        return record if record.get("nodes") else None
-
-    return eventually(named, "run.json names the nodes")
-
-
-def test_in_real_time_who_is_killed_comes_back_and_who_is_paused_goes_on(tmp_path: Path) -> None:
+def test_in_real_time_who_is_killed_comes_back_and_who_is_paused_goes_on(launch) -> None:
     steps = ((5, "kill", "infra_1"), (5, "pause", "infra_2"), (8, "resume", "infra_2"), (8, "start", "infra_1"))
-    launcher, out = started(tmp_path, *steps)
+    run: Launched = launch(*steps)
+    observer = Observer(run.started(), "agent/*/tracks")
     try:
-        observer = Observer(record_of(out), "agent/*/tracks")
-        try:
 
-            def newest(agent: str) -> int:
-                heard = [s for key, s in observer.samples if key == f"agent/{agent}/tracks"]
-                return codec.decode(heard[-1].payload.to_bytes(), "tracks").header.frame if heard else -1
+        def newest(agent: str) -> int:
+            heard = [s for key, s in observer.samples if key == f"agent/{agent}/tracks"]
+            return codec.decode(heard[-1].payload.to_bytes(), "tracks").header.frame if heard else -1
 
-            eventually(lambda: newest("infra_1") > 8 and newest("infra_2") > 8, "both are there again")
-        finally:
-            observer.close()
-        launcher.send_signal(signal.SIGINT)
-        output, _ = launcher.communicate(timeout=30)
+        eventually(lambda: newest("infra_1") > 8 and newest("infra_2") > 8, "both are there again")
     finally:
-        launcher.kill()
-        launcher.communicate()
-    assert output.split() == [b"interrupted"]
-    record = json.loads((out / "run.json").read_text())
+        observer.close()
+    run.process.send_signal(signal.SIGINT)
+    _, output = run.end(30.0)
+    assert output.split() == ["interrupted"]
+    record = run.record()
     assert {name: node["restarts"] for name, node in record["nodes"].items() if node["restarts"]} == {"infra_1": 1}
     assert all(node["exit"] == 0 for node in record["nodes"].values()), record["nodes"]
     assert sorted(tuple(step.values()) for step in record["steps"]) == sorted(steps)
-    heard = frames_of(out, "agent/infra_1/tracks")
+    heard = frames_of(run.out, "agent/infra_1/tracks")
     assert heard[:5] == list(range(5)), "it was killed when frame 5 was due"
     assert min(frame for frame in heard if frame > 5) >= 8
-    clocks = frames_of(out, "clock")
+    clocks = frames_of(run.out, "clock")
     assert clocks == list(range(len(clocks))), "nobody stalls the clock"
 
 
-def paused(out: Path, node: str) -> list[int]:
-    """The pids of all nodes, when this one stands still."""
-
-    nodes = record_of(out)["nodes"]
-    process = psutil.Process(nodes[node]["pid"])
+def until_paused(run: Launched, node: str) -> None:
+    """Wait until a node stands still."""
+    process = psutil.Process(run.started()["nodes"][node]["pid"])
     eventually(lambda: process.status() == psutil.STATUS_STOPPED, f"{node} stands still")
-    return [told["pid"] for told in nodes.values()]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed launcher"])
-def test_however_a_run_ends_a_node_that_stands_still_does_not_stay_behind(
-    tmp_path: Path, number: signal.Signals
-) -> None:
-    launcher, out = started(tmp_path, (2, "pause", "infra_1"))
-    try:
-        pids = paused(out, "infra_1")
-        launcher.send_signal(number)
-        output, _ = launcher.communicate(timeout=30)
-        eventually(lambda: not alive(pids), "all nodes have left", seconds=5.0)
-    finally:
-        launcher.kill()
-        launcher.communicate()
+def test_however_a_run_ends_a_node_that_stands_still_does_not_stay_behind(launch, number: signal.Signals) -> None:
+    run: Launched = launch((2, "pause", "infra_1"))
+    until_paused(run, "infra_1")
+    pids = run.pids()
+    run.process.send_signal(number)
+    _, output = run.end(30.0)
+    eventually(lambda: not alive(pids), "all nodes have left", seconds=5.0)
     if number == signal.SIGINT:
-        assert output.split() == [b"interrupted"]
-        nodes = json.loads((out / "run.json").read_text())["nodes"]
-        assert {node["ended"] for node in nodes.values()} == {"ok"}, "it was let go on, and has handed in"
+        assert output.split() == ["interrupted"]
+        ended = {node["ended"] for node in run.record()["nodes"].values()}
+        assert ended == {"ok"}, "it was let go on, and has handed in"
 
 
 def test_who_still_stands_still_at_the_end_is_let_go_on(tmp_path: Path) -> None:
@@ -178,18 +152,13 @@ def test_who_still_stands_still_at_the_end_is_let_go_on(tmp_path: Path) -> None:
     assert ended.record["nodes"]["infra_1"]["ended"] == "ok"
 
 
-def test_who_dies_of_itself_beside_what_is_planned_is_still_dealt_with(tmp_path: Path) -> None:
+def test_who_dies_of_itself_beside_what_is_planned_is_still_dealt_with(launch) -> None:
     """A command centre that dies unplanned fails the run, whatever the scenario does to others."""
-    launcher, out = started(tmp_path, (2, "kill", "infra_1"), (3, "pause", "infra_2"))
-    try:
-        paused(out, "infra_2")
-        nodes = json.loads((out / "run.json").read_text())["nodes"]
-        os.kill(nodes["command_center"]["pid"], signal.SIGKILL)
-        output, _ = launcher.communicate(timeout=30)
-    finally:
-        launcher.kill()
-        launcher.communicate()
-    assert output.split() == [b"failed"]
-    record = json.loads((out / "run.json").read_text())
+    run: Launched = launch((2, "kill", "infra_1"), (3, "pause", "infra_2"))
+    until_paused(run, "infra_2")
+    os.kill(run.record()["nodes"]["command_center"]["pid"], signal.SIGKILL)
+    _, output = run.end(30.0)
+    assert output.split() == ["failed"]
+    record = run.record()
     assert "command_center killed by signal 9" in record["message"]
     assert record["nodes"]["infra_1"]["ended"].startswith("killed by the scenario")

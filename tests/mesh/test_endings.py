@@ -123,8 +123,7 @@ def test_a_killed_launcher_takes_its_nodes_with_it(launch) -> None:
     at_frame(run, 10)
     pids = run.pids()
     assert alive(pids) == pids
-    run.process.kill()
-    run.process.wait()
+    run.kill()
     eventually(lambda: not alive(pids), "all nodes have left", seconds=5.0)
     assert run.record()["status"] == "running", "what was written before is readable"
 

@@ -87,8 +87,7 @@ def test_whoever_is_killed_the_recording_can_be_read(launch, tmp_path: Path, vic
     finally:
         observer.close()
     if victim == "launcher":
-        run.process.kill()
-        run.process.wait()
+        run.kill()
         eventually(
             lambda: (run.out / "messages.mcap").read_bytes().endswith(b"MCAP0\r\n"), "the recorder has closed it"
         )

@@ -148,8 +148,7 @@ def test_what_a_killed_launcher_leaves_is_empty_and_the_next_run_removes_it(two_
     at_frame(run, 5)
     pids = run.pids()
     assert alive(pids) == pids
-    run.process.kill()
-    run.process.wait()
+    run.kill()
     eventually(lambda: not alive(pids), "all nodes have left", seconds=10.0)
     left = list(NAMESPACES.glob(f"mast-{run.process.pid}-*"))
     assert len(left) == 3

@@ -60,8 +60,7 @@ def test_a_killed_launcher_leaves_no_keys_behind_even_if_its_nodes_are_still_sta
     run: Launched = launch("baseline", "--mode", "realtime", "--secure", "--set", "n_infrastructure=1", "--no-record")
     folders = credentials(run.started())
     assert all((folder / "key.pem").is_file() for folder in folders)
-    run.process.kill()
-    run.process.wait()
+    run.kill()
     eventually(lambda: not folders[0].parent.exists(), "the nodes have deleted their keys")
 
 

@@ -1,4 +1,4 @@
-"""Runs as a user starts them, and a stranger who watches."""
+"""Runs in processes of their own, what comes of them, and a stranger who watches."""
 
 from __future__ import annotations
 
@@ -19,28 +19,31 @@ import zenoh
 
 from mast_zenoh.runtime.session import open_client
 
+MAST = (sys.executable, "-m", "mast_zenoh")
 
-def eventually(condition: Callable[[], Any], what: str, seconds: float = 60.0) -> Any:
+
+def eventually(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
     """Wait until `condition` is true and return its value; fail when the deadline passes."""
     pause, deadline = threading.Event(), time.monotonic() + seconds
     while not (value := condition()):
         assert time.monotonic() < deadline, f"not within {seconds:.0f} s: {what}"
-        pause.wait(0.02)
+        pause.wait(0.05)
     return value
 
 
 class Launched:
-    """`mast run` as a user starts it, in a process of its own."""
+    """A command that ends with the folder of its run, in a process of its own."""
 
-    def __init__(self, out: Path, *arguments: str) -> None:
+    def __init__(self, out: Path, *command: str, **environment: str) -> None:
         self.out = out
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "mast_zenoh", "run", *arguments, "--no-report", "--out", str(out)],
+            [*command, str(out)],
+            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
             cwd=out.parent,
-            env={**os.environ, "PYTHONFAULTHANDLER": "1"},
+            env={**os.environ, "PYTHONFAULTHANDLER": "1", **environment},
         )
 
     def record(self) -> dict[str, Any]:
@@ -48,21 +51,30 @@ class Launched:
         path = self.out / "run.json"
         return json.loads(path.read_text()) if path.is_file() else {}
 
-    def started(self) -> dict[str, Any]:
-        """run.json, as soon as it names the processes."""
+    def until(self, condition: Callable[[], Any], what: str) -> Any:
+        """Wait, as `eventually` does, for something that comes while it runs."""
 
-        def ready() -> dict[str, Any] | None:
+        def come() -> Any:
             assert self.process.poll() is None, self.process.communicate()[0]
-            record = self.record()
-            return record if record.get("nodes") else None
+            return condition()
 
-        return eventually(ready, "run.json names the nodes")
+        return eventually(come, what)
+
+    def started(self) -> dict[str, Any]:
+        """run.json, as soon as it names the nodes."""
+        self.until(lambda: self.record().get("nodes"), "run.json names the nodes")
+        return self.record()
+
+    def recorded(self) -> bool:
+        """Whether the recorder has handed in something: frames are played."""
+        path = self.out / "messages.mcap"
+        return path.is_file() and path.stat().st_size > 0
 
     def pids(self) -> list[int]:
         """The nodes' process ids."""
         return [node["pid"] for node in self.record()["nodes"].values()]
 
-    def end(self, seconds: float = 90.0) -> tuple[int, str]:
+    def end(self, seconds: float = 150.0) -> tuple[int, str]:
         """(exit code, output) when it has ended by itself; one that does not shows where it stands."""
         try:
             output, _ = self.process.communicate(timeout=seconds)
@@ -70,6 +82,11 @@ class Launched:
             self.process.send_signal(signal.SIGABRT)
             pytest.fail(f"not ended within {seconds:.0f} s: {self.process.communicate(timeout=10.0)[0]}")
         return self.process.returncode, output
+
+    def kill(self) -> None:
+        """End it at once, unless it has ended."""
+        with self.process:
+            self.process.kill()
 
 
 class Observer:
