@@ -45,7 +45,7 @@ class Host:
 
     period_ns: of the scene's frames: in lock-step a delay is counted in them
     now:  a monotonic clock, ns, for real time; without it time goes by frames, as in lock-step
-    emit: called at once with every message that the node publishes; without it they are kept in `outbox`
+    emit: called at once with every message that the node publishes
     frame, time_ns: of the newest clock; observe: called with the key and header of every sound message;
     sent, handled: messages by key; rejected: malformed messages by (key, reason); failures: handler errors by port.
     """
@@ -58,17 +58,16 @@ class Host:
         seed: int,
         *,
         encode: bool,
+        emit: Callable[[Outgoing], None],
         period_ns: int = Source.period_ns,
         now: Callable[[], int] | None = None,
-        emit: Callable[[Outgoing], None] | None = None,
     ) -> None:
         self.name = name
         self.node = node
         self.frame = -1
         self.time_ns = 0
         self.log = logging.getLogger(f"mast.{name}")
-        self.outbox: list[Outgoing] = []
-        self._emit = emit or self.outbox.append
+        self._emit = emit
         self.sent: Counter[str] = Counter()
         self.handled: Counter[str] = Counter()
         self.rejected: Counter[tuple[str, str]] = Counter()

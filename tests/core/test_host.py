@@ -58,10 +58,16 @@ OUTPUTS = {
 }
 
 
-def listening(node: Node | None = None, *, clocked: bool = True, encode: bool = True) -> Host:
+def listening(
+    node: Node | None = None,
+    *,
+    clocked: bool = True,
+    encode: bool = True,
+    emit: Callable[[Outgoing], None] = lambda out: None,
+) -> Host:
     """A host of a node that hears the clock and the tracks of `a` and `b`."""
     ports = Ports((CLOCK if clocked else {}) | TRACKS, OUTPUTS)
-    return Host("listener", node or Listener(), ports, seed=7, encode=encode)
+    return Host("listener", node or Listener(), ports, seed=7, encode=encode, emit=emit)
 
 
 def tracks(n: int = 1, **columns: np.ndarray) -> dict[str, np.ndarray]:
@@ -114,10 +120,12 @@ def test_a_node_that_hears_no_clock_is_given_everything_at_once() -> None:
 
 
 def test_what_a_node_without_a_clock_passes_on_is_of_the_step_of_what_it_got() -> None:
-    host = listening(Listener(lambda received, context: context.relay("tracks_out", received)), clocked=False)
+    outbox: list[Outgoing] = []
+    relay = Listener(lambda received, context: context.relay("tracks_out", received))
+    host = listening(relay, clocked=False, emit=outbox.append)
     for step in (0, 1):
         host.deliver("agent/a/tracks", said_by("a", step), step)
-    assert [out.step for out in host.outbox] == [0, 1], "else the next node would not wait for its clock"
+    assert [out.step for out in outbox] == [0, 1], "else the next node would not wait for its clock"
 
 
 @given(st.data())
@@ -197,14 +205,15 @@ def test_a_handler_that_raises_costs_one_message_and_is_logged_once(caplog: pyte
             raise ZeroDivisionError(f"in frame {received.frame}")
         context.publish("status", status())
 
-    host = listening(Listener(fail_on_even))
+    outbox: list[Outgoing] = []
+    host = listening(Listener(fail_on_even), emit=outbox.append)
     with caplog.at_level(logging.ERROR):
         for frame in range(6):
             host.deliver("clock", clock(frame), frame)
             host.deliver("agent/a/tracks", said_by("a", frame), frame)
     assert host.failures == {"tracks": 3}
     assert host.handled["agent/a/tracks"] == 6
-    assert len(host.outbox) == 3
+    assert len(outbox) == 3
     assert ["in frame 0" in record.exc_text for record in caplog.records] == [True]
 
 
@@ -226,32 +235,35 @@ def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_relayed_message_is_the_same_bytes() -> None:
-    host = listening(Listener(lambda received, context: context.relay("tracks_out", received)))
+    outbox: list[Outgoing] = []
+    host = listening(Listener(lambda received, context: context.relay("tracks_out", received)), emit=outbox.append)
     payload = said_by("a", 0)
     host.deliver("agent/a/tracks", payload, -1)
-    assert host.outbox == [Outgoing("out/a", payload, -1)]
+    assert outbox == [Outgoing("out/a", payload, -1)]
     assert host.sent == {"out/a": 1}
 
 
 @pytest.mark.parametrize("encode", [True, False])
 def test_a_message_relayed_in_a_later_frame_is_as_it_came(encode: bool) -> None:
     kept: list[Received] = []
-    host = listening(Listener(lambda received, context: kept.append(received)), encode=encode)
+    outbox: list[Outgoing] = []
+    host = listening(Listener(lambda received, context: kept.append(received)), encode=encode, emit=outbox.append)
     payload = said_by("a", 0)
     host.deliver("clock", clock(0), 0)
     host.deliver("agent/a/tracks", payload if encode else codec.decode(payload, "tracks"), 0)
     host.deliver("clock", clock(1), 1)
     host.relay("tracks_out", kept[0])
-    (out,) = host.outbox
+    (out,) = outbox
     assert (out.payload if encode else codec.encode(out.payload)) == payload
     assert out.step == 1, "it goes out in the step it is sent in"
 
 
 def test_a_relayed_message_with_another_body_keeps_its_header() -> None:
-    host = listening()
+    outbox: list[Outgoing] = []
+    host = listening(emit=outbox.append)
     received = Received(codec.decode(said_by("b", 3), "tracks"), "b")
     host.relay("tracks_out", received, tracks(4))
-    (out,) = host.outbox
+    (out,) = outbox
     changed = codec.decode(out.payload, "tracks")
     assert out.key == "out/b"
     assert changed.header == received.message.header
@@ -265,11 +277,12 @@ def test_a_message_cannot_be_relayed_on_a_port_of_another_type() -> None:
 
 
 def test_messages_are_numbered_for_each_key() -> None:
-    host = listening()
+    outbox: list[Outgoing] = []
+    host = listening(emit=outbox.append)
     for port, subject in (("tracks_out", "a"), ("tracks_out", "b"), ("tracks_out", "a"), ("status", None)):
         body = status() if port == "status" else tracks()
         host.publish(port, body, subject=subject, frame=0)
-    numbers = [(out.key, codec.decode(out.payload, schema_of(out)).header.seq) for out in host.outbox]
+    numbers = [(out.key, codec.decode(out.payload, schema_of(out)).header.seq) for out in outbox]
     assert numbers == [("out/a", 0), ("out/b", 0), ("out/a", 1), ("out/status", 0)]
 
 
@@ -278,29 +291,32 @@ def schema_of(out: Outgoing) -> str:
 
 
 def test_a_message_that_could_not_be_made_takes_no_number() -> None:
-    host = listening()
+    outbox: list[Outgoing] = []
+    host = listening(emit=outbox.append)
     with pytest.raises(MessageError, match=r"status: columns missing: \['mobile'\]"):
         host.publish("status", {"detections": np.zeros(1), "tracks": np.zeros(1)}, frame=0)
     host.publish("status", status(), frame=0)
-    assert codec.decode(host.outbox[0].payload, "status").header.seq == 0
+    assert codec.decode(outbox[0].payload, "status").header.seq == 0
 
 
 def test_a_message_is_about_the_current_frame_unless_said() -> None:
-    host = listening()
+    outbox: list[Outgoing] = []
+    host = listening(emit=outbox.append)
     host.deliver("clock", clock(4), 4)
     host.publish("status", status())
     host.publish("status", status(), frame=2, time_ns=5)
-    headers = [codec.decode(out.payload, "status").header for out in host.outbox]
+    headers = [codec.decode(out.payload, "status").header for out in outbox]
     assert [(h.frame, h.time_ns, h.source) for h in headers] == [(4, 4 * 10**8, "listener"), (2, 5, "listener")]
-    assert [out.step for out in host.outbox] == [4, 4]
+    assert [out.step for out in outbox] == [4, 4]
 
 
 def test_a_port_that_is_not_connected_swallows_what_is_published() -> None:
-    host = listening()
+    outbox: list[Outgoing] = []
+    host = listening(emit=outbox.append)
     host.publish("nowhere", status())
     host.publish("tracks_out", tracks(), subject="nobody")
     host.relay("tracks_out", Received(codec.decode(said_by("c", 0), "tracks"), "c"))
-    assert host.outbox == []
+    assert outbox == []
     assert not host.sent
     assert not host.connected("nowhere")
     assert not host.connected("tracks_out", "nobody")
@@ -366,11 +382,12 @@ def test_bytes_and_messages_themselves_are_refused_alike(slip: str) -> None:
     schema, body, header = SLIPS[slip]
     outcomes = []
     for encode in (True, False):
-        speaker = Host("a", Speaker(), Ports({}, {(schema, ""): "key"}), seed=0, encode=encode)
+        outbox: list[Outgoing] = []
+        speaker = Host("a", Speaker(), Ports({}, {(schema, ""): "key"}), seed=0, encode=encode, emit=outbox.append)
         heard = Ports({"key": Input(schema, "a", schema, "a")}, {})
-        listener = Host("listener", Listener(), heard, seed=0, encode=encode)
+        listener = Host("listener", Listener(), heard, seed=0, encode=encode, emit=[].append)
         speaker.publish(schema, body, **{"frame": 0, "time_ns": 0} | header)
-        (out,) = speaker.outbox
+        (out,) = outbox
         listener.deliver(out.key, out.payload, out.step, flaw=out.flaw)
         outcomes.append((dict(listener.rejected), dict(listener.handled), listener.node.got))
     assert outcomes[0] == outcomes[1]
@@ -380,10 +397,12 @@ def test_bytes_and_messages_themselves_are_refused_alike(slip: str) -> None:
 @pytest.mark.parametrize("encode", [True, False])
 def test_what_a_node_receives_cannot_be_written_to(encode: bool) -> None:
     host = listening(encode=encode)
-    speaker = Host("a", Speaker(), Ports({}, {("tracks", ""): "agent/a/tracks"}), seed=0, encode=encode)
+    outbox: list[Outgoing] = []
+    ports = Ports({}, {("tracks", ""): "agent/a/tracks"})
+    speaker = Host("a", Speaker(), ports, seed=0, encode=encode, emit=outbox.append)
     body = tracks(3)
     speaker.publish("tracks", body, frame=0)
-    host.deliver("agent/a/tracks", speaker.outbox[0].payload, -1)
+    host.deliver("agent/a/tracks", outbox[0].payload, -1)
     with pytest.raises(ValueError, match="read-only"):
         host.node.received[0].body["position"][0] = 1.0
     body["position"][0] = 0.0  # the publisher's own array is still its own
@@ -426,7 +445,7 @@ def test_a_node_learns_of_the_others_before_the_first_frame_and_later() -> None:
         def left(self, node: str, role: str, context: Context) -> None:
             self.saw.append(("left", node, role))
 
-    host = Host("watcher", Watcher(), Ports({}, {}), seed=0, encode=True)
+    host = Host("watcher", Watcher(), Ports({}, {}), seed=0, encode=True, emit=[].append)
     host.start({"ego": "agent", "broker": "broker"})
     host.left("ego", "agent")
     host.joined("ego", "agent")
@@ -444,7 +463,7 @@ def test_a_node_that_fails_at_the_end_still_ends() -> None:
         def finish(self, context: Context) -> dict[str, Any]:
             raise RuntimeError("no results")
 
-    host = Host("failing", Failing(), Ports({}, {}), seed=0, encode=True)
+    host = Host("failing", Failing(), Ports({}, {}), seed=0, encode=True, emit=[].append)
     assert host.finish() == {}
     assert host.failures == {"finish": 1}
 
@@ -488,7 +507,7 @@ def ear(*, encode: bool = True) -> Host:
     heard = {
         key: Input("everything", hears.subject, hears.message, hears.source) for key, hears in (CLOCK | TRACKS).items()
     }
-    return Host("ear", Ear(), Ports(heard, {}), seed=7, encode=encode)
+    return Host("ear", Ear(), Ports(heard, {}), seed=7, encode=encode, emit=[].append)
 
 
 def test_who_hears_every_key_gets_the_bytes_and_the_header_at_once() -> None:

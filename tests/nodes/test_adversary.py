@@ -107,7 +107,7 @@ def test_a_pass_through_relays_the_very_payload_at_once(worlds, wire: str) -> No
     adversary.clock(0)
     payload = codec.encode(adversary.message(key, body_on(wire, *PLACES), 0))
     adversary.host.deliver(key, payload, 0)
-    (out,) = adversary.host.outbox
+    (out,) = adversary.outbox
     assert out.key == out_key(wire)
     assert out.payload is payload
 
@@ -120,9 +120,9 @@ def test_a_message_whose_pose_never_comes_is_passed_on_unchanged_at_the_next_clo
     key = adversary.key(wire)
     payload = codec.encode(adversary.message(key, body_on(wire, *PLACES), 3))
     adversary.host.deliver(key, payload, 3)
-    assert adversary.host.outbox == []
+    assert adversary.outbox == []
     adversary.host.deliver("clock", codec.encode(adversary.message("clock", {}, 4)), 4)
-    (out,) = adversary.host.outbox
+    (out,) = adversary.outbox
     assert (out.key, out.payload, out.step) == (out_key(wire), payload, 4)
 
 

@@ -309,8 +309,8 @@ def replayed(resolved, recorded: Run, agent: str, pictures: Any) -> tuple[list[b
         for place, payload in places:
             if place == len(own):
                 alone.host.deliver("cc/picture", payload, frame)
-        payloads += [out.payload for out in alone.host.outbox if out.key == f"agent/{agent}/tracks"]
-        alone.host.outbox.clear()
+        payloads += [out.payload for out in alone.outbox if out.key == f"agent/{agent}/tracks"]
+        alone.outbox.clear()
     return payloads, alone
 
 

@@ -17,7 +17,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.links import FATES, WIRES, Rule
 from mast_zenoh.messages import Header, Message
 from mast_zenoh.registry import known_types
-from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.wiring import Wiring
 
 TRACKS, STATUS, PICTURE = (
@@ -155,7 +155,7 @@ def test_a_corrupted_message_is_the_altered_one_with_some_bits_flipped(encode: b
     key = link.key("tracks")
     message = link.message(key, tracks((1.0, 2.0)), 0)
     link.host.deliver(key, codec.encode(message) if encode else message, 0)
-    (out,) = link.host.outbox
+    (out,) = link.outbox
     assert isinstance(out.payload, bytes)
     header = message.header._replace(time_ns=10**9 if skew else 0)
     sound = codec.encode(Message(header, message.body))
@@ -227,9 +227,9 @@ def test_bytes_that_are_no_message_are_passed_on_as_they_are_and_do_no_harm(payl
     link = _broken_link()
     for port in ("tracks", "picture", "pose"):
         link.host.deliver(link.key(port), payload, 0)
-    assert [out.payload for out in link.host.outbox] == [payload, payload], "who they are for will refuse them"
+    assert [out.payload for out in link.outbox] == [payload, payload], "who they are for will refuse them"
     assert not link.host.failures
-    link.host.outbox.clear()
+    link.outbox.clear()
     assert [key for key, _ in link.send("tracks", tracks(), 0)] == [TRACKS]
     link.said.clear()
 
@@ -253,7 +253,7 @@ def test_a_malformed_body_passes_a_network_that_does_not_look_at_it(encode: bool
         link.host.deliver(key, codec.encode(message), 0)
     else:
         link.host.deliver(key, message, 0, flaw="not finite")
-    (out,) = link.host.outbox
+    (out,) = link.outbox
     assert out.payload == codec.encode(message)
     assert not link.host.failures
 
@@ -381,7 +381,8 @@ class _RealTime:
         self.now = 10**12
         ports = Wiring.from_json(resolved.wiring).ports("link_ego")
         built = scenario.build_node(resolved.nodes["link_ego"], "link_ego")
-        self.host = Host("link_ego", built, ports, 0, encode=True, now=self.tick)
+        self.outbox: list[Outgoing] = []
+        self.host = Host("link_ego", built, ports, 0, encode=True, emit=self.outbox.append, now=self.tick)
         self.host.start({})
 
     def tick(self) -> int:
@@ -397,7 +398,7 @@ class _RealTime:
         self.host.deliver("agent/ego/tracks", codec.encode(message), seq)
 
     def sent(self) -> list[int]:
-        out = [out.payload for out in self.host.outbox if out.key == TRACKS]
+        out = [out.payload for out in self.outbox if out.key == TRACKS]
         return [codec.decode(payload, "tracks").header.seq for payload in out if isinstance(payload, bytes)]
 
 

@@ -15,7 +15,7 @@ from mast_zenoh import codec, scenario
 from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw, rotation_from_yaw_pitch
 from mast_zenoh.messages import Header, Message
 from mast_zenoh.runtime import results
-from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.scenario import Resolved
 from mast_zenoh.scenes import Recording, Scene, SceneAgent
@@ -160,7 +160,7 @@ class Run:
 class Bench:
     """One node of a scenario by itself, its configuration changed by `config`; the test plays all the others.
 
-    said: everything that the node has published so far, as (key, message)
+    said: everything that the node has published so far, as (key, message); outbox: what of it has not been looked at
     """
 
     def __init__(self, resolved: Resolved, name: str, *, encode: bool = True, **config: Any) -> None:
@@ -169,7 +169,8 @@ class Bench:
         self.ports = wiring.ports(name)
         spec = resolved.nodes[name]
         self.node = scenario.build_node(replace(spec, config={**spec.config, **config}), name)
-        self.host = Host(name, self.node, self.ports, resolved.seed, encode=encode)
+        self.outbox: list[Outgoing] = []
+        self.host = Host(name, self.node, self.ports, resolved.seed, encode=encode, emit=self.outbox.append)
         self.host.start({other: spec.role for other, spec in resolved.nodes.items() if other != name})
         self.said: list[tuple[str, Message]] = []
         self.payloads: list[bytes] = []
@@ -215,12 +216,12 @@ class Bench:
 
     def _collect(self) -> list[tuple[str, Message]]:
         fresh = []
-        for out in self.host.outbox:
+        for out in self.outbox:
             schema = next(schema for key, schema in self._schemas() if key == out.key)
             payload = out.payload if isinstance(out.payload, bytes) else codec.encode(out.payload)
             self.payloads.append(payload)
             fresh.append((out.key, codec.decode(payload, schema)))
-        self.host.outbox.clear()
+        self.outbox.clear()
         self.said += fresh
         return fresh
 

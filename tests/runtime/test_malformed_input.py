@@ -80,7 +80,7 @@ def test_100_000_malformed_messages_cost_one_message_each_and_no_node() -> None:
     for (name, node), here in places.items():
         bench = Bench(world(name), node)
         play(bench, played(name), range(BEFORE))
-        state, said, handled = pickle.dumps(bench.node), list(bench.host.outbox), bench.host.handled.copy()
+        state, said, handled = pickle.dumps(bench.node), list(bench.outbox), bench.host.handled.copy()
         bench.host.observe = lambda key, header: pytest.fail(f"{key}: a malformed message was taken for a sound one")
         sent: Counter[str] = Counter()
         for place in here:
@@ -93,7 +93,7 @@ def test_100_000_malformed_messages_cost_one_message_each_and_no_node() -> None:
             rejected[key] += n
         assert rejected == sent
         assert pickle.dumps(bench.node) == state
-        assert (bench.host.outbox, bench.host.handled) == (said, handled)
+        assert (bench.outbox, bench.host.handled) == (said, handled)
         assert not bench.host.failures
         total += sent.total()
 
@@ -101,7 +101,7 @@ def test_100_000_malformed_messages_cost_one_message_each_and_no_node() -> None:
         undisturbed = Bench(world(name), node)
         play(bench, played(name), range(BEFORE, FRAMES))
         play(undisturbed, played(name), range(FRAMES))
-        assert bench.host.outbox == undisturbed.host.outbox, "it goes on as if nothing had been"
+        assert bench.outbox == undisturbed.outbox, "it goes on as if nothing had been"
     assert total == TOTAL
 
 
