@@ -98,8 +98,8 @@ class Supervisor(ABC):
 
     def pause(self, child: Child) -> None:
         """Have a node stand still until it is resumed."""
+        child.paused = True  # also if it cannot be said whether it does
         self._stand_still(child)
-        child.paused = True
 
     @abstractmethod
     def _stand_still(self, child: Child) -> None:
