@@ -1,6 +1,6 @@
 """Frames/s of whole runs in one process, all roles and evaluation included; and what a second job is worth.
 
-    python benchmarks/inproc.py [--scene avstack:PATH] [--repeats 7] [--trials 12]
+    python benchmarks/inproc.py [--scene avstack:PATH] [--repeats 7] [--trials 140]
 
 Runs are timed from building the nodes to the evaluator's results, in CPU time of one core (other work on the machine
 does not count) and on the wall clock; the best of the repeats is what the code can do, the median what it did.
@@ -83,7 +83,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene")
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--trials", type=int, default=28)
+    parser.add_argument("--trials", type=int, default=140)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         scene = arguments.scene or "intersection"
