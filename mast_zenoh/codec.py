@@ -43,7 +43,7 @@ def conform(header: Header, body: Body) -> Message:
         exact = exact_columns(body, plan)
         if exact is not None:
             return Message(header, exact)
-        shapes = [planned.shape for planned in plan]
+        shapes, sizes = [planned.shape for planned in plan], layout.named(found)
     except (KeyError, IndexError, ValueError):
         shapes = []  # what is odd is told below
     columns: dict[str, NDArray[Any]] = {}
@@ -59,7 +59,7 @@ def conform(header: Header, body: Body) -> Message:
                 array = array.view()
                 array.setflags(write=False)
         if not shapes or array.shape != shapes[index]:
-            flaws.check_shape(schema.name, column, array.shape, layout.named(found) if shapes else sizes)
+            flaws.check_shape(schema.name, column, array.shape, sizes)
         columns[name] = array
     return Message(header, columns)
 

@@ -66,13 +66,13 @@ class Layout:
     """The shapes that the columns of one schema must have, for given sizes of its letters; remembered."""
 
     def __init__(self, schema: Schema) -> None:
-        #: for each letter, the column and the axis that give its size
+        # for each letter, the column and the axis that give its size
         self._letters: dict[str, tuple[str, int]] = {}
         for column in schema.columns:
             for axis, size in enumerate(column.shape):
                 if isinstance(size, str):
                     self._letters.setdefault(size, (column.name, axis))
-        self.sources = tuple(self._letters.values())
+        self._sources = tuple(self._letters.values())
         self._schema = schema
         self._plans: dict[tuple[int, ...], list[Planned]] = {}
         self._fit: set[tuple[int, ...]] = set()  # sizes with which a message is not too long
@@ -82,7 +82,7 @@ class Layout:
         return dict(zip(self._letters, sizes, strict=True))
 
     def plan(self, sizes: tuple[int, ...]) -> list[Planned]:
-        """For every column what a body must hold; `sizes` are those of `sources`, in their order.
+        """For every column what a body must hold; `sizes` are those of the letters, in their order.
 
         Raises ValueError if one is no size.
         """
@@ -103,13 +103,13 @@ class Layout:
         return plan
 
     def sizes(self, body: Body) -> tuple[int, ...]:
-        """The sizes of a body of arrays; raises KeyError or IndexError where a column or an axis is missing."""
-        return tuple([body[name].shape[axis] for name, axis in self.sources])
+        """The sizes of the letters, from arrays; raises KeyError or IndexError where a column or an axis is missing."""
+        return tuple([body[name].shape[axis] for name, axis in self._sources])
 
     def quick(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """The columns of a packed body with nothing odd about it; None where there is, whatever it may be."""
         try:
-            plan = self.plan(tuple([body[name][1][axis] for name, axis in self.sources]))
+            plan = self.plan(tuple([body[name][1][axis] for name, axis in self._sources]))
         except (KeyError, IndexError, TypeError, ValueError):
             return None
         columns = packed_columns(body, plan)

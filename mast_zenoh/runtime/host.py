@@ -314,7 +314,7 @@ class Host:
         if self._now is not None and self._began_ns is None:
             self._began_ns = self._now()
         self._handle(key, hears, received, counted)
-        if self._now is None and self._delayed:
+        if self._now is None:
             self._let_go(self._step)
         for step in sorted(step for step in self._held if step <= self.frame):
             for held_key, held_hears, held, held_counted in self._held.pop(step):
