@@ -8,7 +8,6 @@ rotation R (3, 3) of a body turns components in the body frame into components i
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mast_zenoh.states import Bools, Floats, ObjectStates
 
@@ -62,10 +61,24 @@ def _rotation(w: float, x: float, y: float, z: float) -> Floats:
 
 
 def quaternion_from_rotation(rotation: Floats) -> Floats:
-    """(..., 4) active quaternions (w, x, y, z), w >= 0, of (..., 3, 3) rotations."""
-    flat = np.asarray(rotation, np.float64).reshape(-1, 3, 3)
-    q = Rotation.from_matrix(flat).as_quat(canonical=True)[:, [3, 0, 1, 2]]
-    return np.ascontiguousarray(q.reshape(*np.shape(rotation)[:-2], 4))
+    """(..., 4) active quaternions (w, x, y, z), w >= 0, of (..., 3, 3) rotations.
+
+    Shepperd (J. Guidance and Control 1978): from the greatest component, so that nothing is divided by a small number.
+    """
+    matrix = np.asarray(rotation, np.float64)
+    trace = np.trace(matrix, axis1=-2, axis2=-1)
+    # Products of the components, times four: row k is the quaternion times four of its k-th component.
+    products = matrix + np.swapaxes(matrix, -1, -2)
+    turned = np.stack([matrix[..., i, j] - matrix[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
+    rows = np.empty((*matrix.shape[:-2], 4, 4))
+    rows[..., 1:, 1:], rows[..., 0, 1:], rows[..., 1:, 0] = products, turned, turned
+    rows[..., 0, 0] = 1.0 + trace
+    for k in range(3):
+        rows[..., k + 1, k + 1] = 1.0 - trace + 2.0 * matrix[..., k, k]
+    greatest = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(rows, greatest[..., None, None], axis=-2)[..., 0, :]
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., :1] < 0.0, -q, q)
 
 
 def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:

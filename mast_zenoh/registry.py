@@ -1,7 +1,8 @@
 """Builds objects from plain dicts: `dict(type="ClassName", parameter=…)`.
 
-Whatever subclasses a base can be named where that base is expected; there is nothing to register. Parameters are
-checked against the class's `__init__`: unknown names, missing ones and wrong types are refused with the path to them.
+Whatever subclasses a base can be named where that base is expected; there is nothing to register. A package imports
+all its modules that define algorithms, so these are there with their base. Parameters are checked
+against the class's `__init__`: unknown names, missing ones and wrong types are refused with the path to them.
 """
 
 from __future__ import annotations
@@ -14,11 +15,7 @@ from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from mast_zenoh import attacks, faults, fusion, links, metrics, scenes, sensing, tracking
 from mast_zenoh.errors import ConfigurationError, nearest
-
-#: Importing these defines the algorithms that can be named.
-ALGORITHMS = (attacks, faults, fusion, links, metrics, scenes, sensing, tracking)
 
 _Signature = tuple[dict[str, inspect.Parameter], dict[str, Any]]
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from mast_zenoh.links.base import LONGEST_S, NANOSECONDS, Passage, Rule, expect, expect_duration, expect_part
 from mast_zenoh.states import Floats
@@ -39,7 +38,9 @@ class Delay(Rule):
         expect_duration("jitter_s", jitter_s)
         if distribution == "constant":
             expect("jitter_s", jitter_s, jitter_s == 0.0, "0 s for a constant delay")
-        elif distribution != "normal":
+        elif distribution == "normal":
+            import scipy.special  # noqa: F401  # slow to load: not when the first message comes
+        else:
             expect("mean_s", mean_s, mean_s > 0.0 or jitter_s == 0.0, f"more than 0 s for {distribution} jitter")
         self.mean_s, self.jitter_s, self.distribution = mean_s, jitter_s, distribution
 
@@ -54,6 +55,8 @@ class Delay(Rule):
             variance = math.log1p((std / mean) ** 2)
             delay = rng.lognormal(math.log(mean) - variance / 2.0, math.sqrt(variance), count)
         else:  # normal, by the inverse of its distribution above 0
+            from scipy.special import ndtr, ndtri
+
             below = ndtr(-mean / std)
             delay = mean + std * ndtri(below + rng.random(count) * (1.0 - below))
         return np.clip(delay, 0.0, LONGEST_S).reshape(count, 1)

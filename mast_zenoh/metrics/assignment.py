@@ -5,13 +5,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from mast_zenoh.matching import alone, cheapest
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
 from mast_zenoh.metrics.overlap import iou_3d
-from mast_zenoh.states import Bools, Floats, Ints
+from mast_zenoh.states import Ints
 
 
 class Assigner(ABC):
@@ -52,7 +50,9 @@ class CenterDistanceAssigner(Assigner):
         distance = centre_distance(truth.position[i], tracks.position[j])
         near = distance <= self.gate_m
         i, j, distance = i[near], j[near], distance[near]
-        chosen = _cheapest(i, j, distance, self.gate_m)
+        # So much for a pair that no other choice of fewer pairs costs less.
+        fewest = min(np.bincount(boxes.group).max() for boxes in (truth, tracks))
+        chosen = cheapest(i, j, distance - (self.gate_m * (fewest + 1) + 1.0))
         return i[chosen], j[chosen]
 
 
@@ -81,41 +81,3 @@ class IoU3DGreedyAssigner(Assigner):
                 free_truth[i[pair]] = free_track[j[pair]] = False
                 chosen[pair] = True
         return i[chosen], j[chosen]
-
-
-def alone(i: Ints, j: Ints) -> Bools:
-    """(p,) pairs both of whose ends are in no other pair."""
-    if len(i) == 0:
-        return np.zeros(0, bool)
-    single: Bools = (np.bincount(i)[i] == 1) & (np.bincount(j)[j] == 1)
-    return single
-
-
-def _cheapest(i: Ints, j: Ints, cost: Floats, limit: float) -> Bools:
-    """(p,) the pairs of a matching with the most pairs and, of these, the least total cost; costs are 0 to `limit`."""
-    chosen = alone(i, j)
-    contested = np.flatnonzero(~chosen)
-    if len(contested) == 0:
-        return chosen
-    # Objects that compete directly or through others form islands, each solved by itself.
-    rows, r = np.unique(i[contested], return_inverse=True)
-    columns, c = np.unique(j[contested], return_inverse=True)
-    size = len(rows) + len(columns)
-    graph = coo_array((np.ones(len(contested), np.int8), (r, c + len(rows))), shape=(size, size))
-    _, label = connected_components(graph, directed=False)
-    island = label[r]
-    order = np.argsort(island, kind="stable")
-    for edges in np.split(order, np.flatnonzero(np.diff(island[order])) + 1):
-        mine_r, at_r = np.unique(r[edges], return_inverse=True)
-        mine_c, at_c = np.unique(c[edges], return_inverse=True)
-        if min(len(mine_r), len(mine_c)) == 1:
-            chosen[contested[edges[np.argmin(cost[contested[edges]])]]] = True
-            continue
-        prohibitive = 1.0 + limit * (min(len(mine_r), len(mine_c)) + 1)
-        table = np.full((len(mine_r), len(mine_c)), prohibitive)
-        table[at_r, at_c] = cost[contested[edges]]
-        solved_r, solved_c = linear_sum_assignment(table)
-        partner = np.full(len(mine_r), -1)
-        partner[solved_r] = solved_c
-        chosen[contested[edges[partner[at_r] == at_c]]] = True
-    return chosen

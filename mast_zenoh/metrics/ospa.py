@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from mast_zenoh.metrics.assignment import alone
+from mast_zenoh.matching import cheapest
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
-from mast_zenoh.states import Bools, Floats, Ints
+from mast_zenoh.states import Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,62 +58,12 @@ class SetDistance:
     def _gained(self, truth: Boxes, tracks: Boxes, n_groups: int) -> Floats:
         """(n_groups,) m^p: what the best assignment saves over one in which all pairs are c apart: c^p · m - S.
 
-        Only pairs nearer than c save anything: S is found as the matching of greatest saving in that sparse graph,
-        island by island.
+        Only pairs nearer than c save anything.
         """
         i, j = pairs_within(truth, tracks, self.c)
         distance = centre_distance(truth.position[i], tracks.position[j])
         near = distance < self.c
         i, j = i[near], j[near]
         saving = self.c**self.p - distance[near] ** self.p
-        lone = alone(i, j)
-        gained = np.bincount(truth.group[i[lone]], saving[lone], minlength=n_groups).astype(np.float64)
-        i, j, saving = i[~lone], j[~lone], saving[~lone]
-        if len(i) == 0:
-            return gained
-        (r, rows), (c, columns) = _ranks(i, len(truth)), _ranks(j, len(tracks))
-        graph = coo_array((np.ones(len(i), np.int8), (r, c + rows)), shape=(rows + columns, rows + columns))
-        n_islands, label = connected_components(graph, directed=False)
-        island = label[r]
-        # Where nobody's nearest is the nearest of another as well, taking the nearest is the best there is.
-        solved, chosen = np.zeros(n_islands, bool), np.zeros(len(i), bool)
-        for favourites, other in ((_favourites(r, saving), c), (_favourites(c, saving), r)):
-            clash = np.zeros(n_islands, bool)
-            clash[island[favourites & (np.bincount(other[favourites], minlength=other.max() + 1)[other] > 1)]] = True
-            chosen |= favourites & ~(clash | solved)[island]
-            solved |= ~clash
-        gained += np.bincount(truth.group[i[chosen]], saving[chosen], minlength=n_groups)
-        left = np.flatnonzero(~solved[island])
-        left = left[np.argsort(island[left], kind="stable")]
-        for edges in np.split(left, np.flatnonzero(np.diff(island[left])) + 1):
-            if len(edges):
-                gained[truth.group[i[edges[0]]]] += _best(i[edges], j[edges], saving[edges])
-        return gained
-
-
-def _ranks(values: Ints, n: int) -> tuple[Ints, int]:
-    """The rank of each value, 0 to n - 1, among those that occur, and how many these are."""
-    present = np.zeros(n, np.int64)
-    present[values] = 1
-    ranks = present.cumsum()
-    return ranks[values] - 1, int(ranks[-1])
-
-
-def _favourites(end: Ints, saving: Floats) -> Bools:
-    """(e,) of the edges at each end the one that saves most; the first of several."""
-    order = np.argsort(end, kind="stable")
-    start = np.flatnonzero(np.diff(end[order], prepend=-1))
-    most = np.maximum.reduceat(saving[order], start)
-    best = order[saving[order] == np.repeat(most, np.diff(start, append=len(end)))]
-    mask = np.zeros(len(end), bool)
-    mask[best[np.diff(end[best], prepend=-1) != 0]] = True
-    return mask
-
-
-def _best(i: Ints, j: Ints, saving: Floats) -> float:
-    """The greatest saving of a matching of one island."""
-    rows, r = np.unique(i, return_inverse=True)
-    columns, c = np.unique(j, return_inverse=True)
-    table = np.zeros((len(rows), len(columns)))
-    table[r, c] = saving
-    return float(table[linear_sum_assignment(table, maximize=True)].sum())
+        chosen = cheapest(i, j, -saving)
+        return np.bincount(truth.group[i[chosen]], saving[chosen], minlength=n_groups).astype(np.float64)

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from mast_zenoh.scenes.junction import BIKE, CROSSER, ROAD, Lane
 from mast_zenoh.scenes.paths import Path
@@ -48,7 +47,14 @@ def _sweep(path: Path, footprint: tuple[float, float], begin: float = 0.0, end: 
 
 
 def _meet(one: tuple[Floats, float], other: tuple[Floats, float]) -> bool:
-    return bool(cdist(one[0], other[0]).min(initial=np.inf) < one[1] + other[1] + _CLEARANCE)
+    return bool(_distances(one[0], other[0]).min(initial=np.inf) < one[1] + other[1] + _CLEARANCE)
+
+
+def _distances(a: Floats, b: Floats) -> Floats:
+    """(n, m) m, of (n, 2) from (m, 2) places."""
+    from scipy.spatial.distance import cdist  # slow to load, and most runs find their scene prepared
+
+    return cdist(a, b)
 
 
 def _footprints(lane: Lane) -> list[int]:
@@ -127,7 +133,7 @@ def shared(lanes: Sequence[Lane]) -> Floats:
             for q in lane.follow:
                 if p != q:
                     one, other = lanes[p].path, lanes[q].path
-                    apart = cdist(other.points, one.points).min(axis=1) > 3.2
+                    apart = _distances(other.points, one.points).min(axis=1) > 3.2
                     result[p, q] = other.length * float(np.argmax(apart)) / len(apart) if apart.any() else other.length
     return result
 

@@ -93,6 +93,7 @@ def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
     settings: dict[str, Any] = {
         "distributed.comm.timeouts.connect": f"{_CONNECT_S}s",
         "distributed.admin.tick.limit": "60s",
+        "distributed.worker.profile.enabled": False,  # it interrupts a trial every 10 ms, for a page that nobody opens
     }
     settings |= {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _KEEP_MEMORY.items()}
     with dask.config.set(settings):

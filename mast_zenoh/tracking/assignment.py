@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh.kernels import kernel
+from mast_zenoh.matching import cheapest
 from mast_zenoh.states import Bools, Floats, Ints
 
 #: Rows times columns up to which the best choice is looked for: it takes their power of 3/2 in time.
@@ -49,7 +49,7 @@ def useful_pairs(row: Ints, column: Ints, cost: Floats) -> tuple[Ints, Bools]:
 
 
 class BipartiteAssignment(Assignment):
-    """The choice of least total cost (Jonker and Volgenant's algorithm, SciPy's `linear_sum_assignment`).
+    """The choice of least total cost, see `matching.cheapest`.
 
     Where more than LARGEST pairs are possible, the greedy choice: only a hostile source brings so many.
     """
@@ -58,17 +58,9 @@ class BipartiteAssignment(Assignment):
         pass
 
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
-        r, rows = _ranks(row)
-        c, columns = _ranks(column)
-        if rows * columns > LARGEST:
+        if _different(row) * _different(column) > LARGEST:
             return GreedyAssignment()._choose(row, column, cost)
-        # Zero stands for "both left alone", so that the complete matching of least cost contains the best partial one.
-        table = np.zeros((rows, columns))
-        table[r, c] = cost
-        solved = np.full(rows, -1)
-        i, j = linear_sum_assignment(table)
-        solved[i] = j
-        return np.asarray(solved[r] == c)
+        return cheapest(row, column, cost)
 
 
 class GreedyAssignment(Assignment):
@@ -90,9 +82,6 @@ class GreedyAssignment(Assignment):
         return chosen
 
 
-def _ranks(values: Ints) -> tuple[Ints, int]:
-    """The rank of each value among the different ones, and how many there are of those; values >= 0."""
-    present = np.zeros(values.max() + 1, np.int64)
-    present[values] = 1
-    ranks = present.cumsum()
-    return ranks[values] - 1, int(ranks[-1])
+def _different(values: Ints) -> int:
+    """How many different ones there are; values >= 0."""
+    return int(np.count_nonzero(np.bincount(values)))

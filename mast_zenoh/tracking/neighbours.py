@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Floats, Ints
@@ -40,6 +39,8 @@ def pairs_in_reach(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Flo
 
 def _nearest(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Floats, Floats]:
     """As `neighbours`, but of each place in `a` only the CROWD nearest in `b`."""
+    from scipy.spatial import cKDTree  # slow to load, and few nodes ever see such a crowd
+
     crowd = min(CROWD, len(b))
     # A little further than the reach, so that rounding in the tree decides nothing.
     _, other = cKDTree(b).query(a, np.arange(1, crowd + 1), distance_upper_bound=float(reach.max()) * (1.0 + 1e-9))

@@ -34,7 +34,7 @@ LAYERS = (
         "bundle",
     ),
     ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics", "links", "faults"),
-    ("geometry", "states", "streams", "kernels", "errors", "release", "__init__"),
+    ("geometry", "matching", "states", "streams", "kernels", "errors", "release", "__init__"),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))

@@ -162,6 +162,7 @@ ARGUMENTS = {
     "gated": gated,
     "gains": gains,
     "useful_pairs": lambda r, n, m: (*(ends := pairs(r, n, m)), r.integers(-4, 3, len(ends[0])).astype(float)),
+    "cheapest": lambda r, n, m: (*(ends := pairs(r, n, m)), -r.uniform(0, 4, len(ends[0]))),
     "correct_heading": lambda r, n, m: (table(r, n), r.uniform(-9, 9, n), 0.01),
     "settle_sense": lambda r, n, m: (table(r, n), 2.0, 5.0),
     "across": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
@@ -242,6 +243,16 @@ def test_a_compiled_kernel_is_its_reference(name, seed, n, m):
 def test_kernels_know_the_columns_of_the_table_of_tracks():
     compiled_tracks = importlib.import_module("mast_zenoh.kernels.tracks")
     assert {name: getattr(tracks, name) for name in compiled_tracks.COLUMNS} == compiled_tracks.COLUMNS
+
+
+@compiled
+def test_a_node_that_has_compiled_kernels_does_without_scipy():
+    """It takes as long to load as all else that a node needs."""
+    code = "import nodes.agent, nodes.command_center, nodes.simulator, nodes.adversary, sys; print(*sys.modules)"
+    root = Path(mast_zenoh.__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    assert "nodes.agent" in done.stdout.split()
+    assert "scipy" not in done.stdout.split()
 
 
 PLAY = """

@@ -1,10 +1,17 @@
 """Plain dicts become objects, and what is wrong in them is refused with the path to it."""
 
+import importlib
+import inspect
+import pkgutil
+import subprocess
+import sys
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import Literal
 
 import pytest
 
+import mast_zenoh
 from mast_zenoh import registry
 from mast_zenoh.errors import ConfigurationError
 
@@ -71,3 +78,22 @@ def test_nested_dicts_are_built_by_annotation_and_whole_numbers_serve_as_numbers
 def test_what_is_wrong_is_refused_with_its_path(spec: object, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         build(spec)
+
+
+ALGORITHMS = ("attacks", "faults", "fusion", "links", "metrics", "scenes", "sensing", "tracking")
+
+
+@pytest.mark.parametrize("package", ALGORITHMS)
+def test_what_can_be_named_in_place_of_a_base_is_there_with_the_base(package: str) -> None:
+    """In a new process: none of ours hides in a module that its package leaves out."""
+    folder = Path(mast_zenoh.__file__).parent / package
+    defined = {}
+    for found in pkgutil.iter_modules([str(folder)]):
+        module = importlib.import_module(f"mast_zenoh.{package}.{found.name}")
+        for cls in vars(module).values():
+            if inspect.isclass(cls) and cls.__module__ == module.__name__ and inspect.isabstract(cls.__base__):
+                defined[cls.__module__] = cls.__base__.__module__
+    assert defined
+    for module, base in defined.items():
+        code = f"import {base}, sys; sys.exit({module!r} not in sys.modules)"
+        assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0, module
