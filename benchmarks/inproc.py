@@ -1,13 +1,13 @@
 """Frames/s of whole runs in one process, all roles and evaluation included; and what a second job is worth.
 
-    python benchmarks/inproc.py [--scene avstack:PATH] [--repeats 7] [--trials 140]
+    python benchmarks/inproc.py [--scene avstack:PATH] [--repeats 7] [--trials 140] [--rounds 3]
 
 Runs are timed from building the nodes to the evaluator's results, in CPU time of one core (other work on the machine
 does not count) and on the wall clock; the best of the repeats is what the code can do, the median what it did.
 
 Jobs are compared by trials per second of wall clock: of all trials, with the start of the workers, and without it (from
-the first outcomes to the last), as a study of many trials has it. That needs two idle cores; the CPU time per trial
-tells what a second job costs on a machine that has other work.
+the first outcomes to the last), as a study of many trials has it; in turns, and the medians are compared. That needs
+two idle cores; the CPU time per trial tells what a second job costs on a machine that has other work.
 
 Without --scene it takes scene_a from $MAST_DATA or ../shared/data, or else the generated junction.
 """
@@ -53,29 +53,29 @@ def whole_runs(name: str, scene: str, repeats: int) -> None:
     )
 
 
-def one_and_two_jobs(scene: str, trials: int) -> None:
+def one_and_two_jobs(scene: str, trials: int, rounds: int) -> None:
     """Time the same trials with one job and with two."""
     study = definition.load("monte_carlo", [f"scenes={scene}"])
     seeds = -(-trials // len(study.configurations))
     todo = plan.trials(study, count=seeds, seed=0, frames=None, runtime="inproc")[:trials]
     for seed in {trial.seed: trial for trial in todo}.values():
         execution.one.prepare(seed)  # the scenes are prepared before the clock runs, for both alike
-    rates = {}
-    for jobs in (1, 2):
-        began = time.perf_counter()
-        ends, cpu = [], []
-        with closing(execution.carry_out(todo, jobs=jobs, cluster=None)) as outcomes:
-            for outcome in outcomes:
-                assert not outcome.error, outcome.error
-                ends.append(time.perf_counter())
-                cpu.append(outcome.cpu_s)
-        steady = (len(ends) - jobs) / (ends[-1] - ends[jobs - 1])
-        rates[jobs] = len(ends) / (ends[-1] - began), steady, statistics.mean(cpu)
+    rates: dict[int, list[tuple[float, float, float]]] = {1: [], 2: []}
     print(f"{f'{trials} trials':14}{'trials/s':>12}{'without start':>16}{'CPU s/trial':>14}")
-    for jobs, (whole, steady, cost) in rates.items():
-        print(f"{f'jobs: {jobs}':14}{whole:12.2f}{steady:16.2f}{cost:14.2f}")
-    ratio = [two / one for one, two in zip(rates[1], rates[2], strict=True)]
-    print(f"{'2 against 1':14}{ratio[0]:12.2f}{ratio[1]:16.2f}{ratio[2]:14.2f}")
+    for _ in range(rounds):
+        for jobs, measured in rates.items():
+            began = time.perf_counter()
+            ends, cpu = [], []
+            with closing(execution.carry_out(todo, jobs=jobs, cluster=None)) as outcomes:
+                for outcome in outcomes:
+                    assert not outcome.error, outcome.error
+                    ends.append(time.perf_counter())
+                    cpu.append(outcome.cpu_s)
+            steady = (len(ends) - jobs) / (ends[-1] - ends[jobs - 1])
+            measured.append((len(ends) / (ends[-1] - began), steady, statistics.mean(cpu)))
+            print("{:14}{:12.2f}{:16.2f}{:14.3f}".format(f"jobs: {jobs}", *measured[-1]))
+    one, two = ([statistics.median(column) for column in zip(*rates[jobs], strict=True)] for jobs in (1, 2))
+    print("{:14}{:12.2f}{:16.2f}{:14.2f}".format("2 against 1", *(b / a for a, b in zip(one, two, strict=True))))
 
 
 def main() -> None:
@@ -84,6 +84,7 @@ def main() -> None:
     parser.add_argument("--scene")
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--trials", type=int, default=140)
+    parser.add_argument("--rounds", type=int, default=3)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         scene = arguments.scene or "intersection"
@@ -97,7 +98,7 @@ def main() -> None:
         for name in SCENARIOS:
             whole_runs(name, scene, arguments.repeats)
         print()
-        one_and_two_jobs(scene, arguments.trials)
+        one_and_two_jobs(scene, arguments.trials, arguments.rounds)
 
 
 if __name__ == "__main__":

@@ -93,7 +93,10 @@ def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
     settings: dict[str, Any] = {
         "distributed.comm.timeouts.connect": f"{_CONNECT_S}s",
         "distributed.admin.tick.limit": "60s",
-        "distributed.worker.profile.enabled": False,  # it interrupts a trial every 10 ms, for a page that nobody opens
+        # What would interrupt a trial a hundred times a second and more, for pages that nobody opens.
+        "distributed.worker.profile.enabled": False,
+        "distributed.admin.tick.interval": "1s",
+        "distributed.admin.system-monitor.interval": "10s",
     }
     settings |= {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _KEEP_MEMORY.items()}
     with dask.config.set(settings):
