@@ -33,7 +33,8 @@ def run(command: Sequence[str], *, timeout: float = _TIMEOUT_S, check: bool = Tr
     except subprocess.TimeoutExpired:
         raise EngineError(f"`{' '.join(command[:3])}` has not ended within {timeout:.0f} s") from None
     if done.returncode and check:
-        lines = [line for line in done.stderr.strip().splitlines() if line.strip()]
+        # Of several things that it could not do, Docker names each, and says "exit status 1" at the end.
+        lines = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("exit status")]
         raise EngineError(f"`{' '.join(command[:3])}` failed: {lines[-1] if lines else f'exit code {done.returncode}'}")
     return done.stdout
 

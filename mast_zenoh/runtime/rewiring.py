@@ -242,7 +242,7 @@ def _number(payload: bytes | None, message: str) -> int | None:
 
 @dataclass
 class Change:
-    """A change of the wiring that has been asked for."""
+    """A change of the wiring that has been asked for; frame: the first that may go the new way."""
 
     wiring: Wiring
     join: dict[str, str]
@@ -250,6 +250,7 @@ class Change:
     query: zenoh.Query
     asked: float = field(default_factory=time.monotonic)
     begun: float = 0.0
+    frame: int = 0
 
     @classmethod
     def of(cls, query: zenoh.Query) -> Change:
@@ -299,11 +300,12 @@ class Rewirer:
         if not self.told.speak:
             for name in change.leave:
                 driver.expected.pop(name, None)
+            change.frame = driver.frames  # in real time the next may begin before all have said that they have switched
             self._epoch(Told(change.wiring, True, change.leave))
             return True
         self.told = Told(change.wiring, True)
         self._change = None
-        change.reply(frame=driver.frames, took_ms=round((time.monotonic() - change.begun) * 1e3, 3))
+        change.reply(frame=change.frame, took_ms=round((time.monotonic() - change.begun) * 1e3, 3))
         return self._begin()
 
     def _begin(self) -> bool:

@@ -257,7 +257,10 @@ class Services(Supervisor):
             if not newest & {task.id for task in child.tasks} and all(task.exit is not None for task in child.tasks):
                 return
             if time.monotonic() > deadline:
-                raise EngineError(f"{child.name}: the service {child.service} does not end")
+                there = ", ".join(f"{task.state}, to be {task.wanted}" for task in child.tasks)
+                raise EngineError(
+                    f"{child.name}: the service {child.service} does not end within {_CHANGED_S:.0f} s: task {there}"
+                )
             threading.Event().wait(0.2)
 
     def _container(self, child: Service, done: str) -> str:
