@@ -64,6 +64,7 @@ class Launch:
     frame: int = -1
     problem: RunError | None = None
     stopping_since: float | None = None
+    _why: str = "end"  # it stops
     signals: list[int] = field(default_factory=list)
     hosts: Hosts | None = None
     deployment: Deployment | None = None
@@ -209,8 +210,7 @@ class Launch:
             if self.stopping_since is not None:
                 supervisor.resume(supervisor.running())  # who stands still cannot hear that it is to stop
                 supervisor.connect(supervisor.running())
-                if steps.cut:
-                    self._stop_again(session)
+                self._ask_to_stop(session)
                 grace = _INTERRUPT_GRACE_S if interrupted and not steps.cut else _LEAVE_GRACE_S  # to find back
                 busy_at = max(self.stopping_since, self.depot.taken_at if self.depot else self.stopping_since)
                 if time.monotonic() - busy_at > grace:
@@ -225,13 +225,12 @@ class Launch:
                 steps.carry_out(asked)
 
     def _mind(self, hosts: Hosts, session: zenoh.Session) -> None:
-        """A network that has failed ends the run. One that is to end is healed, for all to hear of it and hand in."""
+        """A network that has failed ends the run. When all is to end it is healed: all are to hear it, and hand in."""
         if (what := hosts.problem()) and self.problem is None:
             self.problem = BackendError(f"hosts: {what}")
             self._stop(session, "the network has failed")
         if self.stopping_since is not None:
             hosts.heal()
-            self._stop_again(session)
 
     def _ended(self, child: Child, steps: Steps, session: zenoh.Session) -> None:
         """A process has ended: as it should, or not."""
@@ -264,12 +263,12 @@ class Launch:
     def _stop(self, session: zenoh.Session, reason: str) -> None:
         """Ask everyone to finish."""
         if self.stopping_since is None:
-            self.stopping_since = time.monotonic()
-            session.put(f"{prefix(self.record['id'])}/@control/stop", reason)
+            self.stopping_since, self._why = time.monotonic(), reason
+            self._ask_to_stop(session)
 
-    def _stop_again(self, session: zenoh.Session) -> None:
-        """For those who were cut off, and have not heard it."""
-        session.put(f"{prefix(self.record['id'])}/@control/stop", "end")
+    def _ask_to_stop(self, session: zenoh.Session) -> None:
+        """Also again: who is still starting, or was cut off, has not heard it."""
+        session.put(f"{prefix(self.record['id'])}/@control/stop", self._why)
 
     def _take_results(self) -> None:
         while not self._handed_in.empty():

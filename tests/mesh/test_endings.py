@@ -162,6 +162,8 @@ def test_a_node_that_cannot_start_is_named_with_its_last_words(launch, tmp_path:
     assert code == 21, output
     assert "mallory ended before the first frame: exit code 1" in output
     assert "no licence found" in output
+    others = [node["ended"] for name, node in run.record()["nodes"].items() if name != "mallory"]
+    assert set(others) == {"ok"}, "also who was still starting has heard that it is to stop"
 
 
 def test_a_folder_that_holds_something_is_not_written_into(launch, tmp_path: Path) -> None:
