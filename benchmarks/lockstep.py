@@ -29,6 +29,7 @@ import zenoh
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import local
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.session import open_client, open_router
 from mast_zenoh.wiring import Wiring
@@ -39,14 +40,14 @@ PICTURE = "cc/picture"
 PREFIX = "bare/"
 
 
-def payload_sizes(resolved: scenario.Resolved) -> dict[str, int]:
+def payload_sizes(resolved: Resolved) -> dict[str, int]:
     """Mean bytes of a message on each key."""
     sizes: dict[str, list[int]] = defaultdict(list)
     InProcess(resolved, encode=True, tap=lambda sent: sizes[sent.key].append(len(sent.payload))).run()
     return {key: round(statistics.mean(found)) for key, found in sizes.items()}
 
 
-def testbed(resolved: scenario.Resolved) -> float:
+def testbed(resolved: Resolved) -> float:
     """Frames/s of the testbed on its mesh."""
     with tempfile.TemporaryDirectory() as out:
         ended = local.run(resolved, Path(out) / "run")
@@ -55,7 +56,7 @@ def testbed(resolved: scenario.Resolved) -> float:
         return float(ended.record["timings"]["frames_per_second"])
 
 
-def bare(resolved: scenario.Resolved, sizes: dict[str, int], frames: int, *, barrier: bool) -> float:
+def bare(resolved: Resolved, sizes: dict[str, int], frames: int, *, barrier: bool) -> float:
     """Frames/s of bare messages over the same graph."""
     router, endpoint = open_router()
     with router, tempfile.TemporaryDirectory() as folder:

@@ -18,7 +18,7 @@ from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.links import FATES, WIRES
 from mast_zenoh.messagelog import channels, reader
 from mast_zenoh.messages import Body
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.wiring import Wiring
 
 #: In real time things happen about when they should; s of scene time.

@@ -28,7 +28,7 @@ from mast_zenoh.faults.impairments import (
 )
 from mast_zenoh.faults.plan import Plan, plan
 from mast_zenoh.faults.schedule import random_schedule
-from mast_zenoh.faults.steps import ACTIONS, ProcessStep
+from mast_zenoh.steps import ACTIONS, ProcessStep
 
 __all__ = [
     "ACTIONS",

@@ -23,9 +23,9 @@ from mast_zenoh.interposition import Place, insert
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.interception import SECRET_FILE, place_json, seal
 from mast_zenoh.node import Node
+from mast_zenoh.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_client
-from mast_zenoh.scenario import NodeSpec, Resolved, build_node
 from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.settings import nested
 from mast_zenoh.wiring import ANY, Endpoint, Leg, Wire, Wiring

@@ -22,10 +22,9 @@ import zenoh
 
 from mast_zenoh import release
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
+from mast_zenoh.resolved import RECORDING, Resolved
 from mast_zenoh.runtime.elsewhere import PIECE_BYTES, refused, written_by
 from mast_zenoh.runtime.mesh import prefix
-from mast_zenoh.scenario import Resolved
-from mast_zenoh.scenario.resolved import RECORDING
 from mast_zenoh.scenes.recording import Recording
 
 

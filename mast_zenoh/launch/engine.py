@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import zenoh
 
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
 
 if TYPE_CHECKING:
     from mast_zenoh.launch.launching import Launch

@@ -25,8 +25,8 @@ from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NotRu
 from mast_zenoh.interposition import Place
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
+from mast_zenoh.resolved import NodeSpec, Resolved
 from mast_zenoh.runtime.mesh import prefix
-from mast_zenoh.scenario import NodeSpec, Resolved
 from mast_zenoh.wiring import Wiring
 
 if TYPE_CHECKING:

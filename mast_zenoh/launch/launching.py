@@ -32,11 +32,11 @@ from mast_zenoh.launch.processes import Processes
 from mast_zenoh.launch.signals import stop_signals
 from mast_zenoh.launch.steps import Steps
 from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.mesh import ATTACHMENT, prefix
 from mast_zenoh.runtime.session import open_client, open_router
 from mast_zenoh.runtime.timetable import Timetable
-from mast_zenoh.scenario import Resolved
 from mast_zenoh.security import levels
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring import Wiring

@@ -26,9 +26,9 @@ from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.signals import stop_signals
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.scenario import Resolved
 
 
 @dataclass

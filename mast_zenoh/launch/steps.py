@@ -9,7 +9,7 @@ import msgpack
 
 from mast_zenoh.errors import BackendError
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.scenario import NodeSpec, Resolved
+from mast_zenoh.resolved import NodeSpec, Resolved
 
 _LEAVE_GRACE_S = 5.0  # for a node that was asked to leave, before it is started again
 

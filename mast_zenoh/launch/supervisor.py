@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from mast_zenoh.errors import BackendError
-from mast_zenoh.scenario import NodeSpec
+from mast_zenoh.resolved import NodeSpec
 
 MAX_RESTARTS = 5
 

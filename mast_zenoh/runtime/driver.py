@@ -15,13 +15,13 @@ from typing import Any
 import msgpack
 import zenoh
 
-from mast_zenoh.faults.steps import ProcessStep
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.mesh import NOTED_FRAMES, MeshNode
 from mast_zenoh.runtime.pacer import Pacer
 from mast_zenoh.runtime.rewiring import Rewirer, Told, counted, packed
 from mast_zenoh.runtime.timetable import Timetable
+from mast_zenoh.steps import ProcessStep
 from mast_zenoh.wiring import Wiring
 
 #: How long the last messages of a real-time run may be under way before everyone is told to stop.

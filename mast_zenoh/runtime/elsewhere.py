@@ -37,10 +37,10 @@ import zenoh
 from mast_zenoh import errors, release
 from mast_zenoh.errors import MastError, RunError, StartError
 from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import hosting
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_router
-from mast_zenoh.scenario import Resolved
 from mast_zenoh.security.credentials import Credentials
 
 #: Below which no query or reply of a file becomes too large.

@@ -15,11 +15,11 @@ import zenoh
 from mast_zenoh import loading, registry
 from mast_zenoh.errors import CredentialsError
 from mast_zenoh.node import Node, Source
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime.driver import Driver
 from mast_zenoh.runtime.mesh import MeshNode
 from mast_zenoh.runtime.session import open_client
 from mast_zenoh.runtime.timetable import Timetable
-from mast_zenoh.scenario import Resolved
 from mast_zenoh.security import explain
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.wiring import Wiring

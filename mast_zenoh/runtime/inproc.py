@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.errors import RunError
-from mast_zenoh.faults.steps import ProcessStep
 from mast_zenoh.node import Source
+from mast_zenoh.resolved import Resolved, build_node
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.timetable import LEAVING, Timetable
-from mast_zenoh.scenario import Resolved, build_node
+from mast_zenoh.steps import ProcessStep
 from mast_zenoh.wiring import Wiring
 
 

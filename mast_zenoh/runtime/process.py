@@ -20,9 +20,9 @@ from pathlib import Path
 
 from mast_zenoh.errors import MastError
 from mast_zenoh.node import Node
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import hosting
 from mast_zenoh.runtime.mesh import MeshNode
-from mast_zenoh.scenario import Resolved
 
 ORPHAN_GRACE_S = 2.0
 PR_SET_PDEATHSIG = 1  #: of prctl(2): which signal a process gets when its parent dies

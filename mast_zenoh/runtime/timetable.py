@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.faults.steps import ACTIONS, REALTIME, ProcessStep
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.steps import ACTIONS, REALTIME, ProcessStep
 
 #: After these a node is not there any more.
 LEAVING = ("kill", "leave")

@@ -6,23 +6,17 @@
     nodes       which nodes there are
     timeline    links, faults and attacks over time
     resolution  resolve: prepares the scene, builds every node once, and resolves the key of every port
-    resolved    what comes of it
 
-Processes get the resolved scenario as JSON (`Resolved.to_json`), never the Python file.
+What comes of it is in `mast_zenoh.resolved`: processes get that as JSON, never the Python file.
 """
 
 from mast_zenoh.scenario.reading import choose_scene, load
 from mast_zenoh.scenario.resolution import resolve
-from mast_zenoh.scenario.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.scenario.shape import MODES, RUN_DEFAULTS
 
 __all__ = [
     "MODES",
-    "RECORDING",
     "RUN_DEFAULTS",
-    "NodeSpec",
-    "Resolved",
-    "build_node",
     "choose_scene",
     "load",
     "resolve",

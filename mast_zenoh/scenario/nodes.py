@@ -11,7 +11,7 @@ from typing import Any
 from mast_zenoh import bundle, loading
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.messagelog.writer import MessageLog
-from mast_zenoh.scenario.resolved import NodeSpec
+from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 
 ON_EXIT = ("fail", "continue", "restart")

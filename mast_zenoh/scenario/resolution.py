@@ -9,9 +9,9 @@ from typing import Any
 
 from mast_zenoh import bundle, keyexpr, loading, registry, scenes
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.scenario.nodes import nodes_of
 from mast_zenoh.scenario.reading import choose_scene
-from mast_zenoh.scenario.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, spelt
 from mast_zenoh.scenario.timeline import REWRITE, timeline_of
 from mast_zenoh.wiring import Wiring

@@ -14,8 +14,8 @@ from mast_zenoh.attacks import Attack
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
 from mast_zenoh.faults.base import DIRECTIONS, Rule
+from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.scenario.nodes import matching, node_spec
-from mast_zenoh.scenario.resolved import NodeSpec
 from mast_zenoh.scenes.recording import Recording
 
 #: The rewrite that puts every link before the agent's network interface.

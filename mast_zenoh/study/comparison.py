@@ -10,6 +10,7 @@ from rich.console import Console
 from mast_zenoh import scenario
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import local
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.study.definition import Configuration, Study
 
 
@@ -51,7 +52,7 @@ def run(
     return Compared(folder, folders)
 
 
-def _resolve(study: Study, configuration: Configuration, seed: int, frames: int | None) -> scenario.Resolved:
+def _resolve(study: Study, configuration: Configuration, seed: int, frames: int | None) -> Resolved:
     """One run of the study, with nothing left to decide."""
     file, loaded = scenario.load(configuration.scenario, (*study.scenes[0].settings, *configuration.settings))
     return scenario.resolve(file, loaded | {"name": configuration.label}, seed=seed, frames=frames)

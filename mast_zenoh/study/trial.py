@@ -14,6 +14,7 @@ from typing import Any
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, RunError
 from mast_zenoh.metrics import Table
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import identity
@@ -93,12 +94,12 @@ def run(trial: Trial) -> Outcome:
         return Outcome.failed(trial, f"{type(error).__name__}: {error}")
 
 
-def _resolve(trial: Trial) -> scenario.Resolved:
+def _resolve(trial: Trial) -> Resolved:
     path, loaded = scenario.load(trial.scenario, trial.settings)
     return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames)
 
 
-def _in_process(resolved: scenario.Resolved) -> tuple[Mapping[str, Any], Table]:
+def _in_process(resolved: Resolved) -> tuple[Mapping[str, Any], Table]:
     process = InProcess(resolved)
     outcomes = process.run()
     failed = [f"{name}: {port}" for name, host in process.hosts.items() for port in host.failures]
@@ -110,7 +111,7 @@ def _in_process(resolved: scenario.Resolved) -> tuple[Mapping[str, Any], Table]:
     return {**evaluator["metrics"], "late": results.late(outcomes)}, evaluator["tables"]["metrics"]
 
 
-def _on_a_mesh(resolved: scenario.Resolved) -> tuple[Mapping[str, Any], Table]:
+def _on_a_mesh(resolved: Resolved) -> tuple[Mapping[str, Any], Table]:
     from mast_zenoh.launch import folder as run_folder  # a trial in this process needs neither Zenoh nor Parquet
     from mast_zenoh.launch import local
 

@@ -16,7 +16,8 @@ from mast_zenoh.launch import local
 from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messagelog.writer import FILE, MessageLog
 from mast_zenoh.messages import text
-from mast_zenoh.scenario import Resolved, resolve
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.scenario import resolve
 from mast_zenoh.wiring import Wiring
 
 FRAMES = 50

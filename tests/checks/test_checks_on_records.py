@@ -26,7 +26,8 @@ from planted import (
 from mast_zenoh import checks, scenes
 from mast_zenoh.checks import convergence, reference
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.scenario import Resolved, resolve
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.scenario import resolve
 
 Run = tuple[Path, Resolved]
 NAMES = ["collation", "convergence", "sequences", "processes"]

@@ -17,7 +17,9 @@ LAYERS = (
     ("launch",),
     ("checks",),
     ("runtime",),
-    ("loading", "scenario"),
+    ("scenario",),
+    ("resolved",),
+    ("loading",),
     ("node",),
     (
         "registry",
@@ -34,7 +36,7 @@ LAYERS = (
         "bundle",
     ),
     ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics", "links", "faults"),
-    ("geometry", "matching", "states", "streams", "kernels", "errors", "release", "__init__"),
+    ("geometry", "matching", "states", "steps", "streams", "kernels", "errors", "release", "__init__"),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))

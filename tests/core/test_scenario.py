@@ -14,7 +14,8 @@ from mast_zenoh import bundle, loading, scenario, scenes, settings
 from mast_zenoh.attacks import PassThrough
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, WiringError
 from mast_zenoh.fusion import CommandCenterPipeline
-from mast_zenoh.scenario import Resolved, build_node, load, resolve
+from mast_zenoh.resolved import RECORDING, Resolved, build_node
+from mast_zenoh.scenario import load, resolve
 from mast_zenoh.wiring import Wiring
 
 TINY = dict(type="TinyScene", n_infrastructure=2)
@@ -505,9 +506,9 @@ def test_the_resolved_scenario_written_and_read_plays_the_same_run(
 def test_the_scene_is_prepared_once_and_the_recording_goes_with_the_run(tmp_path: Path) -> None:
     found = tiny(frames=3)
     found.write(tmp_path)
-    recording = scenes.Recording.load(tmp_path / scenario.RECORDING)
+    recording = scenes.Recording.load(tmp_path / RECORDING)
     np.testing.assert_array_equal(recording.detections.position, TinyScene().record(0, 3).detections.position)
-    assert found.to_json()["nodes"]["simulator"]["config"]["recording"] == scenario.RECORDING
+    assert found.to_json()["nodes"]["simulator"]["config"]["recording"] == RECORDING
 
 
 def test_every_node_is_built_anew_each_time() -> None:

@@ -10,7 +10,8 @@ from tiny_world import Run, tiny
 
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import ProcessStep
-from mast_zenoh.scenario import Resolved, load, resolve
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.scenario import load, resolve
 from mast_zenoh.wiring import Wiring
 
 TRACKER = dict(type="KalmanBoxTracker3D")

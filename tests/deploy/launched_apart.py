@@ -14,9 +14,9 @@ from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.processes import Processes
 from mast_zenoh.launch.supervisor import Supervisor
+from mast_zenoh.resolved import NodeSpec, Resolved
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_router
-from mast_zenoh.scenario import NodeSpec, Resolved
 from mast_zenoh.security import levels
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring import Wiring

@@ -16,9 +16,9 @@ from typing import Any
 from mast_zenoh import scenario
 from mast_zenoh.deploy.ssh.engine import Ssh
 from mast_zenoh.errors import MastError
-from mast_zenoh.faults.steps import ProcessStep
 from mast_zenoh.launch import local
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.steps import ProcessStep
 
 
 def resolved(

@@ -14,7 +14,7 @@ from typing import Any
 from mast_zenoh import scenario
 from mast_zenoh.deploy.swarm.engine import Swarm
 from mast_zenoh.launch import local
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
 
 
 def resolved(

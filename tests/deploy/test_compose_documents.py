@@ -17,7 +17,7 @@ from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.compose.examples import EXAMPLES, example
 from mast_zenoh.deploy.yamltext import dump
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "deploy" / "compose"

@@ -14,7 +14,7 @@ from mast_zenoh.launch import latency, local
 from mast_zenoh.launch.depot import belongings
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
 
 pytestmark = pytest.mark.mesh
 

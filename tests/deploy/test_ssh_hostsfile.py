@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mast_zenoh.bundle import ROOT
 from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, Hosts, parse, read
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenario import NodeSpec
+from mast_zenoh.resolved import NodeSpec
 
 TWO = '[hosts.alpha]\naddress = "a"\n[hosts.beta]\naddress = "b"\n'
 

@@ -20,8 +20,8 @@ from mast_zenoh.deploy.swarm.placement import Machine
 from mast_zenoh.deploy.swarm.services import Services
 from mast_zenoh.deploy.swarm.tasks import Task
 from mast_zenoh.errors import ConfigurationError, EngineError
-from mast_zenoh.faults.steps import ProcessStep
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.steps import ProcessStep
 
 RUN = "uncoordinated-00c0ffee"
 HERE = Machine("id-here", "here", True, {"mast.host": "west"})

@@ -14,12 +14,12 @@ import pytest
 from launched import Launched, Observer, alive, eventually
 
 from mast_zenoh import codec, scenario
-from mast_zenoh.faults.steps import ProcessStep
 from mast_zenoh.launch import local
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.steps import ProcessStep
 
 pytestmark = pytest.mark.mesh
 
@@ -88,7 +88,7 @@ def launch(start: Callable[..., Launched]) -> Callable[..., Launched]:
         "from dataclasses import replace\n"
         "from pathlib import Path\n"
         "from mast_zenoh import scenario\n"
-        "from mast_zenoh.faults.steps import ProcessStep\n"
+        "from mast_zenoh.steps import ProcessStep\n"
         "from mast_zenoh.launch import local\n"
         "path, loaded = scenario.load('baseline', ['n_infrastructure=2'])\n"
         "found = scenario.resolve(path, loaded, mode='realtime', rate=0.5, record=True)\n"

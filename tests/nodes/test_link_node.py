@@ -17,6 +17,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.links import FATES, WIRES, Rule
 from mast_zenoh.messages import Header, Message
 from mast_zenoh.registry import known_types
+from mast_zenoh.resolved import Resolved, build_node
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.wiring import Wiring
 
@@ -29,7 +30,7 @@ REPORT = "link/link_ego/report"
 SAID = {"mobile": [1], "detections": [3], "tracks": [2]}
 
 
-def world(up: list[dict[str, Any]], down: list[dict[str, Any]] | None = None, **more: Any) -> scenario.Resolved:
+def world(up: list[dict[str, Any]], down: list[dict[str, Any]] | None = None, **more: Any) -> Resolved:
     """Our baseline with a link on the ego."""
 
     def edit(content: dict[str, Any]) -> None:
@@ -380,7 +381,7 @@ class _RealTime:
         resolved = world(rules)
         self.now = 10**12
         ports = Wiring.from_json(resolved.wiring).ports("link_ego")
-        built = scenario.build_node(resolved.nodes["link_ego"], "link_ego")
+        built = build_node(resolved.nodes["link_ego"], "link_ego")
         self.outbox: list[Outgoing] = []
         self.host = Host("link_ego", built, ports, 0, encode=True, emit=self.outbox.append, now=self.tick)
         self.host.start({})

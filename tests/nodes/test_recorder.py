@@ -14,9 +14,9 @@ from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import local
 from mast_zenoh.messagelog.reader import read
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.scenario import Resolved
 
 SETTINGS = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.2")
 

@@ -14,10 +14,10 @@ import pytest
 from mast_zenoh import codec, scenario
 from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw, rotation_from_yaw_pitch
 from mast_zenoh.messages import Header, Message
+from mast_zenoh.resolved import Resolved, build_node
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.scenario import Resolved
 from mast_zenoh.scenes import Recording, Scene, SceneAgent
 from mast_zenoh.scenes.recording import truth_states
 from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
@@ -168,7 +168,7 @@ class Bench:
         self.encode = encode
         self.ports = wiring.ports(name)
         spec = resolved.nodes[name]
-        self.node = scenario.build_node(replace(spec, config={**spec.config, **config}), name)
+        self.node = build_node(replace(spec, config={**spec.config, **config}), name)
         self.outbox: list[Outgoing] = []
         self.host = Host(name, self.node, self.ports, resolved.seed, encode=encode, emit=self.outbox.append)
         self.host.start({other: spec.role for other, spec in resolved.nodes.items() if other != name})

@@ -9,10 +9,10 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.faults.steps import ProcessStep
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.timetable import Timetable
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.steps import ProcessStep
 
 FRAMES = 16
 EVERYONE = ("ego", "infra_1", "adversary_1", "broker", "command_center", "coordinator")

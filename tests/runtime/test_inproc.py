@@ -8,9 +8,9 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh.errors import RunError
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.inproc import InProcess, results_of
-from mast_zenoh.scenario import Resolved
 
 LINK = Path(__file__).with_name("lossy_link.py")
 ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")

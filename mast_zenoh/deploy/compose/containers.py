@@ -14,7 +14,7 @@ from typing import Any
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.scenario import NodeSpec
+from mast_zenoh.resolved import NodeSpec
 
 _AT_A_TIME = 4  # commands to the engine
 _LOG_GRACE_S = 5.0  # from the end of a container to the end of its log

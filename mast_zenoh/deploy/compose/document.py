@@ -14,8 +14,8 @@ from typing import Any
 from mast_zenoh.deploy.image import USER
 from mast_zenoh.deploy.yamltext import Anchored, Merged, dump
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.resolved import NodeSpec, Resolved
 from mast_zenoh.runtime.elsewhere import UP
-from mast_zenoh.scenario import NodeSpec, Resolved
 from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, KEY
 

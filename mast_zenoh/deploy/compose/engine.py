@@ -25,7 +25,7 @@ from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.security import levels
 
 _ROUTER_S = 60.0  # for the router to come up

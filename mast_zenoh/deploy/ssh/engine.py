@@ -27,7 +27,7 @@ from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.security import levels
 
 if TYPE_CHECKING:

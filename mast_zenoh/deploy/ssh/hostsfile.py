@@ -14,7 +14,7 @@ from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.keyexpr import ROLES
-from mast_zenoh.scenario import NodeSpec
+from mast_zenoh.resolved import NodeSpec
 
 #: The value of `router.on` for the machine on which `mast deploy` runs.
 LAUNCHER = "launcher"

@@ -12,7 +12,7 @@ from typing import Any
 from mast_zenoh.deploy.ssh.attachment import Attachment
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.scenario import NodeSpec
+from mast_zenoh.resolved import NodeSpec
 
 #: From a command to its answer: a lost connection must have come back by then.
 _ANSWER_S = 30.0

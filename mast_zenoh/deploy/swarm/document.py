@@ -16,7 +16,7 @@ from mast_zenoh.deploy.image import USER
 from mast_zenoh.deploy.yamltext import Anchored, dump
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch.supervisor import MAX_RESTARTS
-from mast_zenoh.scenario import Resolved
+from mast_zenoh.resolved import Resolved
 
 FILE = "stack.yml"
 CREDENTIALS = compose.CREDENTIALS

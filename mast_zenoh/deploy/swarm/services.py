@@ -20,7 +20,7 @@ from mast_zenoh.deploy.swarm.document import ROUTER, STOP_GRACE_S, router_exit
 from mast_zenoh.deploy.swarm.tasks import Task
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
-from mast_zenoh.scenario import NodeSpec
+from mast_zenoh.resolved import NodeSpec
 
 _LOOK_EVERY_S = 0.5
 _AT_A_TIME = 4  # commands to the engine

@@ -13,6 +13,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.report import attempts_table
 from mast_zenoh.report.attempts_table import AttemptRow
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.rogue.attempts import Attempt, Outcome
 from mast_zenoh.study.rogue.siege import Siege
@@ -83,7 +84,7 @@ def load(name: str) -> list[Attempt]:
 
 
 def besiege(
-    resolved: scenario.Resolved, folder: Path, level: str, attempts: Sequence[Attempt]
+    resolved: Resolved, folder: Path, level: str, attempts: Sequence[Attempt]
 ) -> tuple[Mapping[str, Outcome], int]:
     """(what came of each attempt by its name, messages of strangers that reached a host and are nobody's)."""
     outcomes: dict[str, Outcome] = {}

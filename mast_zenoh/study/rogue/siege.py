@@ -21,9 +21,9 @@ from mast_zenoh.errors import ConfigurationError, Interrupted, RunError, nearest
 from mast_zenoh.launch import local
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.messages import SCHEMAS, Header, Message, text
+from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_session
-from mast_zenoh.scenario import Resolved
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.security.levels import client_settings, endpoint

@@ -6,13 +6,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mast_zenoh import loading, registry
-from mast_zenoh.faults.steps import ProcessStep
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.node import Node
-from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.steps import ProcessStep
+
+if TYPE_CHECKING:  # most nodes never see a scene
+    from mast_zenoh.scenes.recording import Recording
 
 RECORDING = "scene.npz"
 
@@ -54,12 +56,30 @@ class Resolved:
     def to_json(self) -> dict[str, Any]:
         """The form of scenario.json, without the wiring, which has a file of its own."""
         nodes = {
-            name: {"role": s.role, "file": s.file, "type": s.type, "on_exit": s.on_exit, "config": _plain(s.config)}
+            name: {
+                "role": s.role,
+                "file": s.file,
+                "type": s.type,
+                "on_exit": s.on_exit,
+                "config": self._plain(s.config),
+            }
             for name, s in self.nodes.items()
         }
         names = ("name", "seed", "mode", "rate", "frames", "period_ns", "scene", "modules", "timeline", "network")
         steps = [step._asdict() for step in self.steps]
         return {**{name: getattr(self, name) for name in names}, "steps": steps, "nodes": nodes}
+
+    def _plain(self, value: Any) -> Any:
+        """A configuration as JSON: the recorded scene and the log are named by their files."""
+        if value is self.recording is not None:
+            return RECORDING
+        if isinstance(value, MessageLog):
+            return str(value.path)
+        if isinstance(value, Mapping):
+            return {key: self._plain(item) for key, item in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [self._plain(item) for item in value]
+        return value
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], wiring: dict[str, Any]) -> Resolved:
@@ -103,16 +123,3 @@ def build_node(spec: NodeSpec, name: str, place: str = "scenario.json") -> Node:
     node = registry.construct(cls, spec.config, f"{place}: {name}")
     assert isinstance(node, Node)
     return node
-
-
-def _plain(value: Any) -> Any:
-    """A configuration as JSON: the recorded scene and the log are named by their files."""
-    if isinstance(value, Recording):
-        return RECORDING
-    if isinstance(value, MessageLog):
-        return str(value.path)
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return value
