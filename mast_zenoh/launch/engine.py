@@ -30,7 +30,7 @@ class Engine(ABC):
         """Raise EngineError for what makes the run impossible. Called before anything is started or written."""
 
     @abstractmethod
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
+    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
         """Bring up the router and make ready the nodes; the launcher's session, and who starts the nodes.
 
         Whatever is made is taken away by callbacks on the stack, however the run ends. Signals are only noted in

@@ -62,7 +62,7 @@ def unseal(payload: bytes, secret: bytes) -> dict[str, Any]:
 class Interceptions:
     """Serves requests to change the wiring of one run, and heals a wire whose inserted node has died."""
 
-    def __init__(self, launch: Launch, session: zenoh.Session, supervisor: Supervisor) -> None:
+    def __init__(self, launch: Launch, session: zenoh.Session, supervisor: Supervisor[Any]) -> None:
         self._launch = launch
         self._session = session
         self._supervisor = supervisor

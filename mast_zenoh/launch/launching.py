@@ -107,7 +107,7 @@ class Launch:
             self.record["network"] = self.hosts.done
         self._conclude(supervisor, begun)
 
-    def _join(self, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
+    def _join(self, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
         """A session on the mesh, and who starts its nodes; the router is in this process, yours, or at a centre."""
         run = self.record["id"]
         if self.engine is not None:
@@ -171,7 +171,7 @@ class Launch:
             session.declare_subscriber(f"{base}/@control/act", direct(on_ask, indirect=False)),
         ]
 
-    def _keep_depot(self, session: zenoh.Session, supervisor: Supervisor, stack: ExitStack) -> Any:
+    def _keep_depot(self, session: zenoh.Session, supervisor: Supervisor[Any], stack: ExitStack) -> Any:
         """Serve the nodes that live elsewhere, and show them that the launcher is there; the token that shows it."""
 
         def mismatch(error: VersionMismatch) -> None:
@@ -189,7 +189,7 @@ class Launch:
         return session.liveliness().declare_token(f"{prefix(self.record['id'])}/@control/launcher")
 
     def _watch(
-        self, session: zenoh.Session, supervisor: Supervisor, steps: Steps, interceptions: Interceptions
+        self, session: zenoh.Session, supervisor: Supervisor[Any], steps: Steps, interceptions: Interceptions
     ) -> None:
         """Until every process has ended, or the grace of a run that is to stop is over."""
         interrupted = 0
@@ -283,7 +283,7 @@ class Launch:
                 elif reason.startswith("start"):
                     self.problem = self.problem or StartError(reason)
 
-    def _states(self, supervisor: Supervisor) -> dict[str, str]:
+    def _states(self, supervisor: Supervisor[Any]) -> dict[str, str]:
         def state(child: Child) -> str:
             if child.exit is not None:
                 return "done" if child.exit == 0 else "away" if child.meant else "dead"
@@ -295,7 +295,7 @@ class Launch:
 
         return {name: state(child) for name, child in supervisor.children.items()}
 
-    def _conclude(self, supervisor: Supervisor, begun: float) -> None:
+    def _conclude(self, supervisor: Supervisor[Any], begun: float) -> None:
         """Write what came, and raise what went wrong."""
         self.record["nodes"] = supervisor.to_json(self.outcomes)
         driver: Mapping[str, Any] = next((o for o in self.outcomes.values() if "sent_ns" in o), {})

@@ -36,7 +36,7 @@ class Process(Child):
         return {"pid": self.process.pid}
 
 
-class Processes(Supervisor):
+class Processes(Supervisor[Process]):
     """Starts each node's file as a process of its own, in a session of its own (Ctrl-C is ours, not theirs).
 
     Each child's standard input is a pipe that we hold: when we end, however that may be, it closes, and they leave.
@@ -73,39 +73,33 @@ class Processes(Supervisor):
         without = ",".join(self.without[name])
         return [*command, "--without", without] if without else command
 
-    def _start_again(self, child: Child, without: Iterable[str]) -> None:
-        assert isinstance(child, Process)
+    def _start_again(self, child: Process, without: Iterable[str]) -> None:
         _close(child.process)
         self.without[child.name] = sorted(without)
         child.process = self._spawn(self.command(child.name, child.spec), child.log)
 
-    def end_now(self, child: Child) -> None:
+    def end_now(self, child: Process) -> None:
         """See Supervisor."""
-        assert isinstance(child, Process)
         child.process.kill()
         child.process.wait()
 
-    def _stand_still(self, child: Child) -> None:
-        assert isinstance(child, Process)
+    def _stand_still(self, child: Process) -> None:
         child.process.send_signal(signal.SIGSTOP)
 
-    def _go_on(self, children: Iterable[Child]) -> None:
+    def _go_on(self, children: Iterable[Process]) -> None:
         for child in children:
-            assert isinstance(child, Process)
             child.process.send_signal(signal.SIGCONT)
 
-    def wait(self, child: Child, seconds: float) -> bool:
+    def wait(self, child: Process, seconds: float) -> bool:
         """See Supervisor."""
-        assert isinstance(child, Process)
         try:
             child.process.wait(seconds)
         except subprocess.TimeoutExpired:
             return False
         return True
 
-    def let_go(self, child: Child) -> None:
+    def let_go(self, child: Process) -> None:
         """See Supervisor."""
-        assert isinstance(child, Process)
         _close(child.process)
         child.log.close()
 
@@ -113,12 +107,10 @@ class Processes(Supervisor):
         """End all: those that stand still go on, then close their inputs, wait, SIGTERM, SIGKILL."""
         self.resume(self.running())
         for child in self.running():
-            assert isinstance(child, Process)
             _close(child.process)
         for action in ("wait", "terminate", "kill"):
             if action != "wait":
                 for child in self.running():
-                    assert isinstance(child, Process)
                     child.notes.append(f"told to leave by {action}")
                     getattr(child.process, action)()
             deadline = time.monotonic() + grace_s

@@ -37,7 +37,7 @@ class Steps:
 
     def __init__(
         self,
-        supervisor: Supervisor,
+        supervisor: Supervisor[Any],
         nodes: Mapping[str, NodeSpec],
         absent: frozenset[str],
         leave: Callable[[str], None],

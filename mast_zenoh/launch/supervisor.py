@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from mast_zenoh.errors import BackendError
 from mast_zenoh.resolved import NodeSpec
@@ -50,14 +50,18 @@ def how_ended(code: int | None) -> str:
     return f"killed by signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
 
 
-class Supervisor(ABC):
+#: What a supervisor makes of a node.
+C = TypeVar("C", bound=Child)
+
+
+class Supervisor(ABC, Generic[C]):
     """The nodes of a run, by name. A subclass knows how to reach them: as processes, in containers, on other hosts.
 
     without: by node, who was not up when it was last started, so that it need not wait for them
     """
 
     def __init__(self) -> None:
-        self.children: dict[str, Child] = {}
+        self.children: dict[str, C] = {}
         self.without: dict[str, list[str]] = {}
 
     @abstractmethod
@@ -69,7 +73,7 @@ class Supervisor(ABC):
         for name, spec in specs.items():
             self.start(name, spec, without)
 
-    def restart(self, child: Child, without: Iterable[str] = ()) -> bool:
+    def restart(self, child: C, without: Iterable[str] = ()) -> bool:
         """Start a node again after it has ended; False when it has been restarted too often.
 
         How often the scenario starts it again is the scenario's affair.
@@ -83,29 +87,29 @@ class Supervisor(ABC):
         return True
 
     @abstractmethod
-    def _start_again(self, child: Child, without: Iterable[str]) -> None:
+    def _start_again(self, child: C, without: Iterable[str]) -> None:
         """Start a node that has ended."""
 
     @abstractmethod
-    def end_now(self, child: Child) -> None:
+    def end_now(self, child: C) -> None:
         """End a node at once, and wait until it has ended."""
 
-    def kill(self, child: Child) -> None:
+    def kill(self, child: C) -> None:
         """End a node at once, because the scenario says so."""
         child.meant = True
         child.notes.append("killed by the scenario")
         self.end_now(child)
 
-    def pause(self, child: Child) -> None:
+    def pause(self, child: C) -> None:
         """Have a node stand still until it is resumed."""
         child.paused = True  # also if it cannot be said whether it does
         self._stand_still(child)
 
     @abstractmethod
-    def _stand_still(self, child: Child) -> None:
+    def _stand_still(self, child: C) -> None:
         """Have a node that runs stand still."""
 
-    def resume(self, children: Iterable[Child]) -> None:
+    def resume(self, children: Iterable[C]) -> None:
         """Have those go on that stand still."""
         paused = [child for child in children if child.paused]
         for child in paused:
@@ -113,37 +117,37 @@ class Supervisor(ABC):
         self._go_on(paused)
 
     @abstractmethod
-    def _go_on(self, children: Iterable[Child]) -> None:
+    def _go_on(self, children: Iterable[C]) -> None:
         """Have nodes go on that have been paused, unless they have ended since."""
 
-    def disconnect(self, child: Child) -> None:
+    def disconnect(self, child: C) -> None:
         """Take a node off its networks until it is connected again; raises BackendError where that cannot be done."""
         raise BackendError(f"{child.name} has no networks of its own: only engine compose can take a node off them")
 
-    def connect(self, children: Iterable[Child]) -> None:
+    def connect(self, children: Iterable[C]) -> None:
         """Put those back on their networks that have been taken off them."""
         assert not any(child.cut_off for child in children)
 
     @abstractmethod
-    def wait(self, child: Child, seconds: float) -> bool:
+    def wait(self, child: C, seconds: float) -> bool:
         """Wait until a node has ended; False when it has not within so many seconds."""
 
     @abstractmethod
-    def let_go(self, child: Child) -> None:
+    def let_go(self, child: C) -> None:
         """Give up what belongs to a node that has ended for good: its name may be given again."""
 
     @abstractmethod
     def end(self, grace_s: float) -> None:
         """End all: who stands still or is cut off goes on; then ask, ask louder, and end at once, with a grace each."""
 
-    def newly_ended(self) -> list[Child]:
+    def newly_ended(self) -> list[C]:
         """Nodes that have ended since the last call."""
         ended = [child for child in self.children.values() if not child.told and child.exit is not None]
         for child in ended:
             child.told = True
         return ended
 
-    def running(self) -> list[Child]:
+    def running(self) -> list[C]:
         """Nodes that run."""
         return [child for child in self.children.values() if child.exit is None]
 

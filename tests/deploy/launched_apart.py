@@ -48,7 +48,7 @@ class Beside(Engine):
     def check(self, resolved: Resolved, secure: str) -> None:
         pass
 
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
+    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
         run, nodes = launch.record["id"], launch.resolved.nodes
         driver = next(name for name, spec in nodes.items() if spec.role == "simulator")
         launch.deployment = stack.enter_context(

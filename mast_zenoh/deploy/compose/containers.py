@@ -43,7 +43,7 @@ class Container(Child):
         return {"container": self.container}
 
 
-class Containers(Supervisor):
+class Containers(Supervisor[Container]):
     """A context: entered, it knows of every container that ends.
 
     label: `KEY=VALUE` that all containers of the run have; container: a node's container's name
@@ -82,8 +82,7 @@ class Containers(Supervisor):
         with ThreadPoolExecutor(_AT_A_TIME) as pool:
             list(pool.map(self._run, children))
 
-    def _start_again(self, child: Child, without: Iterable[str]) -> None:
-        assert isinstance(child, Container)
+    def _start_again(self, child: Container, without: Iterable[str]) -> None:
         self.without[child.name] = sorted(without)
         self._await_log(child)
         self.connect([child])
@@ -111,36 +110,31 @@ class Containers(Supervisor):
                 start_new_session=True,
             )
 
-    def end_now(self, child: Child) -> None:
+    def end_now(self, child: Container) -> None:
         """See Supervisor."""
-        assert isinstance(child, Container)
         self.resume([child])  # who stands still cannot be killed
         docker("kill", child.container, check=False)
         if not child.ended_now.wait(_END_S):
             raise EngineError(f"the container {child.container} does not end")
 
-    def _stand_still(self, child: Child) -> None:
-        assert isinstance(child, Container)
+    def _stand_still(self, child: Container) -> None:
         docker("pause", child.container)
 
-    def _go_on(self, children: Iterable[Child]) -> None:
+    def _go_on(self, children: Iterable[Container]) -> None:
         for child in children:
-            assert isinstance(child, Container)
             docker("unpause", child.container, check=False)
 
-    def disconnect(self, child: Child) -> None:
+    def disconnect(self, child: Container) -> None:
         """See Supervisor."""
-        assert isinstance(child, Container)
         told = docker("inspect", "--format", "{{json .NetworkSettings.Networks}}", child.container)
         child.networks = {network: connected_as(how) for network, how in json.loads(told).items()}
         child.cut_off = True
         for network in child.networks:
             docker("network", "disconnect", network, child.container)
 
-    def connect(self, children: Iterable[Child]) -> None:
+    def connect(self, children: Iterable[Container]) -> None:
         """See Supervisor. What does not succeed is noted."""
         for child in children:
-            assert isinstance(child, Container)
             if not child.cut_off:
                 continue
             child.cut_off = False
@@ -150,19 +144,18 @@ class Containers(Supervisor):
                 except EngineError as error:
                     child.notes.append(f"not on {network} again: {error}")
 
-    def wait(self, child: Child, seconds: float) -> bool:
+    def wait(self, child: Container, seconds: float) -> bool:
         """See Supervisor."""
-        assert isinstance(child, Container)
         return child.ended_now.wait(seconds)
 
-    def newly_ended(self) -> list[Child]:
+    def newly_ended(self) -> list[Container]:
         """See Supervisor; what they have said last is in their logs."""
         ended = super().newly_ended()
         for child in ended:
             self._await_log(child)
         return ended
 
-    def let_go(self, child: Child) -> None:
+    def let_go(self, child: Container) -> None:
         """See Supervisor."""
         self._await_log(child)
 
@@ -171,7 +164,7 @@ class Containers(Supervisor):
         self.resume(self.running())
         self.connect(self.running())
         for word in ("TERM", "KILL"):
-            running = [child for child in self.running() if isinstance(child, Container)]
+            running = self.running()
             if not running:
                 break
             for child in running:
@@ -187,8 +180,7 @@ class Containers(Supervisor):
             child.code = code
             child.ended_now.set()
 
-    def _await_log(self, child: Child) -> None:
-        assert isinstance(child, Container)
+    def _await_log(self, child: Container) -> None:
         log, child.log = child.log, None
         if log is None:
             return

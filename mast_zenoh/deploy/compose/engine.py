@@ -54,7 +54,7 @@ class Compose(Engine):
         image.check(self.image)
         document.check_names(resolved)
 
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
+    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
         """See Engine."""
         run, folder = launch.record["id"], launch.folder
         launch.record["deployment"] = {"engine": self.name, "image": self.image, "label": f"{document.LABEL}={run}"}

@@ -66,7 +66,7 @@ class Bringing:
         self.reached_from: dict[str, str] = {}  # our address, as each host sees it
         self.endpoints: dict[str, str] = {}
 
-    def bring(self) -> tuple[zenoh.Session, Supervisor]:
+    def bring(self) -> tuple[zenoh.Session, Supervisor[Any]]:
         """The launcher's session, and who starts the nodes."""
         with tempfile.TemporaryDirectory(prefix="mast-wheel-") as folder:
             cargo = Cargo(Path(folder))

@@ -62,7 +62,7 @@ class Ssh(Engine):
             cargo = Cargo(Path(folder))
             loop.run(together(*(probed(host, cargo) for host in used.values())))
 
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
+    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
         """See Engine."""
         return Bringing(self.hosts, self._used(launch.resolved), launch, stack).bring()
 

@@ -44,7 +44,7 @@ class RemoteNode(Child):
         return {"host": self.attachment.host.name, "pid": found["pid"] if found else None}
 
 
-class RemoteNodes(Supervisor):
+class RemoteNodes(Supervisor[RemoteNode]):
     """The nodes of a run on all its hosts.
 
     attachments: by host; placed: the host of each node; a node that comes later goes to the first
@@ -73,7 +73,6 @@ class RemoteNodes(Supervisor):
         deadline = time.monotonic() + _ANSWER_S
         for name in specs:
             child = self.children[name]
-            assert isinstance(child, RemoteNode)
             child.attachment.answer(child.start, max(0.0, deadline - time.monotonic()))
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
@@ -83,37 +82,35 @@ class RemoteNodes(Supervisor):
         (self._logs / f"{name}.log").touch()
         self._start_again(child, without)
 
-    def _start_again(self, child: Child, without: Iterable[str]) -> None:
-        assert isinstance(child, RemoteNode)
+    def _start_again(self, child: RemoteNode, without: Iterable[str]) -> None:
         self.without[child.name] = sorted(without)
         argv, env = self._command(child.name, child.attachment.host.name)
         child.start = child.attachment.tell("start", name=child.name, argv=list(argv), env=env)
 
-    def end_now(self, child: Child) -> None:
+    def end_now(self, child: RemoteNode) -> None:
         """See Supervisor. Raises EngineError when the host does not answer."""
         self._signal([child], signal.SIGKILL)
         if not self.wait(child, _ANSWER_S):
             raise EngineError(f"{child.name} does not end")
 
-    def _stand_still(self, child: Child) -> None:
+    def _stand_still(self, child: RemoteNode) -> None:
         self._signal([child], signal.SIGSTOP)
 
-    def _go_on(self, children: Iterable[Child]) -> None:
+    def _go_on(self, children: Iterable[RemoteNode]) -> None:
         self._signal(children, signal.SIGCONT)
 
-    def wait(self, child: Child, seconds: float) -> bool:
+    def wait(self, child: RemoteNode, seconds: float) -> bool:
         """See Supervisor."""
         with self._changed:
             return self._changed.wait_for(lambda: child.exit is not None, seconds)
 
-    def let_go(self, child: Child) -> None:
+    def let_go(self, child: RemoteNode) -> None:
         """See Supervisor. Its host keeps nothing of it but its log."""
 
     def end(self, grace_s: float) -> None:
         """See Supervisor. What a host that is out of reach still runs ends by itself, and is noted."""
         asked = {}
         for child in self.running():
-            assert isinstance(child, RemoteNode)
             child.notes.append("told to leave by SIGTERM")
             if child.attachment not in asked:
                 asked[child.attachment] = child.attachment.tell("end", grace_s=max(grace_s, _GRACE_S))
@@ -121,14 +118,12 @@ class RemoteNodes(Supervisor):
         for attachment, which in asked.items():
             attachment.answer(which, max(0.0, deadline - time.monotonic()))
         for child in self.running():
-            assert isinstance(child, RemoteNode)
             child.notes.append(f"{child.attachment.host.called} is out of reach")
 
-    def _signal(self, children: Iterable[Child], number: int) -> None:
+    def _signal(self, children: Iterable[RemoteNode], number: int) -> None:
         """Send a signal, and wait until the hosts have done so. Raises EngineError when one does not answer."""
         named: dict[Attachment, list[str]] = {}
         for child in children:
-            assert isinstance(child, RemoteNode)
             named.setdefault(child.attachment, []).append(child.name)
         asked = {a: a.tell("signal", names=names, number=int(number)) for a, names in named.items()}
         for attachment, which in asked.items():

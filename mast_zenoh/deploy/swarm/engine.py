@@ -63,7 +63,7 @@ class Swarm(Engine):
         place = placement.resolve(self.place, resolved.nodes)
         placement.check(placement.machines(), place, placement.pinned(resolved.steps))
 
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor]:
+    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
         """See Engine."""
         run, folder, resolved = launch.record["id"], launch.folder, launch.resolved
         name = document.stack(run)

@@ -72,7 +72,7 @@ class Service(Child):
         return f"{self.service}.1.{self.task.id}"
 
 
-class Services(Supervisor):
+class Services(Supervisor[Service]):
     """The services of one stack.
 
     service: a node's service's name;  here: what the swarm calls this machine
@@ -111,8 +111,7 @@ class Services(Supervisor):
         (self._logs / f"{name}.log").touch()
         return child
 
-    def _start_again(self, child: Child, without: Iterable[str]) -> None:
-        assert isinstance(child, Service)
+    def _start_again(self, child: Service, without: Iterable[str]) -> None:
         self.without[child.name] = sorted(without)
         task = child.task
         self._keep_logs([child])
@@ -125,9 +124,8 @@ class Services(Supervisor):
             self._scale(child, 1)
         child.last = child.waits_since = None
 
-    def end_now(self, child: Child) -> None:
+    def end_now(self, child: Service) -> None:
         """See Supervisor."""
-        assert isinstance(child, Service)
         self.resume([child])  # who stands still cannot be killed
         self._look()
         if child.exit is None:
@@ -138,16 +136,14 @@ class Services(Supervisor):
         self._scale(child, 0)  # or Docker would start it again
         self._until_gone(child)
 
-    def _stand_still(self, child: Child) -> None:
-        assert isinstance(child, Service)
+    def _stand_still(self, child: Service) -> None:
         docker("pause", self._container(child, "paused"))
 
-    def _go_on(self, children: Iterable[Child]) -> None:
+    def _go_on(self, children: Iterable[Service]) -> None:
         for child in children:
-            assert isinstance(child, Service)
             docker("unpause", child.container(), check=False)
 
-    def wait(self, child: Child, seconds: float) -> bool:
+    def wait(self, child: Service, seconds: float) -> bool:
         """See Supervisor."""
         deadline = time.monotonic() + seconds
         while child.exit is None and time.monotonic() < deadline:
@@ -155,17 +151,15 @@ class Services(Supervisor):
             self._look(_LOOK_EVERY_S)
         return child.exit is not None
 
-    def let_go(self, child: Child) -> None:
+    def let_go(self, child: Service) -> None:
         """See Supervisor."""
-        assert isinstance(child, Service)
         self._keep_logs([child])
 
-    def running(self) -> list[Child]:
+    def running(self) -> list[Service]:
         """See Supervisor. Raises EngineError when Docker finds no machine for one, or the router has ended for good."""
         self._look(_LOOK_EVERY_S)
         self._check_router()
         for child in self.children.values():
-            assert isinstance(child, Service)
             task = child.task
             if child.exit is not None or (task is not None and not task.waits):
                 child.waits_since = None
@@ -176,7 +170,7 @@ class Services(Supervisor):
                 raise EngineError(f"{child.name}: Docker has found no machine for it in {_UNPLACED_S:.0f} s: {why}")
         return super().running()
 
-    def newly_ended(self) -> list[Child]:
+    def newly_ended(self) -> list[Service]:
         """See Supervisor; what they have said is in their logs."""
         ended = super().newly_ended()
         self._keep_logs(ended)
@@ -206,7 +200,7 @@ class Services(Supervisor):
 
     def running_now(self) -> list[Service]:
         """Those that run, as it was seen last."""
-        return [child for child in self.children.values() if isinstance(child, Service) and child.exit is None]
+        return super().running()
 
     def _look(self, every_s: float = 0.0) -> None:
         """What Docker says of the tasks, unless it was asked just now."""
@@ -221,7 +215,6 @@ class Services(Supervisor):
         self._looked = time.monotonic()
         self._router = next(iter(found.get(ROUTER, ())), None)
         for child in self.children.values():
-            assert isinstance(child, Service)
             gone, child.tasks = child.task, found.get(child.name, [])
             if gone is not None and child.task is None and child.last is None and not child.scaled:
                 child.last = gone.exit if gone.exit is not None else tasks.ASKED_TO_END
@@ -270,11 +263,10 @@ class Services(Supervisor):
             raise EngineError(f"{child.name} cannot be {done}: Docker does that on its own machine only, and {where}")
         return child.container()
 
-    def _keep_logs(self, children: Iterable[Child]) -> None:
+    def _keep_logs(self, children: Iterable[Service]) -> None:
         """Append what the tasks that they are about have said, to their logs: each task once."""
         wanted = []
         for child in children:
-            assert isinstance(child, Service)
             if child.task is not None and child.task.id not in self._kept:
                 self._kept.add(child.task.id)
                 wanted.append((child.task.id, self._logs / f"{child.name}.log", child.task.refused))
