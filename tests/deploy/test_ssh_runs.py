@@ -19,6 +19,7 @@ import ssh_launch
 from launched import Launched, eventually
 from ssh_hosts import NAMES, SshHosts
 
+from mast_zenoh.deploy import wheel
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch import local
 from mast_zenoh.messagelog.difference import compare
@@ -33,6 +34,7 @@ PLACES = {"beta": 'nodes = ["ego", "infra_4", "infra_5"]', "gamma": 'nodes = ["i
 @pytest.fixture(scope="module")
 def hosts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshHosts]:
     ssh_hosts.require()
+    wheel.third_party(wheel.cache())  # here, for the launcher is in a network that reaches no index
     with SshHosts(tmp_path_factory.mktemp("hosts")) as made:
         yield made
 

@@ -25,6 +25,7 @@ from mast_zenoh.resolved import NodeSpec
 _LOOK_EVERY_S = 0.5
 _AT_A_TIME = 4  # commands to the engine
 _CHANGED_S = 60.0  # for Docker to carry out what it was told, at most
+_AGAIN_S = 5.0  # until it is told again
 _UNPLACED_S = 30.0  # for Docker to find a machine for a node, at most
 _SILENT_S = 30.0  # without a word of Docker, at most
 _ROUTERLESS_S = 5.0  # from the router's end to another task for it, where Docker makes one
@@ -242,8 +243,13 @@ class Services(Supervisor[Service]):
             docker("service", "scale", "--detach", *(f"{child.service}={to}" for child in changed))
 
     def _until_gone(self, child: Service) -> None:
-        """Wait until Docker has forgotten its newest task: scaled up before, the service would get no other."""
+        """Wait until Docker has forgotten its newest task: scaled up before, the service would get no other.
+
+        Where the task ends in the moment in which the service is scaled to 0, Docker may leave it at that (its two
+        changes of the task collide, and that one is not tried again), until it is told to look once more.
+        """
         deadline = time.monotonic() + _CHANGED_S
+        told = time.monotonic()
         newest = {task.id for task in child.tasks[:1]}
         while True:
             self._look()
@@ -254,6 +260,9 @@ class Services(Supervisor[Service]):
                 raise EngineError(
                     f"{child.name}: the service {child.service} does not end within {_CHANGED_S:.0f} s: task {there}"
                 )
+            if time.monotonic() - told > _AGAIN_S:
+                docker("service", "scale", "--detach", f"{child.service}=0")
+                told = time.monotonic()
             threading.Event().wait(0.2)
 
     def _container(self, child: Service, done: str) -> str:
