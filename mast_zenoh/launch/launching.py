@@ -198,19 +198,20 @@ class Launch:
             interceptions.turn()
             self._take_results()
             for child in supervisor.newly_ended():
-                self._ended(child, steps, session)
+                self._ended(child, steps)
             if len(self.signals) > interrupted:
                 interrupted = len(self.signals)
                 self.problem = Interrupted("stopped by Ctrl-C or SIGTERM")
-                self._stop(session, "interrupted")
+                self._stop("interrupted")
+            if self.hosts is not None:
+                self._mind(self.hosts)
+            if self.stopping_since is not None:
+                # Again and again: who is still starting, or was cut off, has not heard it.
+                session.put(f"{prefix(self.record['id'])}/@control/stop", self._why)
                 if interrupted > 1:
                     return
-            if self.hosts is not None:
-                self._mind(self.hosts, session)
-            if self.stopping_since is not None:
                 supervisor.resume(supervisor.running())  # who stands still cannot hear that it is to stop
                 supervisor.connect(supervisor.running())
-                self._ask_to_stop(session)
                 grace = _INTERRUPT_GRACE_S if interrupted and not steps.cut else _LEAVE_GRACE_S  # to find back
                 busy_at = max(self.stopping_since, self.depot.taken_at if self.depot else self.stopping_since)
                 if time.monotonic() - busy_at > grace:
@@ -224,15 +225,15 @@ class Launch:
             if self.stopping_since is None:
                 steps.carry_out(asked)
 
-    def _mind(self, hosts: Hosts, session: zenoh.Session) -> None:
+    def _mind(self, hosts: Hosts) -> None:
         """A network that has failed ends the run. When all is to end it is healed: all are to hear it, and hand in."""
         if (what := hosts.problem()) and self.problem is None:
             self.problem = BackendError(f"hosts: {what}")
-            self._stop(session, "the network has failed")
+            self._stop("the network has failed")
         if self.stopping_since is not None:
             hosts.heal()
 
-    def _ended(self, child: Child, steps: Steps, session: zenoh.Session) -> None:
+    def _ended(self, child: Child, steps: Steps) -> None:
         """A process has ended: as it should, or not."""
         self._take_results()
         if child.meant:
@@ -246,7 +247,7 @@ class Launch:
             self.problem = self.problem or StartError(
                 f"{child.name} ended before the first frame: {how_ended(child.exit)}{self._last_words(child)}"
             )
-            self._stop(session, "a node did not start")
+            self._stop("a node did not start")
         elif child.spec.on_exit == "continue":
             self.display.say(f"[yellow]{what}; going on without it")
         elif child.spec.on_exit == "restart" and self.stopping_since is None:
@@ -254,21 +255,16 @@ class Launch:
             self.display.say(f"[yellow]{what}; {'restarted' if again else 'restarted too often, going on without it'}")
         elif self.problem is None:
             self.problem = NodeDied(f"{what}; see logs/{child.name}.log{self._last_words(child)}")
-            self._stop(session, "a node died")
+            self._stop("a node died")
 
     def _last_words(self, child: Child) -> str:
         lines = (self.folder / "logs" / f"{child.name}.log").read_text(errors="replace").strip().splitlines()
         return f": {lines[-1]}" if lines else ""
 
-    def _stop(self, session: zenoh.Session, reason: str) -> None:
-        """Ask everyone to finish."""
+    def _stop(self, reason: str) -> None:
+        """From now on everyone is asked to finish."""
         if self.stopping_since is None:
             self.stopping_since, self._why = time.monotonic(), reason
-            self._ask_to_stop(session)
-
-    def _ask_to_stop(self, session: zenoh.Session) -> None:
-        """Also again: who is still starting, or was cut off, has not heard it."""
-        session.put(f"{prefix(self.record['id'])}/@control/stop", self._why)
 
     def _take_results(self) -> None:
         while not self._handed_in.empty():
