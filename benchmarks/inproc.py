@@ -26,6 +26,7 @@ from pathlib import Path
 from mast_zenoh import scenario
 from mast_zenoh.runtime.inproc import InProcess, results_of
 from mast_zenoh.study import definition, execution, plan
+from mast_zenoh.study.trial import Trial
 
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[2] / "shared" / "data")
 SCENARIOS = ("baseline", "uncoordinated", "coordinated")
@@ -64,18 +65,23 @@ def one_and_two_jobs(scene: str, trials: int, rounds: int) -> None:
     print(f"{f'{trials} trials':14}{'trials/s':>12}{'without start':>16}{'CPU s/trial':>14}")
     for _ in range(rounds):
         for jobs, measured in rates.items():
-            began = time.perf_counter()
-            ends, cpu = [], []
-            with closing(execution.carry_out(todo, jobs=jobs, cluster=None)) as outcomes:
-                for outcome in outcomes:
-                    assert not outcome.error, outcome.error
-                    ends.append(time.perf_counter())
-                    cpu.append(outcome.cpu_s)
-            steady = (len(ends) - jobs) / (ends[-1] - ends[jobs - 1])
-            measured.append((len(ends) / (ends[-1] - began), steady, statistics.mean(cpu)))
+            measured.append(timed(todo, jobs))
             print("{:14}{:12.2f}{:16.2f}{:14.3f}".format(f"jobs: {jobs}", *measured[-1]))
     one, two = ([statistics.median(column) for column in zip(*rates[jobs], strict=True)] for jobs in (1, 2))
     print("{:14}{:12.2f}{:16.2f}{:14.2f}".format("2 against 1", *(b / a for a, b in zip(one, two, strict=True))))
+
+
+def timed(todo: list[Trial], jobs: int) -> tuple[float, float, float]:
+    """Trials/s of all, and without the start of the workers; CPU seconds of a trial."""
+    began = time.perf_counter()
+    ends, cpu = [], []
+    with closing(execution.carry_out(todo, jobs=jobs, cluster=None)) as outcomes:
+        for outcome in outcomes:
+            assert not outcome.error, outcome.error
+            ends.append(time.perf_counter())
+            cpu.append(outcome.cpu_s)
+    steady = (len(ends) - jobs) / (ends[-1] - ends[jobs - 1])
+    return len(ends) / (ends[-1] - began), steady, statistics.mean(cpu)
 
 
 def main() -> None:

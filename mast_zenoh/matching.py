@@ -25,6 +25,24 @@ def alone(row: Ints, column: Ints) -> Bools:
     return single
 
 
+def greedy(row: Ints, column: Ints, cost: Floats) -> Bools:
+    """(p,) bool: the cheapest pair first, then the cheapest of what remains; ties by row and column.
+
+    row, column: (p,) int64 >= 0, no pair twice; cost: (p,)
+    """
+    chosen = alone(row, column)
+    contested = (~chosen).nonzero()[0]
+    order = contested[np.lexsort((column[contested], row[contested], cost[contested]))]
+    rows: set[int] = set()
+    columns: set[int] = set()
+    for pair, r, c in zip(order.tolist(), row[order].tolist(), column[order].tolist(), strict=True):
+        if r not in rows and c not in columns:
+            rows.add(r)
+            columns.add(c)
+            chosen[pair] = True
+    return chosen
+
+
 @kernel
 def cheapest(row: Ints, column: Ints, cost: Floats) -> Bools:
     """(p,) bool: the pairs of the one-to-one choice of least total cost.

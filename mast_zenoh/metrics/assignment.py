@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from mast_zenoh.matching import alone, cheapest
+from mast_zenoh.matching import cheapest, greedy
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
 from mast_zenoh.metrics.overlap import iou_3d
 from mast_zenoh.states import Ints
@@ -71,13 +71,6 @@ class IoU3DGreedyAssigner(Assigner):
         i, j = i[touching], j[touching]
         iou = iou_3d(truth.select(i), tracks.select(j))
         good = iou >= self.threshold
-        i, j, iou = i[good], j[good], iou[good]
-        single = alone(i, j)
-        free_truth, free_track = np.ones(len(truth), bool), np.ones(len(tracks), bool)
-        chosen = single.copy()
-        contested = np.flatnonzero(~single)
-        for pair in contested[np.lexsort((j[contested], i[contested], -iou[contested]))]:
-            if free_truth[i[pair]] and free_track[j[pair]]:
-                free_truth[i[pair]] = free_track[j[pair]] = False
-                chosen[pair] = True
+        i, j = i[good], j[good]
+        chosen = greedy(i, j, -iou[good])
         return i[chosen], j[chosen]

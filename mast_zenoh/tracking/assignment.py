@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from mast_zenoh.kernels import kernel
-from mast_zenoh.matching import cheapest
+from mast_zenoh.matching import alone, cheapest, greedy
 from mast_zenoh.states import Bools, Floats, Ints
 
 #: Rows times columns up to which the best choice is looked for: it takes their power of 3/2 in time.
@@ -44,8 +44,7 @@ def useful_pairs(row: Ints, column: Ints, cost: Floats) -> tuple[Ints, Bools]:
     Those are chosen by any sensible rule: most pairs of a frame are.
     """
     useful: Ints = (cost < 0.0).nonzero()[0]
-    row, column = row[useful], column[useful]
-    return useful, np.bincount(row)[row] + np.bincount(column)[column] == 2
+    return useful, alone(row[useful], column[useful])
 
 
 class BipartiteAssignment(Assignment):
@@ -59,27 +58,18 @@ class BipartiteAssignment(Assignment):
 
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
         if _different(row) * _different(column) > LARGEST:
-            return GreedyAssignment()._choose(row, column, cost)
+            return greedy(row, column, cost)
         return cheapest(row, column, cost)
 
 
 class GreedyAssignment(Assignment):
-    """The cheapest pair first, then the cheapest of what remains; ties by row and column."""
+    """The cheapest pair first, see `matching.greedy`."""
 
     def __init__(self) -> None:
         pass
 
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
-        chosen = np.zeros(len(cost), bool)
-        rows: set[int] = set()
-        columns: set[int] = set()
-        for pair in np.lexsort((column, row, cost)).tolist():
-            r, c = int(row[pair]), int(column[pair])
-            if r not in rows and c not in columns:
-                rows.add(r)
-                columns.add(c)
-                chosen[pair] = True
-        return chosen
+        return greedy(row, column, cost)
 
 
 def _different(values: Ints) -> int:
