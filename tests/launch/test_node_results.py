@@ -58,7 +58,7 @@ def test_arrays_and_numbers_of_numpy_become_plain_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["../metrics", "/etc/passwd", "a/b", "..", ".hidden", "", "a\\b", "x" * 65, "a\nb", "a\0b", 7, "ä"]
+    "name", ["../metrics", "/nowhere/metrics", "a/b", "..", ".hidden", "", "a\\b", "x" * 65, "a\nb", "a\0b", 7, "ä"]
 )
 @pytest.mark.parametrize("node", ["evaluator", "other"])
 def test_a_name_that_could_lead_elsewhere_is_refused_and_told(tmp_path: Path, node: str, name: Any) -> None:
