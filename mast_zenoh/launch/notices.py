@@ -33,7 +33,7 @@ def of_run(
     refused:    a sentence for each result that was refused
     """
     nodes = list(record["nodes"].values())
-    found = [
+    parts = [
         _late(measured["late"]),
         *(_left_out(name, collations) for name in _LEFT_OUT),
         _rejected(nodes),
@@ -43,7 +43,7 @@ def of_run(
     ]
     kinds = ("late", *_LEFT_OUT, "rejected", "foreign", "behind", "results")
     return [
-        {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, found, strict=True) if count
+        {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, parts, strict=True) if count
     ]
 
 

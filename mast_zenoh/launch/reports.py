@@ -57,7 +57,7 @@ class Reports:
             try:
                 yield from self._take_failure(node, payload) if what == "failed" else self._take_result(node, payload)
             except (MessageError, ValueError, TypeError, KeyError, msgpack.UnpackException):
-                continue  # malformed: of somebody who is no node of this package
+                continue  # malformed: not sent by a node of this package
 
     def by_node(self) -> dict[str, dict[str, Any]]:
         """What each node has handed in last, with the failures in all processes that have been this node."""

@@ -39,16 +39,24 @@ def checked(value: Any) -> dict[str, Any]:
     return value
 
 
-def collations(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]) -> list[Mapping[str, Any]]:
-    """What the brokers have counted: the `collation` of each, batches and messages that were late or left out."""
+def collations(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
+    """What the brokers have counted, as they returned it in `collation`: batches, messages left out, `late` by agent.
+
+    Anything else in it is left out: a user's own broker may return what it likes.
+    """
     brokers = [result for name, result in results.items() if name in nodes and nodes[name].role == "broker"]
-    return [result["collation"] for result in brokers if isinstance(result.get("collation"), Mapping)]
+    returned = [result["collation"] for result in brokers if isinstance(result.get("collation"), Mapping)]
+    return [_counts(collation) | {"late": _counts(collation.get("late"))} for collation in returned]
 
 
 def late(collations: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """How many messages of each agent came after their batch had been emitted, from what the brokers have counted."""
-    counts = [collation.get("late", {}) for collation in collations]
+    counts = [collation["late"] for collation in collations]
     return {agent: sum(count.get(agent, 0) for count in counts) for agent in sorted(set().union(*counts))}
+
+
+def _counts(value: object) -> dict[str, int]:
+    return {str(name): n for name, n in value.items() if type(n) is int} if isinstance(value, Mapping) else {}
 
 
 def _check(value: Any, path: str) -> None:

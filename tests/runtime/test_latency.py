@@ -72,3 +72,5 @@ def test_only_what_a_broker_has_counted_is_taken_for_collation() -> None:
     handed_in = {"broker": {"collation": counted}, "spy": {"collation": 7}, "gone": {"collation": counted}}
     assert collations(handed_in, nodes) == [counted]
     assert collations({"broker": {"collation": "nonsense"}}, nodes) == []
+    odd = {"late": [1], "overdue": "many", "complete": 3}
+    assert collations({"broker": {"collation": odd}}, nodes) == [{"complete": 3, "late": {}}]
