@@ -12,6 +12,7 @@ import typer
 from mast_zenoh import deploying, scenario
 from mast_zenoh.errors import Interrupted, MastError
 from mast_zenoh.options import (
+    AllowFailures,
     Frames,
     Mode,
     Out,
@@ -24,6 +25,7 @@ from mast_zenoh.options import (
     Seed,
     Settings,
     conclude,
+    show_notices,
 )
 from mast_zenoh.options import err as _err
 from mast_zenoh.options import out as _out
@@ -56,6 +58,7 @@ def run(
     secure: Secure = "open",
     report: Report = True,
     record: Record = True,
+    allow_failures: AllowFailures = False,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh.launch import local
@@ -69,8 +72,8 @@ def run(
     if secure != "open" and (runtime == "inproc" or endpoint):
         where = f"the router at {endpoint} is another's" if endpoint else "one process has no mesh"
         raise typer.BadParameter(f"a secure mesh has a router of its own: {where}", param_hint="--secure")
-    ended = local.run(resolved, out, runtime=runtime, endpoint=endpoint, secure=secure, console=_out)
-    conclude(ended, report=report)
+    place: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
+    conclude(local.run(resolved, out, **place, allow_failures=allow_failures, console=_out), report=report)
 
 
 @app.command()
@@ -87,19 +90,20 @@ def study(
     seed: Seed = None,
     runtime: Annotated[Literal["mesh", "inproc"] | None, typer.Option(help="Overrides the study's own.")] = None,
     out: Out = None,
+    allow_failures: AllowFailures = False,
 ) -> None:
     """Run the scenarios of a study and compare them: once each with reports, or many trials with intervals."""
     from mast_zenoh.study import definition
 
     loaded = definition.load(study_file, settings or ())
     if loaded.security:
-        if trials or jobs or cluster or resume or runtime == "inproc":
+        if trials or jobs or cluster or resume or allow_failures or runtime == "inproc":
             raise typer.BadParameter("an outsider is let loose once at each level, on the mesh", param_hint=study_file)
         _besiege(loaded, out, seed=seed, frames=frames)
         return
     count = trials or loaded.trials
     if count is None and not (jobs or cluster or resume):
-        _compare(loaded, out, frames=frames, seed=seed, runtime=runtime)
+        _compare(loaded, out, frames=frames, seed=seed, runtime=runtime, allow_failures=allow_failures)
         return
     from mast_zenoh.report import study_table
     from mast_zenoh.study import execution
@@ -115,6 +119,7 @@ def study(
         seed=seed,
         frames=frames,
         runtime=runtime,
+        allow_failures=allow_failures,
         console=_out,
     )
     _out.print(study_table.as_rich(ended.rows, loaded.baseline))
@@ -132,6 +137,9 @@ def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
 
     terminal.show(_out, ended.folders)
     _out.print(f"report: {html.write_study_report(ended.out, ended.folders)}", highlight=False)
+    for label, run_ in ended.runs.items():
+        show_notices(run_, f"{label}: ")
+    ended.raise_failures()
 
 
 def _besiege(loaded: Study, out: Path | None, **options: Any) -> None:

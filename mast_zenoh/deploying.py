@@ -12,6 +12,7 @@ from rich.table import Table
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.options import (
+    AllowFailures,
     Frames,
     Mode,
     Out,
@@ -55,6 +56,7 @@ def up(
     patience: Annotated[float | None, typer.Option(help="Seconds that nodes stay without this launcher.")] = None,
     report: Report = True,
     record: Record = True,
+    allow_failures: AllowFailures = False,
 ) -> None:
     """Run a scenario elsewhere: start all, follow it, collect its results into a run folder, take all away again."""
     from mast_zenoh.deploy import engines, space
@@ -65,7 +67,8 @@ def up(
     told = {"image": image, "hosts": hosts, "place": _placed(place), "patience_s": patience}
     chosen = _made(engines.load(engine), {name: value for name, value in told.items() if value is not None})
     space.check(out or Path("runs"), space.needed(resolved))
-    conclude(local.run(resolved, out, engine=chosen, secure=secure, console=_out), report=report)
+    ended = local.run(resolved, out, engine=chosen, secure=secure, allow_failures=allow_failures, console=_out)
+    conclude(ended, report=report)
 
 
 @app.command()

@@ -61,7 +61,7 @@ def exit_codes_page() -> str:
         "|---:|---|---|",
     ]
     rows = [(error.exit_code, f"`{error.__name__}`", _first_line(error)) for error in error_types()]
-    rows += [(0, "", "It went well"), (2, "", "A wrong word on the command line")]
+    rows += [(0, "", "Success"), (2, "", "Usage error")]
     lines += [f"| {code} | {name} | {meaning} |" for code, name, meaning in sorted(rows)]
     return "\n".join([*lines, "", "`mast diff`: 0 two runs are equal, 1 they differ, 2 they cannot be compared.", ""])
 

@@ -18,9 +18,10 @@
         ├── EngineError          27   an engine, a host or an image is missing, out of reach, or has failed
         ├── DiskFull             28   there is no room for what a run writes
         ├── VersionMismatch      29   a node elsewhere runs another version
+        ├── HandlerFailed        30   a handler of a node raised an exception: the numbers may be wrong
         └── Interrupted         130   Ctrl-C or SIGTERM
 
-A wrong word on the command line exits with 2, as everywhere.
+A usage error on the command line exits with 2, as everywhere.
 """
 
 from __future__ import annotations
@@ -135,6 +136,12 @@ class VersionMismatch(RunError):
     """A node elsewhere runs another version than the launcher: names both."""
 
     exit_code = 29
+
+
+class HandlerFailed(RunError):
+    """A node's handler raised an exception, so the numbers may be wrong: names node, frames, exception and line."""
+
+    exit_code = 30
 
 
 class Interrupted(RunError):

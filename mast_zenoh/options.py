@@ -10,6 +10,8 @@ import typer
 from rich.console import Console
 from typer.core import TyperCommand
 
+from mast_zenoh.errors import HandlerFailed
+from mast_zenoh.runtime import failures
 from mast_zenoh.security import levels
 
 if TYPE_CHECKING:
@@ -34,6 +36,7 @@ Secure = Annotated[
 Mode = Annotated[Literal["lockstep", "realtime"] | None, typer.Option(help="Exact, or paced by the clock.")]
 Rate = Annotated[float | None, typer.Option(help="Real time: how many times faster than the wall clock.")]
 Report = Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")]
+AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn when a handler of a node has failed.")]
 Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
 
 
@@ -59,7 +62,18 @@ def conclude(ended: Run, *, report: bool) -> None:
         out.print(f"report: {html.write_report(ended.folder)}", highlight=False)
     else:
         out.print(f"run folder: {ended.folder}", highlight=False)
-    if ended.record["message"] and not ended.error:
-        out.print(f"[yellow]note: {ended.record['message']}", highlight=False)
+    show_notices(ended)
     if ended.error:
         raise ended.error
+
+
+def show_notices(ended: Run, label: str = "") -> None:
+    """Print what deserves attention in a run, and the failures of handlers that its error does not name."""
+    notices = [f"{notice['kind']}: {notice['text']}" for notice in ended.record.get("notices", ())]
+    if ended.record["message"] and not ended.error:
+        notices.append(f"note: {ended.record['message']}")
+    for notice in notices:
+        out.print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
+    if ended.failures and not isinstance(ended.error, HandlerFailed):
+        warning = failures.summary(ended.failures, ended.logs)
+        err.print(f"{label}warning: {warning}", style="bold yellow", markup=False, highlight=False)

@@ -83,7 +83,7 @@ class Evidence:
     def read(cls, folder: Path, resolved: Resolved) -> Evidence:
         """The evidence in a run folder; raises RunFolderError where the run, or its recording, is not complete."""
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-        if run["status"] != "ok":
+        if run["status"] not in ("ok", "handler_failures"):
             raise RunFolderError(f"the run has not come to its end: {run['status']}")
         metrics = folder / "metrics.json"
         scores = json.loads(metrics.read_text(encoding="utf-8")) if metrics.is_file() else {}

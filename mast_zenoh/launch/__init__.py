@@ -5,7 +5,9 @@ launching    the run on a mesh, from the first process to the last
 supervisor   who starts, watches and ends nodes;  processes: as processes of this machine
 steps        what the scenario does to them
 latency      what was measured on the wall clock
-folder       what the run leaves behind
+reports      what its nodes report: failures of handlers, results
+conclusion   what is written at the end;  notices: what deserves attention
+folder       what the run leaves behind;  nodelogs: logs of nodes in this process
 display      what is shown meanwhile;  signals: Ctrl-C and SIGTERM
 network      the hosts of a run as network namespaces
 """

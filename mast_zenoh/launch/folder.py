@@ -6,6 +6,7 @@ import json
 import math
 import os
 import platform
+import re
 import tempfile
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -18,6 +19,10 @@ from numpy.typing import NDArray
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.runtime.results import EVALUATOR
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+_EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
 
 
 def create(out: Path | None, name: str) -> Path:
@@ -77,16 +82,48 @@ def versions() -> dict[str, str]:
     return here | {package: version(package) for package in packages}
 
 
-def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> None:
-    """metrics.json and the tables, from what the nodes returned (the evaluator's `metrics` and `tables`).
+def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> list[str]:
+    """Write what nodes returned from `finish`; returns a sentence for each part that was refused.
+
+    The `metrics` and `tables` of the evaluator become metrics.json and Parquet files at the top of the run folder.
+    Everything else goes to results/<node>/: `tables` as <table>.parquet, the rest as results.json.
 
     measured: what goes into metrics.json beside the evaluator's metrics, or, being of the wall clock, in their place
     """
-    for outcome in results.values():
-        if "metrics" in outcome:
-            write_json(folder / "metrics.json", finite({**outcome["metrics"], **measured}))
-        for name, table in outcome.get("tables", {}).items():
-            write_table(folder / f"{name}.parquet", table)
+    refused: list[str] = []
+    for node, result in results.items():
+        own, rest = folder / "results" / node, dict(result)
+        top = folder if node == EVALUATOR else own
+        tables = rest.pop("tables", {})
+        if not _NAME.fullmatch(node):
+            refused.append(f"{node!r:.80}: {_EXPECTED_NAME}")
+            continue
+        if node == EVALUATOR and isinstance(rest.get("metrics"), Mapping):
+            write_json(folder / "metrics.json", finite({**rest.pop("metrics"), **measured}))
+        if not isinstance(tables, Mapping):
+            refused.append(f"{node}: tables: found a {type(tables).__name__}, expected a dict of tables")
+            tables = {}
+        for name, table in tables.items():
+            if problem := _write_named(top, name, table):
+                refused.append(f"{node}: table {name!r:.80}: {problem}")
+        if rest:
+            own.mkdir(parents=True, exist_ok=True)
+            write_json(own / "results.json", finite(rest))
+    return refused
+
+
+def _write_named(folder: Path, name: object, table: object) -> str:
+    """Write a node's table; returns why it is refused, or nothing."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        return _EXPECTED_NAME
+    if not isinstance(table, Mapping):
+        return f"found a {type(table).__name__}, expected a dict of columns"
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        write_table(folder / f"{name}.parquet", table)
+    except (ValueError, TypeError, RuntimeError) as error:  # Arrow's own are among them
+        return " ".join(str(error).split())[:200]
+    return ""
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
@@ -135,14 +172,16 @@ def columns_of(table: Any) -> dict[str, NDArray[Any]]:
 
 
 def finite(value: Any) -> Any:
-    """Plain JSON values: a number that is not finite becomes null."""
+    """Plain JSON values: a number that is not finite becomes null, an array a list."""
     if isinstance(value, Mapping):
         return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return finite((value.astype(str) if value.dtype.kind in "OU" else value).tolist())
     if isinstance(value, (list, tuple)):
         return [finite(item) for item in value]
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
-    return value
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def note_recording(record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]]) -> None:

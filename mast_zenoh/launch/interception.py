@@ -24,7 +24,7 @@ from mast_zenoh import interposition
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NotRunning, RunError, StartError
 from mast_zenoh.interposition import Place
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
+from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import NodeSpec, Resolved
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.wiring import Wiring
@@ -142,7 +142,7 @@ class Interceptions:
             child = self._supervisor.children[name]
             yield from self._until(lambda: name in self._alive or child.exit is not None, _START_TIMEOUT_S)
             if name not in self._alive:
-                what = f"{name} ended before it could be put on {place.wire}: {how_ended(child.exit)}"
+                what = f"{name} ended before it could be put on {place.wire}: {child.ended}"
                 raise StartError(f"{what}; see logs/{name}.log")
             answer = yield from self._ask_driver(after, {name: spec.role}, [])
         except MastError:

@@ -16,6 +16,14 @@ Sent = Mapping[int, int]
 PERCENTILES = (50, 95, 99)
 
 
+def measured(wiring: Wiring, outcomes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The `latency_ms` of metrics.json, by what nodes have handed in: from simulator to picture, and of every wire."""
+    sent, arrived = by_one_clock(outcomes)
+    picture = between(sent, arrived.get("evaluator", {}).get("cc/picture", {}))
+    to_picture = picture or dict.fromkeys(f"p{p}" for p in PERCENTILES)
+    return {"sim_to_picture": to_picture, "by_wire": by_wire(wiring, sent, arrived)}
+
+
 def by_wire(wiring: Wiring, sent_ns: Sent, arrived_ns: Mapping[str, Arrivals]) -> dict[str, dict[str, float | int]]:
     """Percentiles in ms of every wire on which something was heard, and of how many frames.
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from rich.markup import escape
 
 from mast_zenoh.errors import (
     BackendError,
@@ -21,20 +22,22 @@ from mast_zenoh.errors import (
     StartError,
     VersionMismatch,
 )
+from mast_zenoh.launch import conclusion, latency
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import latency
 from mast_zenoh.launch.depot import Depot
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.interception import Interceptions
 from mast_zenoh.launch.network.hosts import Hosts
 from mast_zenoh.launch.processes import Processes
+from mast_zenoh.launch.reports import Report, Reports
 from mast_zenoh.launch.signals import stop_signals
 from mast_zenoh.launch.steps import Steps
-from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
+from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import results
+from mast_zenoh.runtime import failures
 from mast_zenoh.runtime.mesh import ATTACHMENT, prefix
+from mast_zenoh.runtime.results import EVALUATOR
 from mast_zenoh.runtime.session import open_client, open_router
 from mast_zenoh.runtime.timetable import Timetable
 from mast_zenoh.security import levels
@@ -60,7 +63,6 @@ class Launch:
     secure: str = "open"
     engine: Engine | None = None
     detours: dict[str, str] = field(default_factory=dict)  # endpoints of nodes that reach the router another way
-    outcomes: dict[str, dict[str, Any]] = field(default_factory=dict)
     frame: int = -1
     problem: RunError | None = None
     stopping_since: float | None = None
@@ -72,7 +74,7 @@ class Launch:
     depot: Depot | None = None
     # Not a SimpleQueue: its `get` never returns if a signal is still being handled when the timeout is over.
     _asked: queue.Queue[bytes] = field(default_factory=queue.Queue)
-    _handed_in: queue.SimpleQueue[tuple[str, bytes]] = field(default_factory=queue.SimpleQueue)
+    reports: Reports = field(init=False)
 
     def run(self) -> None:
         """Start the nodes, watch them to the end, write the results. Raises RunError for a run that failed."""
@@ -86,6 +88,7 @@ class Launch:
             self.signals = stack.enter_context(stop_signals())
             session, supervisor = self._join(stack)
             self.session = session
+            self.reports = Reports(session, f"{prefix(self.record['id'])}/@control", supervisor.children)
             declared = self._declare(session)
             if self.engine is not None:
                 declared.append(self._keep_depot(session, supervisor, stack))
@@ -100,7 +103,8 @@ class Launch:
             finally:
                 supervisor.end(_END_GRACE_S)
                 interceptions.close()
-                self._take_results()
+                self._take_reports()
+                self.reports.close()
                 for entity in declared:
                     entity.undeclare()
         if self.hosts is not None:
@@ -145,14 +149,8 @@ class Launch:
         return [*own, "--endpoint", self.detours[name]] if name in self.detours else own
 
     def _declare(self, session: zenoh.Session) -> list[Any]:
-        """Listen for results and for the progress of the clock."""
+        """Listen for what the driver asks for, and for the progress of the clock."""
         base = prefix(self.record["id"])
-
-        def on_result(query: zenoh.Query) -> None:
-            with query:
-                payload = query.payload.to_bytes() if query.payload else b""
-                self._handed_in.put((str(query.key_expr).rpartition("/")[2], payload))
-                query.reply(query.key_expr, b"taken")
 
         def on_clock(sample: zenoh.Sample) -> None:
             attachment = sample.attachment
@@ -166,7 +164,6 @@ class Launch:
 
         direct = zenoh.handlers.Callback
         return [
-            session.declare_queryable(f"{base}/@control/result/*", direct(on_result, indirect=False)),
             session.declare_subscriber(f"{base}/clock", direct(on_clock, indirect=False)),
             session.declare_subscriber(f"{base}/@control/act", direct(on_ask, indirect=False)),
         ]
@@ -196,7 +193,7 @@ class Launch:
         while supervisor.running():
             self._act(steps)
             interceptions.turn()
-            self._take_results()
+            self._take_reports()
             for child in supervisor.newly_ended():
                 self._ended(child, steps)
             if len(self.signals) > interrupted:
@@ -235,17 +232,15 @@ class Launch:
 
     def _ended(self, child: Child, steps: Steps) -> None:
         """A process has ended: as it should, or not."""
-        self._take_results()
+        self._take_reports()
         if child.meant:
             return
-        if child.name in self.outcomes and child.exit == 0:
+        if child.exit == 0 and (child.handed_in or self.stopping_since is not None):
             return
-        if self.stopping_since is not None and child.exit == 0:
-            return
-        what = f"{child.name} {how_ended(child.exit)} at frame {self.frame}"
+        what = f"{child.name} {child.ended} at frame {self.frame}"
         if self.frame < 0:
             self.problem = self.problem or StartError(
-                f"{child.name} ended before the first frame: {how_ended(child.exit)}{self._last_words(child)}"
+                f"{child.name} ended before the first frame: {child.ended}{self._last_words(child)}"
             )
             self._stop("a node did not start")
         elif child.spec.on_exit == "continue":
@@ -266,11 +261,13 @@ class Launch:
         if self.stopping_since is None:
             self.stopping_since, self._why = time.monotonic(), reason
 
-    def _take_results(self) -> None:
-        while not self._handed_in.empty():
-            name, payload = self._handed_in.get()
-            self.outcomes[name] = results.unpack(payload)
-            reason = self.outcomes[name].get("stop_reason")
+    def _take_reports(self) -> None:
+        """Take what the nodes have reported: results, and failures of handlers, which are shown at once."""
+        for report in self.reports.take():
+            if report.failure is not None:
+                self._show_failure(report)
+                continue
+            reason = self.reports.outcomes[report.node].get("stop_reason")
             if reason is not None:
                 if self.stopping_since is None:
                     self.stopping_since = time.monotonic()
@@ -279,10 +276,19 @@ class Launch:
                 elif reason.startswith("start"):
                     self.problem = self.problem or StartError(reason)
 
+    def _show_failure(self, report: Report) -> None:
+        """Show the first failure of a handler; one of `start` ends the run."""
+        assert report.failure is not None
+        (line,) = failures.lines({report.node: [report.failure]}, {report.node: f"logs/{report.node}.log"})
+        self.display.say(f"[red]{escape(line)}")
+        if report.failure["handler"] == "start":
+            self.problem = self.problem or StartError(line)
+            self._stop("a node did not start")
+
     def _states(self, supervisor: Supervisor[Any]) -> dict[str, str]:
         def state(child: Child) -> str:
             if child.exit is not None:
-                return "done" if child.exit == 0 else "away" if child.meant else "dead"
+                return "done" if child.exit == 0 and child.handed_in else "away" if child.meant else "dead"
             if child.paused:
                 return "paused"
             if child.cut_off:
@@ -293,27 +299,21 @@ class Launch:
 
     def _conclude(self, supervisor: Supervisor[Any], begun: float) -> None:
         """Write what came, and raise what went wrong."""
-        self.record["nodes"] = supervisor.to_json(self.outcomes)
-        driver: Mapping[str, Any] = next((o for o in self.outcomes.values() if "sent_ns" in o), {})
+        outcomes = self.reports.outcomes
+        self.record["nodes"] = supervisor.to_json(self.reports.by_node())
+        driver: Mapping[str, Any] = next((o for o in outcomes.values() if "sent_ns" in o), {})
         if driver:
             self.record["timings"] |= run_folder.rates(driver["frames"], driver["wall_s"])
             self.record["timings"]["start_s"] = round(time.monotonic() - begun - driver["wall_s"], 3)
-        gone = [c for c in supervisor.children.values() if c.name not in self.outcomes and c.exit != 0 and not c.meant]
+        gone = [child for child in supervisor.children.values() if not child.handed_in and not child.meant]
         self.record["message"] = "; ".join(f"{child.name} {child.ended}" for child in gone)
-        handed_in = {name: outcome["results"] for name, outcome in self.outcomes.items()}
-        run_folder.note_recording(self.record, handed_in)
-        measured: dict[str, Any] = {"late": results.late(handed_in)}
+        handed_in = {name: outcome["results"] for name, outcome in outcomes.items()}
+        measured: dict[str, Any] = {}
         if self.resolved.mode == "realtime":
-            sent, arrived = latency.by_one_clock(self.outcomes)
-            picture = latency.between(sent, arrived.get("evaluator", {}).get("cc/picture", {}))
-            wires = latency.by_wire(Wiring.from_json(self.resolved.wiring), sent, arrived)
-            measured["latency_ms"] = {
-                "sim_to_picture": picture or dict.fromkeys(("p50", "p95", "p99")),
-                "by_wire": wires,
-            }
+            measured["latency_ms"] = latency.measured(Wiring.from_json(self.resolved.wiring), outcomes)
             measured["frames_per_second"] = self.record["timings"].get("frames_per_second")
-        run_folder.write_results(self.folder, handed_in, measured)
-        if self.problem is None and "evaluator" not in self.outcomes and "evaluator" in supervisor.children:
+        conclusion.write(self.resolved, self.folder, self.record, handed_in, measured)
+        if self.problem is None and EVALUATOR not in handed_in:
             self.problem = RunError("the evaluator handed in no results")
         if self.problem is not None:
             raise self.problem

@@ -15,20 +15,19 @@ from typing import Any
 from rich.console import Console
 
 from mast_zenoh import checks
-from mast_zenoh.errors import (
-    BackendError,
-    Interrupted,
-    MastError,
-)
+from mast_zenoh.errors import BackendError, HandlerFailed, Interrupted, MastError
+from mast_zenoh.launch import conclusion, steps
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import steps
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.nodelogs import NodeLogs
 from mast_zenoh.launch.signals import stop_signals
 from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import results
+from mast_zenoh.runtime import failures
 from mast_zenoh.runtime.inproc import InProcess
+
+_STATUS: dict[type[MastError], str] = {Interrupted: "interrupted", HandlerFailed: "handler_failures"}
 
 
 @dataclass
@@ -38,6 +37,17 @@ class Run:
     folder: Path
     record: dict[str, Any]
     error: MastError | None = None
+
+    @property
+    def failures(self) -> dict[str, list[failures.Entry]]:
+        """The failures of handlers by node, also those that were allowed."""
+        nodes = self.record["nodes"]
+        return {name: node["failures"] for name, node in nodes.items() if node.get("failures")}
+
+    @property
+    def logs(self) -> dict[str, str]:
+        """The paths of the nodes' logs."""
+        return {name: str(self.folder / node["log"]) for name, node in self.record["nodes"].items() if node.get("log")}
 
 
 def run(
@@ -49,6 +59,7 @@ def run(
     listen: str = "tcp/127.0.0.1:0",
     secure: str = "open",
     engine: Engine | None = None,
+    allow_failures: bool = False,
     prepare: Callable[[Launch], None] = lambda launch: None,
     console: Console | None = None,
 ) -> Run:
@@ -57,6 +68,7 @@ def run(
     endpoint: of a router that is there already; None: one in this process, listening at `listen`
     secure:   one of `security.levels.LEVELS`; above "open", who takes part gets certificates for this run alone
     engine:   where the nodes live, if not here as processes: it brings its own router
+    allow_failures: whether a run in which a handler failed is "ok" all the same; otherwise its error is HandlerFailed
     prepare:  called with what will launch the run on its mesh, before it does
     Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
     """
@@ -98,12 +110,15 @@ def run(
     except MastError as caught:
         error = caught
     record["timings"]["total_s"] = round(time.monotonic() - begun, 3)
-    record["status"] = "ok" if error is None else "interrupted" if isinstance(error, Interrupted) else "failed"
-    record["message"] = str(error) if error else record["message"]
+    ended = Run(folder, record, error)
+    if ended.failures and not ended.error and not allow_failures:
+        ended.error = failures.error(ended.failures, ended.logs)
+    record["status"] = _STATUS.get(type(ended.error), "failed") if ended.error else "ok"
+    record["message"] = str(ended.error) if ended.error else record["message"]
     run_folder.write_json(folder / "run.json", record)
     if any(entry["kind"] != "attack" for entry in resolved.timeline):
         checks.run(folder, resolved)
-    return Run(folder, record, error)
+    return ended
 
 
 def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], display: Display) -> None:
@@ -111,32 +126,47 @@ def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], displa
     if resolved.network.get("faults"):
         raise BackendError("host faults need hosts: one process has no network between its nodes; use runtime 'mesh'")
     states = dict.fromkeys(resolved.nodes, "running")
-    with stop_signals() as received:
+    with NodeLogs(folder / "logs"), stop_signals() as received:
 
         def progress(frame: int) -> bool:
             display.update(frame, states)
             return not received
 
         process = InProcess(resolved.in_folder(folder), progress=progress)
-        outcomes = process.run()
+        outcomes: dict[str, dict[str, Any]] = {}
+        try:
+            outcomes = process.run()
+        finally:
+            record["nodes"] = _nodes_inproc(resolved, folder, process, outcomes)
     timing = outcomes.pop("")
     record["timings"] |= run_folder.rates(timing["frames"], timing["wall_s"])
     record["steps"] = [step._asdict() for step in process.steps]
-    for name, host in (process.hosts | process.gone).items():
-        killed = name not in outcomes
-        record["nodes"][name] = {
-            "role": resolved.nodes[name].role,
-            "pid": os.getpid(),
-            "exit": None if killed else 0,
-            "ended": "killed by the scenario" if killed else "ok",
-            "restarts": [(s.node, s.action) for s in process.steps].count((name, "start"))
-            - (name in process.timetable.absent),
-            "last_frame": host.frame,
-            "rejected": {f"{key}: {reason}": n for (key, reason), n in host.rejected.items()},
-            "foreign": 0,
-            "failures": dict(host.failures),
-        }
-    run_folder.note_recording(record, outcomes)
-    run_folder.write_results(folder, outcomes, {"late": results.late(outcomes)})
+    conclusion.write(resolved, folder, record, outcomes, {})
     if received:
         raise Interrupted("stopped by Ctrl-C or SIGTERM")
+
+
+def _nodes_inproc(
+    resolved: Resolved, folder: Path, process: InProcess, outcomes: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    """The `nodes` part of run.json."""
+    nodes: dict[str, Any] = {}
+    failed = process.failures()
+    for name, host in (process.hosts | process.gone).items():
+        finished = name in outcomes
+        log = f"logs/{name}.log"
+        nodes[name] = {
+            "role": resolved.nodes[name].role,
+            "pid": os.getpid(),
+            "exit": 0 if finished else None,
+            "ended": "ok" if finished else "killed by the scenario" if name in process.gone else "did not finish",
+            "restarts": [(s.node, s.action) for s in process.steps].count((name, "start"))
+            - (name in process.timetable.absent),
+            "log": log if (folder / log).is_file() else None,
+            "last_frame": host.frame,
+            "rejected": {f"{key}: {reason}": n for (key, reason), n in host.rejected.items()},
+            "first_rejected": host.first_rejected,
+            "foreign": {},
+            "failures": failed.get(name, []),
+        }
+    return nodes

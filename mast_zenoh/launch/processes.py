@@ -37,7 +37,7 @@ class Process(Child):
 
 
 class Processes(Supervisor[Process]):
-    """Starts each node's file as a process of its own, in a session of its own (Ctrl-C is ours, not theirs).
+    """Starts each node as a process of its own, in a session of its own (Ctrl-C is ours, not theirs).
 
     Each child's standard input is a pipe that we hold: when we end, however that may be, it closes, and they leave.
 
@@ -68,7 +68,8 @@ class Processes(Supervisor[Process]):
 
     def command(self, name: str, spec: NodeSpec) -> list[str]:
         """What starts a node now."""
-        command = [*self.inside(name), sys.executable, spec.file, "--run-folder", str(self.folder), "--name", name]
+        module = ["-P", "-m", "mast_zenoh.runtime", spec.file]  # without what lies in the working directory
+        command = [*self.inside(name), sys.executable, *module, "--run-folder", str(self.folder), "--name", name]
         command += ["--endpoint", self.endpoint, "--run", self.run, *self.told(name)]
         without = ",".join(self.without[name])
         return [*command, "--without", without] if without else command

@@ -22,6 +22,7 @@ class Child(ABC):
         self.restarts = 0
         self.told = False  # whether its end has been dealt with
         self.meant = False  # whether the scenario wants it to end
+        self.handed_in = False  # whether it has given its results to the launcher
         self.paused = False
         self.cut_off = False  # whether it has been taken off its networks
         self.notes: list[str] = []
@@ -37,8 +38,9 @@ class Child(ABC):
 
     @property
     def ended(self) -> str:
-        """How it ended, in words."""
-        return "; ".join([*self.notes, how_ended(self.exit)])
+        """How it ended, in words: "ok" only if it has handed in its results."""
+        silent = self.exit == 0 and not self.handed_in
+        return "; ".join([*self.notes, "exit code 0, but it handed in no results" if silent else how_ended(self.exit)])
 
 
 def how_ended(code: int | None) -> str:
@@ -82,7 +84,7 @@ class Supervisor(ABC, Generic[C]):
             return False
         child.notes.append(how_ended(child.exit))
         child.restarts += 1
-        child.told = child.meant = child.paused = False
+        child.told = child.meant = child.paused = child.handed_in = False
         self._start_again(child, without)
         return True
 
@@ -153,7 +155,7 @@ class Supervisor(ABC, Generic[C]):
 
     def to_json(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """The `nodes` part of run.json; `reports` are what the nodes themselves handed in."""
-        reported = ("last_frame", "cpu_s", "rejected", "foreign", "failures")
+        reported = ("last_frame", "cpu_s", "rejected", "first_rejected", "foreign", "failures")
         return {
             name: {
                 "role": child.spec.role,

@@ -21,6 +21,7 @@ from mast_zenoh.report.table import HEADINGS, Figures, SummaryRow, cells, summar
 from mast_zenoh.report.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view
 from mast_zenoh.report.wiring import wire_rows
 from mast_zenoh.report.words import headline, reading, study_headline, study_reading
+from mast_zenoh.runtime import failures
 
 #: Of HEADINGS, the groups that say something of a single run: there is no baseline to compare it with.
 _ONE_RUN = (0, 1, 3)
@@ -101,6 +102,8 @@ def _write_run(run: RunFolder, view: FrameView | None, *, chosen: bool) -> tuple
         "facts": _facts(run),
         "status": run.run.get("status", "unknown"),
         "message": run.run.get("message"),
+        "failures": _failures(run),
+        "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
         "missing": run.missing,
         "figures": made,
         "rows": _table_rows([row], _ONE_RUN) if run.metrics else [],
@@ -190,13 +193,20 @@ def _node(run: RunFolder, name: str) -> dict[str, Any]:
     }
 
 
+def _failures(run: RunFolder) -> list[str]:
+    """A line for each handler that failed."""
+    nodes = run.run.get("nodes", {})
+    failed = {name: node["failures"] for name, node in nodes.items() if node.get("failures")}
+    return failures.lines(failed, {name: nodes[name].get("log") or "not written" for name in failed})
+
+
 def _troubles(told: Mapping[str, Any]) -> str:
     """What a node counted and lived through; empty: nothing."""
-    refused, failed = (sum((told.get(key) or {}).values()) for key in ("rejected", "failures"))
+    refused, foreign = (sum((told.get(key) or {}).values()) for key in ("rejected", "foreign"))
     counts = (
         (refused, "malformed messages refused"),
-        (told.get("foreign") or 0, "messages from outside the run"),
-        (failed, "handler failures"),
+        (foreign, "messages from outside the run"),
+        (sum(entry["count"] for entry in told.get("failures") or ()), "handler failures"),
     )
     return ", ".join(f"{number} {what}" for number, what in counts if number)
 

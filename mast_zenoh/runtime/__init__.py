@@ -10,4 +10,5 @@ delayed   messages that leave later
 process   the `main` of every node's file
 session   Zenoh sessions as we open them
 results   what nodes hand in at the end
+failures  failures of handlers: counted, merged, in words
 """

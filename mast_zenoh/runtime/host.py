@@ -18,13 +18,16 @@ from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import Body, Header, Message
 from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
+from mast_zenoh.runtime import results
 from mast_zenoh.runtime.delayed import Delayed
+from mast_zenoh.runtime.failures import Failure
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring import ANY, Input, Ports
 
 MAX_HELD = 10_000  #: messages held back for a clock that has not come; more are dropped and counted
 MAX_DELAYED = 10_000  #: messages that are to leave later; more are refused
 MAX_DELAY_S = 3600.0  #: no message leaves later than that
+_MAX_REASON = 200  # characters kept of why a message was rejected
 _FOREVER = 1 << 62  # ns, or steps
 
 
@@ -47,7 +50,9 @@ class Host:
     now:  a monotonic clock, ns, for real time; without it time goes by frames, as in lock-step
     emit: called at once with every message that the node publishes
     frame, time_ns: of the newest clock; observe: called with the key and header of every sound message;
-    sent, handled: messages by key; rejected: malformed messages by (key, reason); failures: handler errors by port.
+    on_failure: called with every failure of a handler, when it has been counted;
+    sent, handled: messages by key; rejected: malformed messages by (key, kind); first_rejected: by key the frame in
+    which a message was rejected first, and why; failures: by handler.
     """
 
     def __init__(
@@ -71,7 +76,9 @@ class Host:
         self.sent: Counter[str] = Counter()
         self.handled: Counter[str] = Counter()
         self.rejected: Counter[tuple[str, str]] = Counter()
-        self.failures: Counter[str] = Counter()
+        self.first_rejected: dict[str, tuple[int, str]] = {}
+        self.failures: dict[str, Failure] = {}
+        self.on_failure: Callable[[Failure], None] = lambda failure: None
         self.observe: Callable[[str, Header], None] | None = None
         self._hears = dict(ports.inputs)
         self.hears: Mapping[str, Input] = self._hears
@@ -97,10 +104,14 @@ class Host:
     # -- what the runtime calls ----------------------------------------------------------------------------------
 
     def start(self, peers: Mapping[str, str]) -> None:
-        """Begin: `peers` are the other nodes that are up, name to role."""
-        self.node.start(self)
+        """Begin: `peers` are the other nodes that are up, name to role. Counts and raises what `start` raises."""
+        try:
+            self.node.start(self)
+        except (Exception, SystemExit) as error:
+            self._note_failure("start", self.node.start, (), error)
+            raise
         for peer, role in sorted(peers.items()):
-            self.node.joined(peer, role, self)
+            self.joined(peer, role)
 
     def joined(self, peer: str, role: str) -> None:
         """Another node has come up."""
@@ -111,10 +122,13 @@ class Host:
         self._guard("left", self.node.left, peer, role, self)
 
     def finish(self) -> dict[str, Any]:
-        """End: the node's results. What it publishes now goes nowhere: it is not there any more."""
+        """End: the node's results; none if `finish` fails. What the node publishes now goes nowhere."""
         self._emit = lambda out: None
-        results = self._guard("finish", self.node.finish, self)
-        return results if isinstance(results, dict) else {}
+
+        def finish() -> dict[str, Any]:
+            return results.checked(self.node.finish(self))
+
+        return self._guard("finish", finish) or {}
 
     def deliver(self, key: str, payload: bytes | Message, step: int, *, counted: bool = True, flaw: str = "") -> None:
         """A message has come on `key`, sent in `step` of its sender (-1: not known, it is taken at once).
@@ -362,19 +376,36 @@ class Host:
     def _reject(self, key: str, reason: str, counted: bool) -> None:
         if counted:
             self.handled[key] += 1
-        kind = reason.split(":", 1)[0]
-        if not any(known == key for known, _ in self.rejected):
+        if key not in self.first_rejected:
+            self.first_rejected[key] = self.frame, reason[:_MAX_REASON]
             self.log.warning("rejected a message on %s: %s (further ones on this key are only counted)", key, reason)
-        self.rejected[key, kind] += 1
+        self.rejected[key, reason.split(":", 1)[0]] += 1
 
     def _guard(self, what: str, call: Any, *arguments: Any) -> Any:
-        """Call a handler; its error costs this one message, is logged once per port, and counted."""
+        """Call a handler; its error costs this one message, is counted, and logged once for each handler.
+
+        what: the input port that it is the handler of, or the name of another handler
+        """
         if self._now is not None:
             self._moment_ns = self._now()
         try:
             return call(*arguments)
-        except Exception:
-            if not self.failures[what]:
-                self.log.exception("the handler of %s failed (further failures are only counted)", what)
-            self.failures[what] += 1
+        except (Exception, SystemExit) as error:
+            self._note_failure(what, call, arguments, error)
             return None
+
+    def _note_failure(self, what: str, call: Any, arguments: tuple[Any, ...], error: BaseException) -> None:
+        handler = f"on_{what}" if self._handlers.get(what) is call else what
+        if handler not in self.failures:
+            self.log.error("%s failed (further failures of it are only counted)", handler, exc_info=error)
+            self.failures[handler] = Failure(handler, error, getattr(self.node, handler))
+        self.failures[handler].note(self._frame_of(arguments[0] if arguments else None))
+        self.on_failure(self.failures[handler])
+
+    def _frame_of(self, message: Any) -> int:
+        """The frame in which a handler got a message: the clock's, or for a node without one, the message's."""
+        if isinstance(message, Overheard):
+            return self.frame if message.header is None else message.header.frame
+        if isinstance(message, Received) and not self._clocked and message.step >= 0:
+            return message.step
+        return self.frame

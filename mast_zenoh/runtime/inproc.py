@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.errors import RunError
+from mast_zenoh.errors import NodeDied, RunError, StartError
 from mast_zenoh.node import Source
 from mast_zenoh.resolved import Resolved, build_node
+from mast_zenoh.runtime.failures import Entry, described, lines, location, merged
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.timetable import LEAVING, Timetable
 from mast_zenoh.steps import ProcessStep
@@ -52,6 +53,7 @@ class InProcess:
         self._progress = progress
         self._pending: _Fifo | _Shuffled = _Fifo() if shuffle is None else _Shuffled(shuffle)
         self._results: dict[str, dict[str, Any]] = {}
+        self._made: list[Host] = []  # all hosts, also of nodes that have gone or come again
         #: those who are up
         self.hosts = {name: self._built(name) for name in resolved.nodes}
         sources = [host for host in self.hosts.values() if isinstance(host.node, Source)]
@@ -66,15 +68,17 @@ class InProcess:
             del self.hosts[name]
 
     def run(self) -> dict[str, dict[str, Any]]:
-        """Run to the end of the scene; the results of every node's `finish`, and wall-clock timings under ""."""
+        """Run to the end of the scene; the results of every node's `finish`, and wall-clock timings under "".
+
+        Raises StartError for a node whose `start` fails, and NodeDied when the node that drives the scene fails.
+        """
         for name in list(self.hosts):
-            self.hosts[name].start(self._peers(name))
+            self._start(name)
         self._drain()
         begun = time.perf_counter()
         source, frames = self._source, 0
-        assert isinstance(source.node, Source)
         self._carry_out(0)
-        while source.node.advance(source):
+        while self._advance(source, frames):
             self._drain()
             frames += 1
             if self._progress and self._progress(frames) is False:
@@ -86,11 +90,38 @@ class InProcess:
         in_order = {name: self._results[name] for name in self._roles if name in self._results}
         return {"": {"frames": frames, "wall_s": elapsed}, **in_order}
 
+    def failures(self) -> dict[str, list[Entry]]:
+        """The failures of handlers by node; nodes without any are left out."""
+        entries: dict[str, list[list[Entry]]] = {name: [] for name in self._roles}
+        for host in self._made:
+            entries[host.name].append([failure.entry() for failure in host.failures.values()])
+        return {name: merged(parts) for name, parts in entries.items() if any(parts)}
+
+    def _start(self, name: str) -> None:
+        host = self.hosts[name]
+        try:
+            host.start(self._peers(name))
+        except (Exception, SystemExit) as error:
+            (line,) = lines({name: [host.failures["start"].entry()]})
+            raise StartError(line) from error
+
+    def _advance(self, source: Host, frame: int) -> bool:
+        """Have the source publish the next frame; False when there is none."""
+        assert isinstance(source.node, Source)
+        try:
+            return source.node.advance(source)
+        except (Exception, SystemExit) as error:
+            where = location(error, source.node.advance)
+            what = f"{source.name}.advance failed before frame {frame}"
+            raise NodeDied(f"{what}: {described(error)} ({where})") from error
+
     def _built(self, name: str) -> Host:
         """A host of a node that is newly made."""
         node, ports = build_node(self._resolved.nodes[name], name), self._wiring.ports(name)
         period_ns = self._resolved.period_ns
-        return Host(name, node, ports, self._resolved.seed, encode=self._encode, period_ns=period_ns, emit=self._sent)
+        host = Host(name, node, ports, self._resolved.seed, encode=self._encode, period_ns=period_ns, emit=self._sent)
+        self._made.append(host)
+        return host
 
     def _peers(self, name: str) -> dict[str, str]:
         return {peer: self._roles[peer] for peer in self.hosts if peer != name}
@@ -108,9 +139,9 @@ class InProcess:
                 for step in group:
                     (host.joined if step.node in come else host.left)(step.node, self._roles[step.node])
             self.hosts |= come
-            for name, host in come.items():
+            for name in come:
                 self.gone.pop(name, None)
-                host.start(self._peers(name))
+                self._start(name)
             self.steps += group
             self._drain()
 

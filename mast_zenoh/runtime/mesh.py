@@ -7,6 +7,7 @@ under mast/{run}/@control/, a verbatim chunk, where no wildcard sees it:
 
     epoch            driver → all      who takes part from now on; counters start anew
     counts/{node}    node → driver     messages sent and handled by key, whenever the inbox is empty
+    failed/{node}    node → launcher   a handler has failed: its process, and an entry of mast_zenoh.runtime.failures
     stop             anyone → all      finish, hand in results, leave
     leave/{node}     launcher → node   the same, for one of them
     act              driver → launcher what the scenario does to processes before this frame
@@ -19,10 +20,12 @@ under mast/{run}/@control/, a verbatim chunk, where no wildcard sees it:
 
 from __future__ import annotations
 
+import os
 import queue
 import struct
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
@@ -32,6 +35,7 @@ import zenoh
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.node import Node
 from mast_zenoh.runtime import results
+from mast_zenoh.runtime.failures import Failure
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.rewiring import Outlet, Rewiring, Told, counted
 from mast_zenoh.wiring import Leg, Wiring
@@ -83,10 +87,12 @@ class MeshNode:
         self.members: dict[str, str] = {}
         self.epoch = 0
         self.stop_reason: str | None = None
-        self.foreign = 0  # messages that no node of this run has sent
+        self.foreign: Counter[str] = Counter()  # by key, messages that no node of this run has sent
         self.arrived_ns: dict[str, dict[int, int]] = {}
         self.of_host: dict[str, Any] = {}  # what is known of where it runs, for run.json
         self._prefix = prefix(run)
+        self._process = os.urandom(8).hex()  # tells this process from others that are the same node before and after it
+        self.host.on_failure = self._report_failure
         self._started = False
         self._cpu_begun = time.process_time()
         self._early: list[tuple[str, bytes, int, int]] = []
@@ -179,8 +185,10 @@ class MeshNode:
         outcome = {
             "results": self.host.finish() if self._started else {},
             "rejected": {f"{key}: {reason}": n for (key, reason), n in self.host.rejected.items()},
-            "foreign": self.foreign,
-            "failures": dict(self.host.failures),
+            "first_rejected": self.host.first_rejected,
+            "foreign": dict(self.foreign),
+            "process": self._process,
+            "failures": [failure.entry() for failure in self.host.failures.values()],
             "last_frame": self.host.frame,
             "cpu_s": round(cpu_s, 4),
             "arrived_ns": self.arrived_ns,
@@ -193,6 +201,10 @@ class MeshNode:
             if any(reply.ok is not None for reply in replies):
                 return
         self.host.log.error("nobody took the results within %.0f s", _RESULT_TIMEOUT_S)
+
+    def _report_failure(self, failure: Failure) -> None:
+        """Tell the launcher at once, ahead of the counts: a process that is killed hands in nothing."""
+        self._failed.put(msgpack.packb([self._process, failure.entry()]))
 
     def extra_results(self) -> dict[str, Any]:
         """What a special process adds to its results."""
@@ -225,7 +237,7 @@ class MeshNode:
             ATTACHMENT.unpack(attachment) if attachment and len(attachment) == ATTACHMENT.size else (b"", 0, -1)
         )
         if mark != MARK:
-            self.foreign += 1
+            self.foreign[key] += 1
             if self._started:
                 self.host.deliver(key, payload, -1, counted=False)
         elif epoch > self.epoch and not self.rewiring.leaving:
@@ -270,11 +282,14 @@ class MeshNode:
         for wire, leg in self.wiring.legs():
             if leg.publisher.node == self.name:
                 self.outlets[leg.key] = Outlet(leg.key, self.declare_publisher(leg.key, wire.message))
-        self._counts = self.session.declare_publisher(
-            f"{self._prefix}/@control/counts/{self.name}",
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
+        self._counts, self._failed = (
+            self.session.declare_publisher(
+                f"{self._prefix}/@control/{what}/{self.name}",
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+            )
+            for what in ("counts", "failed")
         )
 
     def declare_publisher(self, key: str, message: str) -> zenoh.Publisher:
@@ -327,7 +342,7 @@ class MeshNode:
     def await_matching(self) -> None:
         """Wait until every wire that somebody listens to has its listener, so that no first message is lost."""
         heard = [self.outlets[leg.key].publisher for _, leg in self.wiring.legs() if self._is_heard(leg)]
-        self.await_listeners([*heard, self._counts])
+        self.await_listeners([*heard, self._counts, self._failed])
 
     def await_listeners(self, awaited: Sequence[zenoh.Publisher]) -> None:
         """Wait until each of these publishers has somebody who listens; go on without after a while."""

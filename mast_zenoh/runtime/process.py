@@ -1,4 +1,8 @@
-"""The `main` of every node's file: `python nodes/agent.py --run-folder DIR --run ID --name infra_1 --endpoint TCP`.
+"""The `main` of a node's process. The launcher starts it for the file of a node, which needs no `main` of its own:
+
+    python -P -m mast_zenoh.runtime nodes/agent.py --run-folder DIR --run ID --name infra_1 --endpoint TCP
+
+A file that ends with `main(TheNode)` can also be started by itself: `python nodes/agent.py --run-folder DIR …`.
 
 The process leaves when it is told to stop, when it gets SIGTERM, and when its standard input closes: the launcher
 holds the other end, so that a launcher that dies, however it dies, takes its nodes with it.
@@ -28,11 +32,16 @@ ORPHAN_GRACE_S = 2.0
 PR_SET_PDEATHSIG = 1  #: of prctl(2): which signal a process gets when its parent dies
 
 
-def main(node: type[Node]) -> None:
-    """Run one node of this class as this process; ends the process."""
+def main(node: type[Node] | None = None) -> None:
+    """Run one node as this process; ends the process.
+
+    node: its class; None: the class that the scenario names, in the file that is the first argument
+    """
     faulthandler.enable()
     _wake_when_orphaned()
-    parser = argparse.ArgumentParser(description=(node.__doc__ or "").strip())
+    parser = argparse.ArgumentParser(description=(node.__doc__ or "").strip() if node else "A node of a run.")
+    if node is None:
+        parser.add_argument("file", type=Path, help="of the node; files beside it can be imported by name")
     parser.add_argument("--run-folder", type=Path, required=True, help="holds scenario.json, wiring.json, scene.npz")
     parser.add_argument("--name", required=True, help="which node of the scenario this is")
     parser.add_argument("--endpoint", required=True, help="of the router, e.g. tcp/127.0.0.1:7447")
@@ -41,6 +50,8 @@ def main(node: type[Node]) -> None:
     parser.add_argument("--without", default="", help="names of nodes that are not up now, separated by commas")
     parser.add_argument("--stay", action="store_true", help="do not leave when standard input closes")
     arguments = parser.parse_args()
+    if node is None:
+        sys.path.insert(0, str(arguments.file.parent))  # as if Python had been started with the file
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     try:
         run(node, arguments)
@@ -49,7 +60,7 @@ def main(node: type[Node]) -> None:
         sys.exit(error.exit_code)
 
 
-def run(node: type[Node], arguments: argparse.Namespace) -> None:
+def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
     """Build the node from its run folder and host it until it is told to stop."""
     hosted: list[MeshNode] = []
     if not arguments.stay:  # from the very beginning: a launcher may be killed while we are still starting

@@ -2,12 +2,12 @@
 
 Everything is denied but this, to each certificate by its common name:
 
-    a node       say     its own keys, counts/{self}
+    a node       say     its own keys, counts/{self}, failed/{self}
                  hear    its own keys, epoch, stop, leave/{self}
                  ask     result/{self}, fetch/{self}, file/{self}
                  appear  alive/{self};  watch launcher
     the driver   say     epoch, act, stop;  hear counts/*;  watch alive/*
-    the launcher say     stop, leave/*;  hear clock, act;  answer result/*, fetch/*, file/*
+    the launcher say     stop, leave/*;  hear clock, act, failed/*;  answer result/*, fetch/*, file/*
                  appear  launcher;  watch alive/*
 
 What changes the wiring of a run (intercept, rewire, drain) is nobody's: these rules are fixed when the router opens.
@@ -33,6 +33,10 @@ CONTROL = "@control"
 
 #: What nodes ask the launcher: below each of these lies one key for every node.
 ASKED = ("result", "fetch", "file")
+
+
+#: What nodes report: the first to the driver, the second to the launcher.
+REPORTS = ("counts", "failed")
 
 
 class Right(NamedTuple):
@@ -122,7 +126,8 @@ def _node(wiring: Wiring, node: str, *, drives: bool) -> Iterator[Right]:
     for key, _, subscriber in wiring.flows():
         if subscriber == node:
             yield from hear(key)
-    yield from say(f"{CONTROL}/counts/{node}", f"{CONTROL}/counts/*")
+    for report in REPORTS:
+        yield from say(f"{CONTROL}/{report}/{node}", f"{CONTROL}/{report}/*")
     yield from _each(hear, "epoch", "stop", f"leave/{node}")
     for asked in ASKED:
         yield from ask(f"{CONTROL}/{asked}/{node}", f"{CONTROL}/{asked}/*")
@@ -137,7 +142,7 @@ def _node(wiring: Wiring, node: str, *, drives: bool) -> Iterator[Right]:
 def _launcher() -> Iterator[Right]:
     yield from hear("clock")
     yield from _each(say, "stop", "leave/*")
-    yield from _each(hear, "act")
+    yield from _each(hear, "act", "failed/*")
     yield from _each(answer, *(f"{asked}/*" for asked in ASKED))
     yield from appear(f"{CONTROL}/launcher")
     yield from watch("alive/*")

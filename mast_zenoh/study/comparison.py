@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from mast_zenoh import scenario
+from mast_zenoh.errors import HandlerFailed
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import local
 from mast_zenoh.resolved import Resolved
@@ -16,10 +17,21 @@ from mast_zenoh.study.definition import Configuration, Study
 
 @dataclass(frozen=True)
 class Compared:
-    """A study that has ended: its folder, and the run folder of each configuration."""
+    """A study that has ended: its folder, and the run of each configuration."""
 
     out: Path
-    folders: dict[str, Path]
+    runs: dict[str, local.Run]
+
+    @property
+    def folders(self) -> dict[str, Path]:
+        """The run folder of each configuration."""
+        return {label: ended.folder for label, ended in self.runs.items()}
+
+    def raise_failures(self) -> None:
+        """Raises HandlerFailed if handlers failed in any run and that was not allowed."""
+        failed = [f"in run {label}, {ended.error}" for label, ended in self.runs.items() if ended.error]
+        if failed:
+            raise HandlerFailed("\n".join(failed))
 
 
 def run(
@@ -29,12 +41,14 @@ def run(
     seed: int | None = None,
     frames: int | None = None,
     runtime: str | None = None,
+    allow_failures: bool = False,
     console: Console | None = None,
 ) -> Compared:
     """Run every configuration once, in the first scene, with a run folder of its own.
 
     Everything is resolved, and refused if it is wrong, before the first run starts. Arguments that are not None win
-    over the study's own. Raises what a run that failed has raised, after its run folder has been written.
+    over the study's own. Raises what a run that failed has raised, after its run folder has been written. A run in
+    which handlers failed does not stop the others: `Compared.raise_failures` raises its error.
     """
     seed = study.seed if seed is None else seed
     frames = frames or study.frames
@@ -42,14 +56,15 @@ def run(
     folder = run_folder.create(out, study.name)
     for part in ("logs", "figures"):
         (folder / part).rmdir()
-    folders: dict[str, Path] = {}
+    runs: dict[str, local.Run] = {}
+    place = runtime or study.runtime or "mesh"
     for label, run_ in resolved.items():
-        ended = local.run(run_, folder / label, runtime=runtime or study.runtime or "mesh", console=console)
-        if ended.error:
+        ended = local.run(run_, folder / label, runtime=place, allow_failures=allow_failures, console=console)
+        if ended.error and not isinstance(ended.error, HandlerFailed):
             raise ended.error
-        folders[label] = ended.folder
-    run_folder.write_json(folder / "study.json", {"name": study.name, "runs": list(folders)})
-    return Compared(folder, folders)
+        runs[label] = ended
+    run_folder.write_json(folder / "study.json", {"name": study.name, "runs": list(runs)})
+    return Compared(folder, runs)
 
 
 def _resolve(study: Study, configuration: Configuration, seed: int, frames: int | None) -> Resolved:

@@ -88,6 +88,7 @@ class Store:
             "command": trial.command(),
             "compromised": list(outcome.compromised),
             "cpu_s": outcome.cpu_s,
+            "warning": outcome.warning,
             "metrics": run_folder.finite(outcome.metrics),
         }
         table = run_folder.arrow_table(outcome.per_frame)
@@ -95,12 +96,15 @@ class Store:
         write_parquet(self._path(trial), table)
 
     def load(self, trial: Trial) -> Outcome | None:
-        """What came of a trial; None if it is not done, or its file is broken."""
+        """What came of a trial; None if it is not done, its file is broken, or failures in it are not allowed now."""
         try:
             table = parquet.read_table(self._path(trial))
             about = json.loads(table.schema.metadata[_ABOUT])
             columns = run_folder.columns_of(table)
-            return Outcome(trial, about["metrics"], columns, tuple(about["compromised"]), cpu_s=about["cpu_s"])
+            if about["warning"] and not trial.allow_failures:
+                return None
+            rest = {"cpu_s": about["cpu_s"], "warning": about["warning"]}
+            return Outcome(trial, about["metrics"], columns, tuple(about["compromised"]), **rest)
         except (OSError, ValueError, KeyError, TypeError, pyarrow.ArrowException):
             return None
 

@@ -6,17 +6,18 @@ import shlex
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mast_zenoh import scenario
-from mast_zenoh.errors import ConfigurationError, RunError
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError
 from mast_zenoh.metrics import Table
 from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import results
+from mast_zenoh.runtime import failures, results
 from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.runtime.results import EVALUATOR
 from mast_zenoh.study import identity
 
 
@@ -28,6 +29,7 @@ class Trial:
     scenario, settings:   as for `mast run SCENARIO --set …`
     scene_key:            the same for trials that play the same recording
     environment:          code and versions that the outcome is to be that of
+    allow_failures:       whether the trial counts although handlers of its nodes failed
     """
 
     digest: str
@@ -40,17 +42,19 @@ class Trial:
     runtime: str
     scene_key: str
     environment: tuple[tuple[str, str], ...]
+    allow_failures: bool = False
 
     def command(self) -> str:
         """The command that runs this trial alone, with a run folder and a report."""
         words = ["mast", "run", self.scenario, *(word for each in self.settings for word in ("--set", each))]
         words += ["--seed", str(self.seed), *(["--frames", str(self.frames)] if self.frames else [])]
+        words += ["--allow-failures"] if self.allow_failures else []
         return shlex.join([*words, "--runtime", self.runtime])
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial; error: why it failed, "" if it did not.
+    """What came of a trial; error: why it failed, "" if it did not; warning: failures of handlers that were allowed.
 
     metrics:     what metrics.json holds
     per_frame:   the columns of metrics.parquet
@@ -64,6 +68,7 @@ class Outcome:
     compromised: tuple[str, ...] = ()
     error: str = ""
     cpu_s: float = 0.0
+    warning: str = ""
 
     @classmethod
     def failed(cls, trial: Trial, reason: str) -> Outcome:
@@ -88,8 +93,11 @@ def run(trial: Trial) -> Outcome:
                 )
         resolved = _resolve(trial)
         compromised = {str(s.config["agent"]) for s in resolved.nodes.values() if s.role == "adversary"}
-        metrics, table = (_in_process if trial.runtime == "inproc" else _on_a_mesh)(resolved)
-        return Outcome(trial, metrics, table, tuple(sorted(compromised)), cpu_s=round(time.process_time() - begun, 3))
+        play = _in_process if trial.runtime == "inproc" else _on_a_mesh
+        metrics, table, failed = play(resolved, trial.allow_failures)
+        cpu_s = round(time.process_time() - begun, 3)
+        warning = failures.summary(failed) if failed else ""
+        return Outcome(trial, metrics, table, tuple(sorted(compromised)), cpu_s=cpu_s, warning=warning)
     except Exception as error:
         return Outcome.failed(trial, f"{type(error).__name__}: {error}")
 
@@ -99,32 +107,35 @@ def _resolve(trial: Trial) -> Resolved:
     return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames)
 
 
-def _in_process(resolved: Resolved) -> tuple[Mapping[str, Any], Table]:
+#: metrics.json, the columns of metrics.parquet, and the failures of handlers by node.
+Played = tuple[Mapping[str, Any], Table, Mapping[str, Sequence[failures.Entry]]]
+
+
+def _in_process(resolved: Resolved, allow_failures: bool) -> Played:
     process = InProcess(resolved)
     outcomes = process.run()
-    failed = [f"{name}: {port}" for name, host in process.hosts.items() for port in host.failures]
-    if failed:
-        raise RunError(f"handlers failed, so the figures would not be sound: {', '.join(failed)}")
-    evaluator = next((found for found in outcomes.values() if "metrics" in found), None)
-    if evaluator is None:
-        raise RunError("no node handed in metrics")
-    return {**evaluator["metrics"], "late": results.late(outcomes)}, evaluator["tables"]["metrics"]
+    failed = process.failures()
+    if failed and not allow_failures:
+        raise HandlerFailed(failures.summary(failed))
+    evaluated = outcomes.get(EVALUATOR, {})
+    if "metrics" not in evaluated:
+        raise RunError("the evaluator returned no metrics")
+    late = results.late(results.collations(outcomes, resolved.nodes))
+    return {**evaluated["metrics"], "late": late}, evaluated["tables"]["metrics"], failed
 
 
-def _on_a_mesh(resolved: Resolved) -> tuple[Mapping[str, Any], Table]:
+def _on_a_mesh(resolved: Resolved, allow_failures: bool) -> Played:
     from mast_zenoh.launch import folder as run_folder  # a trial in this process needs neither Zenoh nor Parquet
     from mast_zenoh.launch import local
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:
-        ended = local.run(resolved, folder / "run")
+        ended = local.run(resolved, folder / "run", allow_failures=allow_failures)
+        if isinstance(ended.error, HandlerFailed):
+            raise HandlerFailed(failures.summary(ended.failures))  # without the logs, which are not kept
         if ended.error:
             raise ended.error
-        failed = [name for name, node in ended.record["nodes"].items() if node.get("failures")]
-        if failed:
-            raise RunError(f"handlers failed, so the figures would not be sound: {', '.join(failed)}")
-        return run_folder.read_json(ended.folder / "metrics.json"), run_folder.read_table(
-            ended.folder / "metrics.parquet"
-        )
+        metrics = run_folder.read_json(ended.folder / "metrics.json")
+        return metrics, run_folder.read_table(ended.folder / "metrics.parquet"), ended.failures
     finally:
         shutil.rmtree(folder, ignore_errors=True)

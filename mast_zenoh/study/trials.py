@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -49,10 +49,12 @@ def run(
     seed: int | None = None,
     frames: int | None = None,
     runtime: str | None = None,
+    allow_failures: bool = False,
     console: Console | None = None,
 ) -> Ended:
     """Run every configuration in every scene with `count` seeds, and write the tables.
 
+    allow_failures: whether a trial counts although handlers of its nodes failed; otherwise it has failed
     jobs, cluster: see `execution.carry_out`; seed, frames, runtime: win over the study's own where not None
     resume:        go on with the folder `out`: what is done there is not run again
 
@@ -63,6 +65,7 @@ def run(
     seed = study.seed if seed is None else seed
     runtime = runtime or (study.runtime if study.trials else None) or "inproc"
     trials = plan.trials(study, count=count, seed=seed, frames=frames or study.frames, runtime=runtime)
+    trials = [replace(trial, allow_failures=allow_failures) for trial in trials]
     store = Store.create(out, study, resume=resume)
     failures: dict[str, str] = {}
     store.note(study, trials, failures, "running")
@@ -96,13 +99,15 @@ def _carry_out(
     ):
         bar = progress.add_task("trials", total=len(todo))
         for outcome in outcomes:
+            trial = outcome.trial
             if outcome.error:
-                trial = outcome.trial
                 failures[trial.digest] = outcome.error
-                failed = f"failed: {trial.configuration}, {trial.scene}, seed {trial.seed}: {outcome.error}"
-                progress.console.print(failed, style="yellow", markup=False, highlight=False)
             else:
                 store.save(outcome)
+            if problem := outcome.error or outcome.warning:
+                what = "failed" if outcome.error else "warning"
+                line = f"{what}: {trial.configuration}, {trial.scene}, seed {trial.seed}: {problem}"
+                progress.console.print(line, style="yellow", markup=False, highlight=False)
             progress.advance(bar)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import failing
 import pytest
 
 from mast_zenoh import cli
@@ -164,3 +165,17 @@ def test_ctrl_c_in_one_process_keeps_what_there_is(mast, monkeypatch: pytest.Mon
     assert "stopped by Ctrl-C" in err
     assert json.loads((tmp_path / "cut" / "run.json").read_text())["status"] == "interrupted"
     assert json.loads((tmp_path / "cut" / "metrics.json").read_text())["frames"] == 3
+
+
+def test_a_run_whose_handler_failed_ends_with_30_and_names_it_unless_that_is_allowed(mast, tmp_path: Path) -> None:
+    path = str(failing.write("attack", tmp_path))
+    short = ("--frames", "8", "--runtime", "inproc")
+    code, out, err = mast("run", path, *short, "--out", "loud")
+    assert code == 30
+    said = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
+    assert said in err
+    assert f"{tmp_path / 'loud' / 'logs' / 'eve.log'}" in err
+    assert "report:" in out, "which says it as well"
+    code, out, err = mast("run", path, *short, "--no-report", "--out", "allowed", "--allow-failures")
+    assert code == 0
+    assert f"warning: handlers failed, so the numbers may be wrong:\n  {said}" in err

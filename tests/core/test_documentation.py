@@ -17,7 +17,7 @@ def test_a_generated_page_is_up_to_date(name: str) -> None:
 def test_every_error_has_an_exit_code_of_its_own() -> None:
     codes = {error.__name__: error.exit_code for error in documentation.error_types()}
     assert len(set(codes.values())) == len(codes), codes
-    assert 2 not in codes.values(), "2 is a wrong word on the command line"
+    assert 2 not in codes.values(), "2 is a usage error on the command line"
 
 
 def test_the_error_tree_is_printed_in_its_module() -> None:

@@ -211,7 +211,11 @@ def test_a_handler_that_raises_costs_one_message_and_is_logged_once(caplog: pyte
         for frame in range(6):
             host.deliver("clock", clock(frame), frame)
             host.deliver("agent/a/tracks", said_by("a", frame), frame)
-    assert host.failures == {"tracks": 3}
+    entry = host.failures["on_tracks"].entry()
+    assert host.failures.keys() == {"on_tracks"}
+    assert (entry["count"], entry["frames"], entry["first_frame"], entry["last_frame"]) == (3, 3, 0, 4)
+    assert entry["exception"] == "ZeroDivisionError: in frame 0"
+    assert entry["where"].partition(":")[0] == __file__
     assert host.handled["agent/a/tracks"] == 6
     assert len(outbox) == 3
     assert ["in frame 0" in record.exc_text for record in caplog.records] == [True]
@@ -465,7 +469,7 @@ def test_a_node_that_fails_at_the_end_still_ends() -> None:
 
     host = Host("failing", Failing(), Ports({}, {}), seed=0, encode=True, emit=[].append)
     assert host.finish() == {}
-    assert host.failures == {"finish": 1}
+    assert {name: failure.count for name, failure in host.failures.items()} == {"finish": 1}
 
 
 def test_counting_starts_anew_when_asked_and_rejections_are_kept() -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import failing
 import pytest
 from launched_apart import Beside
 
 from mast_zenoh import scenario
-from mast_zenoh.errors import VersionMismatch
+from mast_zenoh.errors import HandlerFailed, VersionMismatch
 from mast_zenoh.launch import latency, local
 from mast_zenoh.launch.depot import belongings
 from mast_zenoh.messagelog.difference import compare
@@ -95,6 +96,34 @@ def test_a_users_own_files_and_what_they_import_from_beside_reach_the_nodes(tmp_
     assert there.error is None, there.error
     found = compare(here.folder, there.folder)
     assert found.first is None, "\n".join(explain(found))
+
+
+def test_failures_and_results_of_nodes_that_live_elsewhere_are_those_of_one_process(tmp_path: Path) -> None:
+    runs = {}
+    for name, error in (("attack", HandlerFailed), ("second", None)):
+        file, loaded = scenario.load(str(failing.write(name, tmp_path)), [])
+        resolved = scenario.resolve(file, loaded, frames=8)
+        runs["here"] = local.run(resolved, tmp_path / f"{name}_here", runtime="inproc")
+        runs["there"] = local.run(resolved, tmp_path / f"{name}_there", engine=Beside(), secure="acl")
+        for run in runs.values():
+            assert type(run.error) is (error or type(None)), run.error
+        here, there = (
+            {
+                node: [entry | {"where": Path(entry["where"]).name} for entry in entries]
+                for node, entries in failed.items()
+            }
+            for failed in (run.failures for run in runs.values())
+        )
+        assert here == there
+        assert [notice["text"] for notice in runs["here"].record["notices"]] == [
+            notice["text"] for notice in runs["there"].record["notices"]
+        ]
+        files = [
+            {path.relative_to(run.folder): path.read_bytes() for path in run.folder.glob("results/*/*")}
+            for run in runs.values()
+        ]
+        assert files[0] == files[1]
+    assert {path.as_posix() for path in files[0]} >= {"results/counter/metrics.parquet", "results/counter/results.json"}
 
 
 def test_arrivals_on_a_clock_that_is_ahead_count_from_the_launchers() -> None:

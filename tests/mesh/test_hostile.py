@@ -59,7 +59,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_kill_nobody(launc
     nodes = run.record()["nodes"]
     assert all(node["ended"] == "ok" and not node["failures"] for node in nodes.values())
     expected = sum(sent[key] * hearers[key] for key in sent)
-    assert sum(node["foreign"] for node in nodes.values()) == expected
+    assert sum(sum(node["foreign"].values()) for node in nodes.values()) == expected
     assert sum(n for node in nodes.values() for n in node["rejected"].values()) == expected
     logs = "".join((run.out / node["log"]).read_text() for node in nodes.values())
     assert 0 < logs.count("rejected a message") <= sum(hearers.values()), "logged once per source"
@@ -86,3 +86,5 @@ def test_what_strangers_send_is_written_down_as_it_is_and_marked(launch) -> None
     marked = [message for message in read(run.out) if message.malformed]
     assert [message.payload for message in marked] == sent
     assert {message.wire for message in marked} == {"cc/picture"}
+    assert f"rejected: {len(sent)} malformed messages on 1 key (first: cc/picture: " in output
+    assert f"foreign: {len(sent)} messages that no node of this run sent, on cc/picture" in output

@@ -207,7 +207,10 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(going, tmp_path: Pat
     run, observer = going("--mode", "realtime", "--rate", "2")
     wiring, nodes = (run.out / "wiring.json").read_text(), json.loads((run.out / "scenario.json").read_text())["nodes"]
     (tmp_path / "stillborn.py").write_text(
-        (LIVE / "relay.py").read_text().replace("    main(Relay)", "    raise SystemExit('no licence found')")
+        "import os\n"
+        + (LIVE / "relay.py")
+        .read_text()
+        .replace("self.keeps = keeps", "assert not os.path.exists('wiring.json'), 'no licence found'")
     )
     with pytest.raises(WiringError, match="no wire"):
         asking.intercept(run.out, "agent/infra_9/tracks", RELAY)

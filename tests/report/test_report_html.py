@@ -90,7 +90,7 @@ def test_every_figure_is_in_the_page_and_lies_beside_it_as_png(run_folder: RunFo
 
 def test_a_run_report_says_the_result_and_how_every_node_ended(run_folder: RunFolderFixture) -> None:
     killed = {"role": "agent", "pid": 77, "exit": -9, "ended": "killed by signal 9", "restarts": 2}
-    killed |= {"last_frame": 21, "rejected": {"agent/infra_2/pose: truncated": 3}, "foreign": 0, "failures": {}}
+    killed |= {"last_frame": 21, "rejected": {"agent/infra_2/pose: truncated": 3}, "foreign": {}, "failures": []}
     page = Page(write_report(run_folder("uncoordinated", nodes={"infra_2": killed})))
     assert "Two of four roadside sensors compromised: 6.2 false objects a frame in the common picture" in page.text
     assert [row for kind, row in page.rows if kind == "bad"] == [

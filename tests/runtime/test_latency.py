@@ -3,7 +3,8 @@
 import pytest
 
 from mast_zenoh.launch import latency
-from mast_zenoh.runtime.results import late
+from mast_zenoh.resolved import NodeSpec
+from mast_zenoh.runtime.results import collations, late
 from mast_zenoh.wiring import Branch, Endpoint, Leg, Wire, Wiring
 
 MS = 1_000_000
@@ -61,6 +62,15 @@ def test_it_counts_behind_interposers_on_the_trunk_and_on_a_branch() -> None:
 
 
 def test_late_messages_are_counted_by_agent() -> None:
-    results = {"broker": {"collation": {"late": {"infra_2": 3, "ego": 1}}}, "evaluator": {"metrics": {}}}
-    assert late(results) == {"ego": 1, "infra_2": 3}
-    assert late({"evaluator": {}}) == {}
+    assert late([{"late": {"infra_2": 3, "ego": 1}}, {"late": {"ego": 2}}]) == {"ego": 3, "infra_2": 3}
+    assert late([]) == {}
+
+
+def test_only_what_a_broker_has_counted_is_taken_for_collation() -> None:
+    nodes = {name: NodeSpec(role, "", "", {}, "fail") for name, role in (("broker", "broker"), ("spy", "visualizer"))}
+    counted = {"late": {"ego": 1}}
+    handed_in = {"broker": {"collation": counted}, "spy": {"collation": 7}, "gone": {"collation": counted}}
+    assert collations(handed_in, nodes) == [counted]
+    assert collations({"broker": {"collation": "nonsense"}}, nodes) == []
+    odd = {"late": [1], "overdue": "many", "complete": 3}
+    assert collations({"broker": {"collation": odd}}, nodes) == [{"complete": 3, "late": {}}]

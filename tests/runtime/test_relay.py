@@ -290,7 +290,7 @@ def test_a_delay_that_is_none_costs_one_message(after_s: float, caplog: pytest.L
         send(host, status(0, seq=0))
     send(host, status(0, seq=1))
     assert said(outbox) == [(0, 1)]
-    assert host.failures["status"] == 1
+    assert host.failures["on_status"].count == 1
     assert "after_s: found" in caplog.text
 
 
@@ -332,6 +332,6 @@ def test_not_more_than_so_many_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     clock(host, 0)
     for seq in range(5):
         send(host, status(0, seq=seq))
-    assert host.failures["status"] == 2
+    assert host.failures["on_status"].count == 2
     clock(host, 1)
     assert said(outbox) == [(1, 0), (1, 1), (1, 2)]

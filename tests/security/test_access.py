@@ -117,6 +117,7 @@ def test_a_node_that_does_not_drive_controls_nobody(wiring: Wiring, node: str, m
     for other in set(NODES) - {node}:
         for message_, key in (
             ("put", f"@control/counts/{other}"),
+            ("put", f"@control/failed/{other}"),
             ("query", f"@control/result/{other}"),
             ("query", f"@control/fetch/{other}"),
             ("query", f"@control/file/{other}"),
@@ -125,6 +126,7 @@ def test_a_node_that_does_not_drive_controls_nobody(wiring: Wiring, node: str, m
             ("declare_queryable", f"@control/result/{other}"),
             ("declare_subscriber", f"@control/leave/{other}"),
             ("declare_subscriber", f"@control/counts/{other}"),
+            ("declare_subscriber", f"@control/failed/{other}"),
             ("liveliness_token", f"alive/{other}"),
         ):
             assert not allows(access, NAMES[node], "ingress", message_, f"{PREFIX}/{key}")
@@ -146,6 +148,7 @@ def test_the_driver_and_the_launcher_may_do_what_steers_a_run_and_no_more() -> N
     assert all(may(LAUNCHER, "put", f"@control/{key}") for key in ("stop", "leave/n1", "leave/n4"))
     assert may(LAUNCHER, "declare_queryable", "@control/result/*")
     assert may(LAUNCHER, "declare_subscriber", "clock")
+    assert may(LAUNCHER, "declare_subscriber", "@control/failed/*")
     assert may(LAUNCHER, "declare_liveliness_subscriber", "alive/*")
     for node in NAMES:
         for message in ("query", "declare_queryable"):
@@ -170,7 +173,7 @@ def test_the_rules_of_a_real_scenario_name_no_wildcard_but_those_of_control() ->
     names = {name: f"{name}.r" for name in (*resolved.nodes, LAUNCHER)}
     access = access_control(Wiring.from_json(resolved.wiring), names, prefix=PREFIX, driver="simulator")
     wild = {key for rule in access["rules"] for key in rule["key_exprs"] if "*" in key}
-    controls = (f"@control/{what}/*" for what in ("counts", "result", "fetch", "file", "leave"))
+    controls = (f"@control/{what}/*" for what in ("counts", "failed", "result", "fetch", "file", "leave"))
     assert wild == {f"{PREFIX}/{key}" for key in (*controls, "alive/*")}
     assert len({rule["id"] for rule in access["rules"]}) == len(access["rules"])
     config = zenoh.Config()

@@ -224,7 +224,7 @@ def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path:
 
 
 def test_some_failed_trials_have_an_exit_code_of_their_own(small, tmp_path: Path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(trial, "_in_process", lambda resolved: 1 / 0)
+    monkeypatch.setattr(trial, "_in_process", lambda *_: 1 / 0)
     monkeypatch.setattr(
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
     )

@@ -17,11 +17,12 @@ import numpy as np
 import zenoh
 
 from mast_zenoh import codec
-from mast_zenoh.errors import ConfigurationError, Interrupted, RunError, nearest
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunError, nearest
 from mast_zenoh.launch import local
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.messages import SCHEMAS, Header, Message, text
 from mast_zenoh.resolved import Resolved
+from mast_zenoh.runtime import failures
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_session
 from mast_zenoh.security.authority import Authority
@@ -206,6 +207,8 @@ class Siege:
         ended = self.end()
         if ended is None or (ended.error is not None and not isinstance(ended.error, Interrupted)):
             raise RunError(f"the run under siege failed: {ended.error if ended else 'it does not end'}")
+        if ended.failures:
+            raise HandlerFailed(failures.summary(ended.failures, ended.logs))
         found: dict[str, dict[str, int]] = {}
         for name, node in ended.record["nodes"].items():
             if node["rejected"] is None:
@@ -219,7 +222,7 @@ class Siege:
         """After the end: messages without the mark of this run's nodes that have reached any host."""
         ended = self.end()
         assert ended is not None
-        return sum(node["foreign"] or 0 for node in ended.record["nodes"].values())
+        return sum(sum((node["foreign"] or {}).values()) for node in ended.record["nodes"].values())
 
     def _play(self) -> None:
         def prepare(launch: Launch) -> None:

@@ -1,0 +1,32 @@
+"""What is written of a run that is over, wherever its nodes lived: results of the nodes, and notices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import notices
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.runtime import results
+
+
+def write(
+    resolved: Resolved,
+    folder: Path,
+    record: dict[str, Any],
+    handed_in: Mapping[str, Mapping[str, Any]],
+    measured: Mapping[str, Any],
+) -> None:
+    """Write the results of all nodes into the run folder, and note in `record` what deserves attention.
+
+    record:    run.json, with its nodes and timings
+    handed_in: what each node returned from `finish`
+    measured:  see `folder.write_results`
+    """
+    run_folder.note_recording(record, handed_in)
+    collations = results.collations(handed_in, resolved.nodes)
+    measured = {"late": results.late(collations), **measured}
+    refused = run_folder.write_results(folder, handed_in, measured)
+    record["notices"] = notices.of_run(resolved, record, collations, measured, refused)

@@ -1,0 +1,36 @@
+"""The logs of nodes that live in the launcher's process, as files like those of nodes that are processes."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TextIO
+
+_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+
+
+class NodeLogs(logging.Handler):
+    """A context: appends what the logger `mast.<node>` gets to <node>.log in a folder, made at the first record."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.setFormatter(logging.Formatter(_FORMAT))
+        self._folder = folder
+        self._files: dict[str, TextIO] = {}
+        self._logger = logging.getLogger("mast")
+
+    def __enter__(self) -> NodeLogs:
+        self._logger.addHandler(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._logger.removeHandler(self)
+        for file in self._files.values():
+            file.close()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Append a record to its node's file."""
+        node = record.name.removeprefix("mast.")
+        if node not in self._files:
+            self._files[node] = (self._folder / f"{node}.log").open("a", encoding="utf-8")
+        print(self.format(record), file=self._files[node], flush=True)

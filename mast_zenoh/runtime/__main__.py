@@ -1,0 +1,5 @@
+"""A node as a process: `python -m mast_zenoh.runtime nodes/agent.py --run-folder DIR …`; see process.py."""
+
+from mast_zenoh.runtime.process import main
+
+main()

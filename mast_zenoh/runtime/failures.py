@@ -1,0 +1,150 @@
+"""Failures of handlers: counted by the host where they happen, merged and put into words where the run is judged.
+
+An entry is a failure as plain values, as it travels and as run.json holds it:
+
+    {"handler": "on_detections", "count": 19, "frames": 19, "first_frame": 11, "last_frame": 29,
+     "exception": "ZeroDivisionError: division by zero", "where": "/home/me/shover.py:31"}
+"""
+
+from __future__ import annotations
+
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import mast_zenoh
+from mast_zenoh.errors import HandlerFailed, MessageError
+
+Entry = dict[str, Any]
+
+_MAX_TEXT = 300
+_TYPES = {
+    "handler": str,
+    "count": int,
+    "frames": int,
+    "first_frame": int,
+    "last_frame": int,
+    "exception": str,
+    "where": str,
+}
+_PACKAGE = Path(mast_zenoh.__file__).parent
+_PYTHON = sysconfig.get_path("stdlib")
+_INSTALLED = {"site-packages", "dist-packages"}
+#: Parts of the package that only carry a node's calls: an error raised there is the caller's.
+_PLUMBING = {"runtime", "kernels", "node.py", "codec.py", "columns.py", "flaws.py", "messages.py"}
+
+
+class Failure:
+    """The failures of one handler; the first exception stands for all of them.
+
+    frames: those in which it failed
+    """
+
+    def __init__(self, handler: str, error: BaseException, call: Callable[..., Any]) -> None:
+        self.handler = handler
+        self.count = 0
+        self.frames: set[int] = set()
+        self.exception = described(error)
+        self.where = location(error, call)
+
+    def note(self, frame: int) -> None:
+        """Count one more failure."""
+        self.count += 1
+        self.frames.add(frame)
+
+    def entry(self) -> Entry:
+        """The failure as plain values."""
+        return {
+            "handler": self.handler,
+            "count": self.count,
+            "frames": len(self.frames),
+            "first_frame": min(self.frames),
+            "last_frame": max(self.frames),
+            "exception": self.exception,
+            "where": self.where,
+        }
+
+
+def described(error: BaseException) -> str:
+    """The type and text of an exception on one line of at most 300 characters."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # a user's exception may fail to format itself
+        text = ""
+    name = type(error).__name__
+    return f"{name}: {text}"[:_MAX_TEXT] if text else name
+
+
+def location(error: BaseException, call: Callable[..., Any]) -> str:
+    """`file:line` of the innermost frame in the code of a node or an algorithm; else where `call` is defined.
+
+    call: the handler that raised the error. Frames in Python's library, installed packages and the runtime are skipped.
+    """
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if _is_of_a_node(frame.filename):
+            return f"{frame.filename}:{frame.lineno}"
+    code = getattr(call, "__code__", None)
+    return f"{code.co_filename}:{code.co_firstlineno}" if code else "unknown"
+
+
+def _is_of_a_node(file: str) -> bool:
+    path = Path(file)
+    if path.is_relative_to(_PACKAGE):
+        return path.relative_to(_PACKAGE).parts[0] not in _PLUMBING
+    return path.is_absolute() and not path.is_relative_to(_PYTHON) and not _INSTALLED & set(path.parts)
+
+
+def checked(entry: object) -> Entry:
+    """An entry that came over the mesh; raises MessageError for anything else."""
+    if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
+        raise MessageError(f"a handler failure: expected a map of {', '.join(_TYPES)}")
+    for name, kind in _TYPES.items():
+        if type(entry[name]) is not kind:
+            raise MessageError(f"a handler failure: {name}: found {entry[name]!r:.40}, expected {kind.__name__}")
+    return entry
+
+
+def merged(parts: Iterable[Sequence[Entry]]) -> list[Entry]:
+    """One entry for each handler, from all processes that have been the same node one after the other."""
+    total: dict[str, Entry] = {}
+    for entry in (entry for part in parts for entry in part):
+        known = total.get(entry["handler"])
+        if known is None:
+            total[entry["handler"]] = dict(entry)
+            continue
+        known["count"] += entry["count"]
+        known["frames"] += entry["frames"]
+        known["first_frame"] = min(known["first_frame"], entry["first_frame"])
+        known["last_frame"] = max(known["last_frame"], entry["last_frame"])
+    return [total[handler] for handler in sorted(total)]
+
+
+def lines(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | None = None) -> list[str]:
+    """A line for each node and handler; `logs` are the paths of the nodes' logs."""
+    return [
+        f"{node}.{entry['handler']} failed {_how_often(entry)}: {entry['exception']} ({entry['where']})"
+        + (f"; log: {logs[node]}" if logs and node in logs else "")
+        for node, entries in failures.items()
+        for entry in entries
+    ]
+
+
+def summary(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | None = None) -> str:
+    """What failed in a run, and what that means, on several lines."""
+    return "\n  ".join(["handlers failed, so the numbers may be wrong:", *lines(failures, logs)])
+
+
+def error(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | None = None) -> HandlerFailed:
+    """The error of a run in which handlers failed."""
+    hint = "the results are kept; --allow-failures makes this a warning"
+    return HandlerFailed(f"{summary(failures, logs)}\n{hint}")
+
+
+def _how_often(entry: Entry) -> str:
+    count, first, last = entry["count"], entry["first_frame"], entry["last_frame"]
+    times = "once" if count == 1 else f"{count} times"
+    if last < 0:
+        return f"{times} before the first frame"
+    return f"{times} in frame {first}" if first == last else f"{times} in {entry['frames']} frames ({first} to {last})"

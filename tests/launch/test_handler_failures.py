@@ -1,0 +1,130 @@
+"""A run in which a handler failed says so: in its error, in run.json, on the page; unless that was allowed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import failing
+import pytest
+
+from mast_zenoh import checks, scenario
+from mast_zenoh.errors import HandlerFailed, NodeDied
+from mast_zenoh.launch import local
+from mast_zenoh.report import write_report, write_study_report
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.scenes import Recording
+
+
+def resolved(name: str, folder: Path, frames: int = 12) -> Resolved:
+    file, loaded = scenario.load(str(failing.write(name, folder)), [])
+    return scenario.resolve(file, loaded, frames=frames, record=True)
+
+
+def played(name: str, folder: Path, **options: Any) -> local.Run:
+    return local.run(resolved(name, folder), folder / "run", runtime="inproc", **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "node", "handler", "frames", "text"),
+    [
+        ("attack", "eve", "on_detections", list(range(5, 12)), "ValueError: no [plan] for frame 5"),
+        ("center", "command_center", "on_collated", [2, 5, 8, 11], "RuntimeError: no clusters"),
+        ("evaluator", "evaluator", "finish", [11], "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_the_error_and_run_json_name_node_handler_frames_exception_and_line(
+    tmp_path: Path, name: str, node: str, handler: str, frames: list[int], text: str
+) -> None:
+    ended = played(name, tmp_path)
+    assert isinstance(ended.error, HandlerFailed)
+    record = json.loads((ended.folder / "run.json").read_text())
+    assert record["status"] == "handler_failures"
+    (entry,) = record["nodes"][node]["failures"]
+    where = entry.pop("where")
+    assert entry == {
+        "handler": handler,
+        "count": len(frames),
+        "frames": len(frames),
+        "first_frame": frames[0],
+        "last_frame": frames[-1],
+        "exception": text,
+    }
+    assert Path(where.rpartition(":")[0]).parent == tmp_path, "in the file of the user"
+    log = ended.folder / "logs" / f"{node}.log"
+    for part in (f"{node}.{handler} failed", text, where, str(log)):
+        assert part in str(ended.error)
+    assert "Traceback" in log.read_text()
+    assert not any(each["failures"] for other, each in record["nodes"].items() if other != node)
+
+
+def test_results_are_written_all_the_same(tmp_path: Path) -> None:
+    ended = played("attack", tmp_path)
+    assert json.loads((ended.folder / "metrics.json").read_text())["frames"] == 12
+    assert (ended.folder / "messages.mcap").is_file()
+
+
+def test_allowed_failures_are_kept_but_end_nothing(tmp_path: Path) -> None:
+    ended = played("attack", tmp_path, allow_failures=True)
+    assert ended.error is None
+    record = json.loads((ended.folder / "run.json").read_text())
+    assert (record["status"], record["message"]) == ("ok", "")
+    assert record["nodes"]["eve"]["failures"][0]["count"] == 7
+
+
+def test_another_error_is_named_first_and_the_failures_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = resolved("attack", tmp_path)
+    truth_at = Recording.truth_at
+
+    def fails_at_9(self: Recording, frame: int) -> Any:
+        if frame == 9:
+            raise RuntimeError("no truth")
+        return truth_at(self, frame)
+
+    monkeypatch.setattr(Recording, "truth_at", fails_at_9)
+    ended = local.run(world, tmp_path / "run", runtime="inproc")
+    assert isinstance(ended.error, NodeDied)
+    assert ended.record["status"] == "failed"
+    assert ended.record["nodes"]["eve"]["failures"][0]["last_frame"] == 8
+    assert ended.record["nodes"]["eve"]["ended"] == "did not finish"
+
+
+@pytest.mark.parametrize("allowed", [False, True])
+def test_the_report_has_a_banner_red_or_if_allowed_amber(tmp_path: Path, allowed: bool) -> None:
+    page = write_report(played("attack", tmp_path, allow_failures=allowed).folder).read_text()
+    kind = "note mild" if allowed else "note"
+    banner = page.partition(f'<div class="{kind}" role="alert">')[2].partition("</div>")[0]
+    assert "the numbers may be wrong" in banner
+    assert "eve.on_detections failed 7 times in 7 frames (5 to 11): ValueError: no [plan] for frame 5" in banner
+    assert page.count("no [plan] for frame 5") == 1, "and not once more as the run's message"
+    assert "7 handler failures" in page
+
+
+def test_the_page_of_a_study_has_the_banner_on_top(tmp_path: Path) -> None:
+    runs = {"mine": played("attack", tmp_path).folder}
+    page = write_study_report(tmp_path, runs).read_text()
+    banner = page.partition('role="alert">')[2].partition("</div>")[0]
+    assert banner.startswith("<p><strong>mine: handlers failed, so the numbers may be wrong")
+    assert page.index('role="alert"') < page.index('id="scores"')
+
+
+def test_a_run_without_failures_has_none_of_this(tmp_path: Path) -> None:
+    ended = played("second", tmp_path)
+    assert ended.error is None
+    assert ended.record["status"] == "ok"
+    page = write_report(ended.folder).read_text()
+    assert 'role="alert"' not in page
+    assert list((ended.folder / "logs").iterdir()) == []
+
+
+def test_a_run_with_links_is_checked_although_handlers_failed(tmp_path: Path) -> None:
+    file, loaded = scenario.load(str(failing.write("attack", tmp_path)), [])
+    loaded["faults"] = [dict(type="Loss", at=0.2, until=0.6, node="ego", probability=0.5)]
+    world = scenario.resolve(file, loaded, frames=12, record=True)
+    ended = local.run(world, tmp_path / "run", runtime="inproc")
+    assert isinstance(ended.error, HandlerFailed)
+    found = {check["name"]: check for check in json.loads((ended.folder / checks.FILE).read_text())["checks"]}
+    assert found["sequences"]["values"].get("checked", True), "the run came to its end, so its record is complete"

@@ -1,0 +1,114 @@
+"""What nodes return from `finish` is in the run folder, and no node writes over another's, or anywhere else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import failing
+import numpy as np
+import pytest
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import local
+
+METRICS = {"frames": 3, "agents": {}}
+TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
+
+
+def written(results: dict[str, Any], folder: Path, **measured: Any) -> tuple[list[str], set[str]]:
+    """(what was refused, the files that were written)."""
+    folder.mkdir()
+    refused = run_folder.write_results(folder, results, measured)
+    return refused, {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_only_the_evaluator_writes_to_the_top_of_the_folder(tmp_path: Path) -> None:
+    results = {
+        "zeta": {"metrics": {"mine": 1}, "tables": {"metrics": {"a": [1]}}},
+        "evaluator": {"metrics": METRICS, "tables": {"metrics": TABLE}, "more": [1]},
+        "alpha": {"metrics": {"mine": 2}, "tables": {"metrics": {"a": [2]}}},
+        "silent": {},
+    }
+    refused, files = written(results, tmp_path / "run", late={"ego": 1})
+    assert refused == []
+    assert files == {
+        "metrics.json",
+        "metrics.parquet",
+        "results/evaluator/results.json",
+        "results/zeta/results.json",
+        "results/zeta/metrics.parquet",
+        "results/alpha/results.json",
+        "results/alpha/metrics.parquet",
+    }
+    top = tmp_path / "run"
+    assert run_folder.read_json(top / "metrics.json") == METRICS | {"late": {"ego": 1}}
+    assert run_folder.read_table(top / "metrics.parquet").keys() == TABLE.keys()
+    assert run_folder.read_json(top / "results/zeta/results.json") == {"metrics": {"mine": 1}}
+    assert run_folder.read_json(top / "results/evaluator/results.json") == {"more": [1]}
+
+
+def test_arrays_and_numbers_of_numpy_become_plain_json(tmp_path: Path) -> None:
+    values = {"n": np.int64(3), "yes": np.bool_(True), "x": np.array([[1.0, np.inf]]), "names": np.array(["a"], object)}
+    written({"node": values}, tmp_path / "run")
+    back = json.loads((tmp_path / "run/results/node/results.json").read_text())
+    assert back == {"n": 3, "yes": True, "x": [[1.0, None]], "names": ["a"]}
+
+
+@pytest.mark.parametrize(
+    "name", ["../metrics", "/nowhere/metrics", "a/b", "..", ".hidden", "", "a\\b", "x" * 65, "a\nb", "a\0b", 7, "ä"]
+)
+@pytest.mark.parametrize("node", ["evaluator", "other"])
+def test_a_name_that_could_lead_elsewhere_is_refused_and_told(tmp_path: Path, node: str, name: Any) -> None:
+    results = {node: {"tables": {name: TABLE, "good": TABLE}}}
+    refused, files = written(results, tmp_path / "run")
+    assert len(refused) == 1
+    assert refused[0].startswith(f"{node}: table {name!r:.80}")
+    assert {path.rpartition("/")[2] for path in files} == {"good.parquet"}
+    assert {path.name for path in tmp_path.iterdir()} == {"run"}
+
+
+def test_a_node_whose_name_leads_elsewhere_writes_nothing(tmp_path: Path) -> None:
+    refused, files = written({"..": {"metrics": METRICS, "tables": {"metrics": TABLE}}}, tmp_path / "run")
+    assert len(refused) == 1
+    assert files == set()
+
+
+@pytest.mark.parametrize(
+    "table", [{"a": [1, 2], "b": [1]}, {"a": np.zeros((2, 2))}, [1, 2], {"a": 3}, {1: [1]}, {"a": [[1], [2, 3]]}]
+)
+def test_a_table_that_is_none_is_refused_and_the_others_are_written(tmp_path: Path, table: Any) -> None:
+    results = {"node": {"tables": {"bad": table, "good": TABLE}, "n": 1}}
+    refused, files = written(results, tmp_path / "run")
+    assert len(refused) == 1
+    assert refused[0].startswith("node: table 'bad': ")
+    assert files == {"results/node/good.parquet", "results/node/results.json"}
+
+
+def test_tables_that_are_no_dict_are_refused(tmp_path: Path) -> None:
+    refused, files = written({"evaluator": {"tables": [1], "metrics": METRICS}}, tmp_path / "run")
+    assert refused == ["evaluator: tables: found a list, expected a dict of tables"]
+    assert files == {"metrics.json"}
+
+
+def test_metrics_that_are_no_dict_are_kept_as_a_result(tmp_path: Path) -> None:
+    _, files = written({"evaluator": {"metrics": 3}}, tmp_path / "run")
+    assert files == {"results/evaluator/results.json"}
+
+
+def test_a_second_node_that_returns_metrics_and_tables_changes_none_of_the_run(tmp_path: Path) -> None:
+    file, loaded = scenario.load(str(failing.write("second", tmp_path)), [])
+    ended = local.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
+    assert ended.error is None
+    assert run_folder.read_json(ended.folder / "metrics.json")["frames"] == 5
+    assert "rmse_m" in run_folder.read_table(ended.folder / "metrics.parquet")
+    own = ended.folder / "results" / "counter"
+    assert run_folder.read_json(own / "results.json") == {
+        "metrics": {"frames": "mine", "mean": None, "all": [*range(5)]}
+    }
+    assert run_folder.read_table(own / "metrics.parquet")["frame"].tolist() == [*range(5)]
+    assert not list(tmp_path.rglob("other.parquet"))
+    (notice,) = (notice for notice in ended.record["notices"] if notice["kind"] == "results")
+    assert "other: table '../other': expected a name" in notice["text"]

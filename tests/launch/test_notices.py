@@ -1,0 +1,122 @@
+"""At its end a run says in one line each what was late, rejected or foreign; nothing where nothing was."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tiny_world import tiny
+
+from mast_zenoh.launch import local, notices
+from mast_zenoh.report import write_report
+from mast_zenoh.resolved import Resolved
+
+
+@pytest.fixture(scope="module")
+def world() -> Resolved:
+    return tiny()
+
+
+def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) -> dict[str, str]:
+    """The notices of a made-up run: kind to text."""
+    record = {"nodes": nodes or {}, "timings": {"frames_per_second": more.get("speed", 10.0)}}
+    measured = {"late": more.get("late", {})} | more.get("measured", {})
+    collations, refused = more.get("collations", []), more.get("refused", [])
+    found = notices.of_run(resolved, record, collations, measured, refused)
+    assert all(notice["count"] > 0 for notice in found)
+    return {notice["kind"]: notice["text"] for notice in found}
+
+
+def node(**counted: Any) -> dict[str, Any]:
+    return {"rejected": {}, "first_rejected": {}, "foreign": {}} | counted
+
+
+def realtime(world: Resolved, p99: float | None, speed: float = 10.0, **more: Any) -> str:
+    """What is said of how a run in real time at 10 Hz kept pace; "" for nothing."""
+    measured = {"latency_ms": {"sim_to_picture": {"p99": p99}}}
+    return texts(replace(world, mode="realtime"), measured=measured, speed=speed, **more).get("behind", "")
+
+
+def test_where_nothing_happened_nothing_is_said(world: Resolved) -> None:
+    counted = {"late": {}, "overflowed": 0, "absurd": 0, "complete": 12}
+    assert texts(world, {"ego": node(), "dead": {"rejected": None}}, collations=[counted]) == {}
+
+
+def test_late_messages_name_the_agent_with_most(world: Resolved) -> None:
+    late = {"ego": 2, "infra_1": 0, "infra_2": 40}
+    assert (
+        texts(world, late=late)["late"] == "42 messages of 2 agents came too late for their batch (most: infra_2, 40)"
+    )
+    assert texts(world, late={"ego": 1})["late"] == "1 message of ego came too late for their batch"
+
+
+def test_what_a_broker_left_out_has_a_line_for_each_reason(world: Resolved) -> None:
+    said = texts(world, collations=[{"overflowed": 3, "duplicates": 0, "absurd": 5}, {"overflowed": 1}])
+    assert said.keys() == {"overflowed", "absurd"}
+    assert said["overflowed"].startswith("4 messages dropped")
+
+
+def test_a_message_that_several_nodes_rejected_counts_once_and_the_first_is_quoted(world: Resolved) -> None:
+    heard = {"agent/a/tracks: tracks": 10, "agent/a/tracks: other": 5, "cc/picture: picture": 2}
+    first = {"agent/a/tracks": [7, "tracks: not [MessagePack]"], "cc/picture": [3, "picture: truncated"]}
+    nodes = {
+        "broker": node(rejected={"agent/a/tracks: tracks": 15}, first_rejected={"agent/a/tracks": [7, "tracks: x"]}),
+        "evaluator": node(rejected=heard, first_rejected=first),
+    }
+    said = texts(world, nodes)["rejected"]
+    assert said == "17 malformed messages on 2 keys (first: cc/picture: picture: truncated)"
+
+
+def test_foreign_messages_name_their_keys(world: Resolved) -> None:
+    heard = {f"agent/{name}/tracks": 2 for name in "abcde"}
+    nodes = {"broker": node(foreign=heard), "evaluator": node(foreign={"agent/a/tracks": 3})}
+    said = texts(world, nodes)["foreign"]
+    where = "agent/a/tracks, agent/b/tracks, agent/c/tracks and 2 more"
+    assert said == f"11 messages that no node of this run sent, on {where}"
+
+
+def test_a_run_in_real_time_that_keeps_up_says_nothing_of_it(world: Resolved) -> None:
+    assert realtime(world, 25.0) == ""
+    assert realtime(world, None) == ""
+    assert realtime(world, 199.0) == "", "a silent agent is waited for until the next clock"
+
+
+def test_a_run_in_real_time_that_does_not_keep_up_says_why_and_what_to_do(world: Resolved) -> None:
+    said = realtime(world, 2800.0, speed=7.0, late={"ego": 102})
+    for part in ("2800 ms", "a frame lasts 100 ms", "7.0 frames/s instead of 10.0", "102 messages came too late"):
+        assert part in said
+    for advice in ("lower --rate", "more cores", "latency_s or patience"):
+        assert advice in said
+
+
+def test_how_late_is_too_late_goes_by_the_broker_and_the_rate(world: Resolved) -> None:
+    nodes = world.nodes | {"broker": replace(world.nodes["broker"], config={"latency_s": 0.3, "patience": 1})}
+    patient = replace(world, nodes=nodes)
+    assert realtime(patient, 499.0) == ""
+    assert "501 ms" in realtime(patient, 501.0)
+    assert "a frame lasts 50 ms" in realtime(replace(world, rate=2.0), 199.0, speed=20.0)
+
+
+def test_late_messages_in_real_time_are_no_overload_where_a_link_delays(world: Resolved) -> None:
+    linked = replace(world, timeline=({"kind": "link", "label": "wireless", "at_s": 0.0},))
+    assert realtime(linked, 25.0, late={"ego": 3}) == ""
+    assert "3 messages" in realtime(world, 25.0, late={"ego": 3})
+
+
+def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
+    def slow_and_corrupt(content: dict[str, Any]) -> None:
+        corrupt = dict(type="Corrupt", probability=1.0, flips=20)
+        content["links"] = {"infra_1": dict(up=[dict(type="Delay", mean_s=0.25)]), "infra_2": dict(up=[corrupt])}
+        content["links"]["*"] = dict(up=[])
+
+    ended = local.run(tiny(edit=slow_and_corrupt), tmp_path / "run", runtime="inproc")
+    assert ended.error is None
+    found = {notice["kind"]: notice for notice in json.loads((ended.folder / "run.json").read_text())["notices"]}
+    assert found["late"]["text"] == "10 messages of infra_1 came too late for their batch"
+    assert found["rejected"]["text"].startswith(f"{found['rejected']['count']} malformed messages on ")
+    page = write_report(ended.folder).read_text()
+    assert "late: 10 messages of infra_1 came too late for their batch" in page
+    assert "malformed messages on" in page

@@ -1,0 +1,140 @@
+"""Failures of handlers on a mesh are loud, and the same as in one process; and a node's file needs no `main`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import failing
+import psutil
+import pytest
+from launched import Launched
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import local
+
+pytestmark = pytest.mark.mesh
+FRAMES = 12
+
+
+def in_process(path: Path, out: Path, frames: int = FRAMES) -> dict[str, Any]:
+    """run.json of the same in one process."""
+    file, loaded = scenario.load(str(path), [])
+    return local.run(scenario.resolve(file, loaded, frames=frames), out, runtime="inproc").record
+
+
+def failures(record: dict[str, Any]) -> dict[str, Any]:
+    return {name: node["failures"] for name, node in record["nodes"].items() if node["failures"]}
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("attack", "eve.on_detections failed 7 times in 7 frames (5 to 11): ValueError: no [plan] for frame 5 ("),
+        ("center", "command_center.on_collated failed 4 times in 4 frames (2 to 11): RuntimeError: no clusters ("),
+        ("evaluator", "evaluator.finish failed once in frame 11: ZeroDivisionError: division by zero ("),
+    ],
+)
+def test_a_run_ends_with_an_exit_code_of_its_own_and_the_failures_of_one_process(
+    launch, tmp_path: Path, name: str, said: str
+) -> None:
+    path = failing.write(name, tmp_path)
+    run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record")
+    code, output = run.end()
+    assert code == 30, output
+    record = run.record()
+    assert record["status"] == "handler_failures"
+    assert f"HandlerFailed: handlers failed, so the numbers may be wrong:\n  {said}" in output
+    (node,) = failures(record)
+    assert str(run.out / "logs" / f"{node}.log") in output
+    assert failures(record) == failures(in_process(path, tmp_path / "inproc"))
+    assert (run.out / "metrics.json").is_file() == (name != "evaluator"), "the results are evidence"
+
+
+def test_a_node_whose_start_fails_ends_the_run_on_a_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+    path = failing.write("start", tmp_path)
+    run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record", "--allow-failures")
+    code, output = run.end()
+    assert code == 21, output
+    said = "eve.start failed once before the first frame: FileNotFoundError: no weights ("
+    assert f"StartError: {said}" in output
+    record = in_process(path, tmp_path / "inproc")
+    assert record["status"] == run.record()["status"] == "failed"
+    assert record["message"].startswith(said)
+    assert failures(record) == failures(run.record())
+
+
+def test_allowed_failures_are_a_warning(launch, tmp_path: Path) -> None:
+    path = failing.write("attack", tmp_path)
+    run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record", "--allow-failures")
+    code, output = run.end()
+    assert code == 0, output
+    assert "warning: handlers failed, so the numbers may be wrong:\n  eve.on_detections failed 7 times" in output
+    assert run.record()["status"] == "ok"
+    assert failures(run.record())["eve"][0]["count"] == 7
+
+
+def test_the_failures_of_a_node_that_is_killed_are_not_lost(launch, tmp_path: Path) -> None:
+    failing.write("attack", tmp_path)
+    (tmp_path / "killed.py").write_text(
+        "from attack import Fragile, scenario as attacked\n\n"
+        "def scenario():\n"
+        "    faults = [dict(type='Kill', at=0.8, node='eve', restart_after=0.2)]\n"
+        "    return attacked() | dict(faults=faults)\n"
+    )
+    run: Launched = launch(str(tmp_path / "killed.py"), "--frames", "14", "--no-record")
+    code, output = run.end()
+    assert code == 30, output
+    (entry,) = failures(run.record())["eve"]
+    assert (entry["count"], entry["frames"], entry["first_frame"], entry["last_frame"]) == (7, 7, 5, 13)
+    assert failures(run.record()) == failures(in_process(tmp_path / "killed.py", tmp_path / "inproc", 14))
+
+
+def test_a_node_file_without_main_takes_part_and_a_list_of_processes_tells_which_node_is_which(
+    launch, tmp_path: Path
+) -> None:
+    path = failing.write("second", tmp_path)
+    assert "__main__" not in (tmp_path / "counter.py").read_text()
+    run: Launched = launch(str(path), "--mode", "realtime", "--rate", "5", "--frames", "20")
+    commands = {
+        name: psutil.Process(node["pid"]).cmdline()
+        for name, node in run.started()["nodes"].items()
+        if psutil.pid_exists(node["pid"])
+    }
+    code, output = run.end()
+    assert code == 0, output
+    for name in ("counter", "other"):
+        assert str(tmp_path / "counter.py") in commands[name]
+        assert commands[name][commands[name].index("--name") + 1] == name
+    own = run.out / "results" / "counter"
+    assert run_folder.read_table(own / "metrics.parquet")["frame"].tolist() == [*range(20)]
+    assert run_folder.read_json(run.out / "metrics.json")["frames"] == 20
+    assert "results: 1 refused: other: table '../other': expected a name" in output
+    assert not list(tmp_path.rglob("other.parquet"))
+
+
+def test_a_node_that_exits_with_0_before_the_first_frame_is_not_ok(launch, tmp_path: Path) -> None:
+    path = failing.write("second", tmp_path)
+    file = tmp_path / "counter.py"
+    leaves = "        if __import__('os').path.exists('wiring.json'):\n            raise SystemExit(0)\n"
+    file.write_text(file.read_text().replace("        self.table = table\n", f"        self.table = table\n{leaves}"))
+    run: Launched = launch(str(path), "--frames", "3", "--no-record")
+    code, output = run.end()
+    assert code == 21, output
+    what = "ended before the first frame: exit code 0, but it handed in no results"
+    assert f"counter {what}" in output or f"other {what}" in output
+    ended = {name: node["ended"] for name, node in run.record()["nodes"].items()}
+    assert "ok" not in (ended["counter"], ended["other"])
+
+
+def test_a_run_that_cannot_keep_up_with_real_time_says_so(launch) -> None:
+    run: Launched = launch("baseline", "--mode", "realtime", "--rate", "2000", "--frames", "60", "--no-record")
+    code, output = run.end()
+    assert code == 0, output
+    line = next(line for line in output.splitlines() if line.startswith("behind: "))
+    assert "did not keep up with real time" in line
+    assert "instead of 20000.0" in line
+    assert "lower --rate" in line
+    assert "behind" in {notice["kind"] for notice in json.loads((run.out / "run.json").read_text())["notices"]}

@@ -1,0 +1,221 @@
+"""A failure of a handler is counted by frame, and says where in the code of the node it happened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import failing
+import numpy as np
+import pytest
+from tiny_world import tiny
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import MessageError, NodeDied, StartError
+from mast_zenoh.messages import Header, Message
+from mast_zenoh.node import Context, Node, Overheard, Received
+from mast_zenoh.runtime import failures
+from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.steps import ProcessStep
+from mast_zenoh.wiring import ANY, Input, Ports
+
+ENTRY = {
+    "handler": "on_tracks",
+    "count": 3,
+    "frames": 2,
+    "first_frame": 4,
+    "last_frame": 9,
+    "exception": "KeyError: 'x'",
+    "where": "/a/node.py:3",
+}
+
+
+def raised(call: Callable[[], Any]) -> BaseException:
+    with pytest.raises(BaseException) as caught:  # noqa: PT011 (whatever it is)
+        call()
+    return caught.value
+
+
+def test_the_line_is_the_innermost_in_the_code_of_a_node_or_an_algorithm(tmp_path: Path) -> None:
+    path = failing.write("attack", tmp_path)
+    file, loaded = scenario.load(str(path), [])
+    process = InProcess(scenario.resolve(file, loaded, frames=7))
+    process.run()
+    line = 1 + path.read_text().splitlines().index('            raise ValueError(f"no [plan] for frame {frame}")')
+    assert process.failures() == {
+        "eve": [
+            {
+                "handler": "on_detections",
+                "count": 2,
+                "frames": 2,
+                "first_frame": 5,
+                "last_frame": 6,
+                "exception": "ValueError: no [plan] for frame 5",
+                "where": f"{path}:{line}",
+            }
+        ]
+    }
+
+
+def test_an_error_raised_in_a_library_or_the_runtime_is_located_at_its_caller() -> None:
+    def in_numpy() -> None:
+        np.zeros(3).reshape(7)
+
+    def in_json() -> None:
+        json.loads("{")
+
+    for call in (in_numpy, in_json):
+        assert failures.location(raised(call), call) == f"{__file__}:{call.__code__.co_firstlineno + 1}"
+
+
+def test_a_handler_with_wrong_parameters_is_located_where_it_is_defined() -> None:
+    class Wrong(Node):
+        inputs = {"clock": "clock"}
+
+        def on_clock(self, received: Received) -> None: ...
+
+    host = Host(
+        "wrong", Wrong(), Ports({"clock": Input("clock", "", "clock", "simulator")}, {}), 0, encode=False, emit=print
+    )
+    host.deliver("clock", Message(Header("clock", "simulator", 0, 0, 0), {}), 0)
+    where = host.failures["on_clock"].where
+    assert where == f"{__file__}:{Wrong.on_clock.__code__.co_firstlineno}"
+    assert "TypeError" in host.failures["on_clock"].exception
+
+
+def test_an_exception_is_told_on_one_short_line_even_if_it_cannot_format_itself() -> None:
+    class Mute(Exception):
+        def __str__(self) -> str:
+            raise ValueError
+
+    assert failures.described(Mute()) == "Mute"
+    assert failures.described(KeyError("x")) == "KeyError: 'x'"
+    assert failures.described(ValueError("a\n  b\n" + "c" * 999)) == f"ValueError: a b {'c' * 284}"
+
+
+def test_a_handler_that_exits_ends_no_process() -> None:
+    class Leaver(Node):
+        inputs = {"clock": "clock"}
+
+        def on_clock(self, received: Received, context: Context) -> None:
+            raise SystemExit(0)
+
+    host = Host(
+        "leaver", Leaver(), Ports({"clock": Input("clock", "", "clock", "simulator")}, {}), 0, encode=False, emit=print
+    )
+    host.deliver("clock", Message(Header("clock", "simulator", 0, 0, 0), {}), 0)
+    assert host.failures["on_clock"].exception == "SystemExit: 0"
+
+
+def test_a_node_without_a_clock_fails_in_the_frame_of_its_message() -> None:
+    class Fails(Node):
+        inputs = {"status": "status"}
+
+        def on_status(self, received: Received, context: Context) -> None:
+            raise ValueError
+
+    body = {"mobile": np.array([0]), "detections": np.array([1]), "tracks": np.array([2])}
+    host = Host("f", Fails(), Ports({"s": Input("status", "a", "status", "a")}, {}), 0, encode=False, emit=print)
+    for frame, step in ((3, 3), (4, 6), (5, -1)):
+        host.deliver("s", Message(Header("status", "a", frame, 0, 0), body), step)
+    assert host.failures["on_status"].frames == {3, 6, -1}, "held up: the frame in which it was sent on"
+
+
+def test_a_node_that_hears_every_key_fails_in_the_frame_of_its_message() -> None:
+    class Fails(Node):
+        inputs = {"everything": ANY}
+
+        def on_everything(self, overheard: Overheard, context: Context) -> None:
+            raise ValueError
+
+    host = Host(
+        "f", Fails(), Ports({"s": Input("everything", "", "clock", "simulator")}, {}), 0, encode=True, emit=print
+    )
+    host.deliver("s", Message(Header("clock", "simulator", 2, 0, 0), {}), 2)
+    host.deliver("s", b"rubbish", 3)
+    assert host.failures["on_everything"].frames == {2}
+    assert host.failures["on_everything"].count == 2
+
+
+@pytest.mark.parametrize(
+    "returned", [[1, 2], {"names": {"ego"}}, {(1, 2): 3}, {"x": 1 << 70}, {"a": np.zeros(2, "M8[s]")}]
+)
+def test_results_that_cannot_be_handed_in_are_a_failure_of_finish(returned: Any) -> None:
+    class Returns(Node):
+        def finish(self, context: Context) -> Any:
+            return returned
+
+    host = Host("returns", Returns(), Ports({}, {}), 0, encode=True, emit=print)
+    assert host.finish() == {}
+    assert host.failures["finish"].exception.startswith("TypeError: ")
+    assert host.failures["finish"].where == f"{__file__}:{Returns.finish.__code__.co_firstlineno}"
+
+
+def test_failures_of_one_node_in_several_processes_are_one_entry() -> None:
+    again = ENTRY | {"count": 1, "frames": 1, "first_frame": 12, "last_frame": 12, "exception": "KeyError: 'y'"}
+    other = ENTRY | {"handler": "joined"}
+    assert failures.merged([[ENTRY], [other, again]]) == [
+        other,
+        ENTRY | {"count": 4, "frames": 3, "last_frame": 12},
+    ]
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [None, [], {}, ENTRY | {"more": 1}, ENTRY | {"count": "3"}, ENTRY | {"count": True}, {"handler": "x"}],
+)
+def test_what_is_no_failure_is_refused(entry: object) -> None:
+    assert failures.checked(dict(ENTRY)) == ENTRY
+    with pytest.raises(MessageError, match="a handler failure: "):
+        failures.checked(entry)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ((3, 2, 4, 9), "failed 3 times in 2 frames (4 to 9)"),
+        ((1, 1, 4, 4), "failed once in frame 4"),
+        ((5, 1, 4, 4), "failed 5 times in frame 4"),
+        ((1, 1, -1, -1), "failed once before the first frame"),
+    ],
+)
+def test_a_failure_in_words(numbers: tuple[int, ...], words: str) -> None:
+    entry = ENTRY | dict(zip(("count", "frames", "first_frame", "last_frame"), numbers, strict=True))
+    (line,) = failures.lines({"ego": [entry]}, {"ego": "logs/ego.log"})
+    assert line == f"ego.on_tracks {words}: KeyError: 'x' (/a/node.py:3); log: logs/ego.log"
+
+
+def test_failures_before_a_kill_count_in_one_process(tmp_path: Path) -> None:
+    file, loaded = scenario.load(str(failing.write("attack", tmp_path)), [])
+    steps = (ProcessStep(7, "kill", "eve"), ProcessStep(9, "start", "eve"))
+    process = InProcess(replace(scenario.resolve(file, loaded, frames=12), steps=steps))
+    process.run()
+    (entry,) = process.failures()["eve"]
+    assert (entry["count"], entry["first_frame"], entry["last_frame"]) == (5, 5, 11)
+
+
+@pytest.mark.parametrize(
+    ("method", "error", "words"),
+    [
+        ("start", StartError, "eve.start failed once before the first frame"),
+        ("advance", NodeDied, "simulator.advance failed before frame 0"),
+    ],
+)
+def test_a_node_that_cannot_start_and_a_scene_that_cannot_go_on_end_the_run(
+    method: str, error: type[Exception], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = InProcess(tiny("uncoordinated", "n_adversaries=1"))
+    name = "adversary_1" if method == "start" else "simulator"
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("on purpose")
+
+    monkeypatch.setattr(process.hosts[name].node, method, fail)
+    with pytest.raises(
+        error, match=rf"{words.replace('eve', name)}: RuntimeError: on purpose \(.*test_failures.py:\d+\)"
+    ):
+        process.run()

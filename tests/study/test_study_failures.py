@@ -1,0 +1,100 @@
+"""A study in which a handler failed does not pass for a sound one, neither of single runs nor of trials."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import failing
+import pytest
+
+from mast_zenoh import cli
+from mast_zenoh.errors import HandlerFailed
+from mast_zenoh.study import comparison, definition, trials
+
+STUDY = """
+def study():
+    small = dict(n_infrastructure=1)
+    return dict(
+        name="fragile",
+        runs=dict(first=dict(scenario="attack.py"), baseline=dict(scenario="baseline", parameters=small)),
+        frames=8,
+        seed=3,
+    )
+"""
+SAID = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> definition.Study:
+    failing.write("attack", tmp_path)
+    (tmp_path / "study.py").write_text(STUDY)
+    return definition.load(str(tmp_path / "study.py"))
+
+
+def test_a_trial_whose_handler_failed_says_what_failed_where_and_how_to_see_it(study, tmp_path: Path) -> None:
+    ended = trials.run(study, tmp_path / "out", count=1)
+    ((trial, reason),) = ended.failed
+    assert trial.configuration == "first"
+    assert reason.startswith("HandlerFailed: handlers failed, so the numbers may be wrong:")
+    assert SAID in reason
+    assert f"{tmp_path / 'attack.py'}:" in reason
+    assert "--allow-failures" not in trial.command()
+
+
+@pytest.mark.mesh
+def test_a_trial_on_a_mesh_says_the_same(study, tmp_path: Path) -> None:
+    reasons = [
+        trials.run(study, tmp_path / runtime, count=1, runtime=runtime).failed[0][1] for runtime in ("inproc", "mesh")
+    ]
+    assert reasons[0] == reasons[1]
+
+
+def test_allowed_failures_of_a_trial_count_and_are_not_taken_for_sound_later(study, tmp_path: Path) -> None:
+    ended = trials.run(study, tmp_path / "out", count=1, allow_failures=True)
+    assert ended.failed == []
+    again = trials.run(study, tmp_path / "out", count=1, resume=True)
+    assert [trial.configuration for trial, _ in again.failed] == ["first"]
+    allowed = trials.run(study, tmp_path / "out", count=1, resume=True, allow_failures=True)
+    assert allowed.failed == []
+    commands = {each["configuration"]: each["command"] for each in noted(allowed)}
+    assert "--allow-failures" in commands["first"]
+
+
+def noted(ended: trials.Ended) -> list[dict]:
+    return json.loads((ended.out / "study.json").read_text())["trials"]
+
+
+def test_a_comparison_plays_and_writes_all_and_then_raises(study, tmp_path: Path) -> None:
+    ended = comparison.run(study, tmp_path / "out", runtime="inproc")
+    assert set(ended.folders) == {"first", "baseline"}
+    assert all((folder / "metrics.json").is_file() for folder in ended.folders.values())
+    with pytest.raises(HandlerFailed, match="in run first, handlers failed"):
+        ended.raise_failures()
+    comparison.run(study, tmp_path / "allowed", runtime="inproc", allow_failures=True).raise_failures()
+
+
+@pytest.mark.parametrize("words", [(), ("--trials", "1", "--jobs", "1")], ids=["single runs", "trials"])
+@pytest.mark.parametrize("allowed", [False, True])
+def test_the_command_line_writes_all_and_ends_with_the_code_of_the_failure(
+    study, tmp_path: Path, monkeypatch, capsys, words: tuple[str, ...], allowed: bool
+) -> None:
+    more = (*words, *(["--allow-failures"] if allowed else []))
+    command = ["mast", "study", str(study.path), "--runtime", "inproc", "--out", str(tmp_path / "out"), *more]
+    monkeypatch.setattr("sys.argv", command)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    said = capsys.readouterr()
+    assert int(ended.value.code or 0) == (0 if allowed else 24 if words else 30)
+    assert SAID in said.err + said.out, "a warning at least"
+    assert "Traceback" not in said.err
+    written = tmp_path / "out" / ("table.md" if words else "report.html")
+    assert written.is_file()
+
+
+def test_allowed_failures_are_no_matter_for_a_study_of_outsiders(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("sys.argv", ["mast", "study", "rogue", "--allow-failures"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert "Traceback" not in capsys.readouterr().err
