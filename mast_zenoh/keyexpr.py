@@ -56,6 +56,13 @@ TAP = "@tap"
 _WIRE_KEYS = ("key", "message", "from", "to")
 _INSERT_KEYS = ("wire", "role", "input", "output")
 
+#: Rewrites of earlier versions, and those that do the same now.
+RENAMED = {
+    "uncoordinated.toml": ("on_detections.toml",),
+    "coordinated.toml": ("on_tracks.toml", "coordination.toml"),
+    "passthrough.toml": ("on_detections.toml", "on_tracks.toml"),
+}
+
 #: Roles that a map may name even where a scenario has no such node.
 ROLES = (
     *("simulator", "agent", "broker", "command_center", "adversary", "coordinator", "link"),
@@ -78,6 +85,11 @@ def load(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
+        if path.name in RENAMED:
+            successors = " and ".join(repr(name) for name in RENAMED[path.name])
+            raise WiringError(
+                f"{path.name}: rewrites are named after the wires that they take: name {successors} instead"
+            ) from None
         beside = [other.name for other in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         raise WiringError(f"{path}: no such key-expression map{nearest(path.name, beside)}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

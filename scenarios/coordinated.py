@@ -40,5 +40,5 @@ def scenario(
                 propagation=dict(type="TrajectoryPropagation"),
             )
         ),
-        keyexpr=dict(map="testbed.toml", rewrites=["coordinated.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["on_tracks.toml", "coordination.toml"]),
     )

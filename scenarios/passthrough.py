@@ -12,5 +12,5 @@ def scenario(scene="intersection", scene_index=0, n_infrastructure=4, n_mobile=0
             f"adversary_{i}": dict(type="Adversary", agent=agent, attack=dict(type="PassThrough"))
             for i, agent in enumerate(agents)
         },
-        keyexpr=dict(map="testbed.toml", rewrites=["passthrough.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml", "on_tracks.toml"]),
     )

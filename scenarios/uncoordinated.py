@@ -35,5 +35,5 @@ def scenario(
             f"adversary_{i}": dict(type="Adversary", agent=f"infra_{i}", attack=attack)
             for i in range(1, n_adversaries + 1)
         },
-        keyexpr=dict(map="testbed.toml", rewrites=["uncoordinated.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml"]),
     )

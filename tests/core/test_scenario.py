@@ -257,7 +257,7 @@ def test_a_users_own_algorithms_can_be_named_by_their_type(tmp_path: Path) -> No
         + (
             "def scenario():\n"
             f"    return dict(scene={TINY!r}, agents={{'*': {AGENT!r}}}, commandcenter=commandcenter,\n"
-            "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['uncoordinated.toml']),\n"
+            "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['on_detections.toml']),\n"
             "        adversaries=dict(eve=dict(agent='infra_1', attack=dict(type='Shy', shyness=2))))\n"
         )
     )
@@ -280,7 +280,7 @@ def test_a_users_own_algorithm_may_stand_in_the_file_of_a_users_own_node(tmp_pat
     text = LISTING + (
         "def scenario():\n"
         f"    return dict(scene={TINY!r}, agents={{'*': {AGENT!r}}}, commandcenter=commandcenter,\n"
-        "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['uncoordinated.toml']),\n"
+        "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['on_detections.toml']),\n"
         "        adversaries=dict(eve=dict(file='shy_adversary.py', type='Adversary', agent='infra_1',\n"
         "            attack=dict(type='Shy'))))\n"
     )
@@ -385,8 +385,12 @@ WRONG_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         r"testbd\.toml: no such .*did you mean 'testbed\.toml'",
     ),
     "a rewrite": (
-        lambda s: s["keyexpr"].update(rewrites=["coordinatd.toml"]),
-        r"did you mean '(un)?coordinated\.toml'",
+        lambda s: s["keyexpr"].update(rewrites=["on_track.toml"]),
+        r"did you mean 'on_tracks\.toml'",
+    ),
+    "a rewrite by the name that it had before": (
+        lambda s: s["keyexpr"].update(rewrites=["coordinated.toml"]),
+        r"coordinated\.toml: .* name 'on_tracks\.toml' and 'coordination\.toml' instead",
     ),
     "a rewrite in the scenario": (
         lambda s: s["keyexpr"].update(rewrites=[{"inserts": []}]),
@@ -430,8 +434,8 @@ def test_what_is_wrong_with_the_wiring_is_told_with_its_place(what: str) -> None
 
 
 def test_rewrites_are_a_list() -> None:
-    error = refused(lambda s: s["keyexpr"].update(rewrites="coordinated.toml"))
-    assert "keyexpr.rewrites: found 'coordinated.toml', expected a list" in str(error)
+    error = refused(lambda s: s["keyexpr"].update(rewrites="on_tracks.toml"))
+    assert "keyexpr.rewrites: found 'on_tracks.toml', expected a list" in str(error)
 
 
 @pytest.mark.parametrize(
