@@ -270,6 +270,38 @@ def test_a_users_own_algorithms_can_be_named_by_their_type(tmp_path: Path) -> No
     assert type(run.nodes["command_center"].pipeline._group_tracking._tracker).__name__ == "MyTracker"
 
 
+OWN_PIPELINE = """
+import numpy as np
+
+from mast_zenoh.fusion import Pipeline
+
+class OneAgent(Pipeline):
+    def __init__(self, *, believed: str) -> None:
+        self.believed = believed
+
+    def step(self, time_ns, states, agent, agents, weights=None):
+        theirs = states.select(agent == agents.index(self.believed)) if self.believed in agents else states.select([])
+        in_order = theirs.select(np.argsort(theirs.id))
+        return in_order, np.ones(len(in_order), np.int64)
+
+    def reset(self) -> None:
+        pass
+"""
+
+
+@pytest.mark.parametrize("key", ["commandcenter", "command_center"])
+def test_the_command_centre_takes_a_users_own_pipeline(tmp_path: Path, key: str) -> None:
+    text = OWN_PIPELINE + REST.replace("=commandcenter", "=dict(pipeline=dict(type='OneAgent', believed='infra_2'))")
+    found = resolved(written(tmp_path, text % key), frames=6)
+    run = Run(found)
+    assert not run.failures
+    pictures = run.decoded("cc/picture", "picture")
+    tracks = run.decoded("agent/infra_2/tracks", "tracks")
+    assert sum(len(message.body["id"]) for message in tracks) > 0
+    for picture, told in zip(pictures, tracks, strict=True):
+        np.testing.assert_array_equal(picture.body["id"], np.sort(told.body["id"]))
+
+
 def test_a_users_own_algorithm_may_stand_in_the_file_of_a_users_own_node(tmp_path: Path) -> None:
     ours = (bundle.ROOT / "nodes" / "adversary.py").read_text()
     own = OWN_ALGORITHMS.split("class MyTracker")[0]
