@@ -10,9 +10,9 @@ def scenario(
     fraction_translations=0.0,
     attack_start_s=4.0,
     scene="intersection",
-    scene_index=0,
-    n_infrastructure=4,
-    n_mobile=0,
+    scene_index=None,
+    n_infrastructure=None,
+    n_mobile=None,
 ):
     """n_adversaries: agents compromised; false_positives: mean number added by each (Poisson);
 

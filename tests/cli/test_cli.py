@@ -64,7 +64,7 @@ def test_without_a_folder_the_run_names_its_own(mast, tmp_path: Path) -> None:
         (("run", "basline"), 10, "did you mean 'baseline.py'"),
         (("run", "no/such/file.py"), 10, "no such file"),
         (("run", "baseline", "--set", "n_infrastructre=3"), 10, "did you mean 'n_infrastructure'"),
-        (("run", "baseline", "--set", "n_infrastructure=many"), 10, "expected int"),
+        (("run", "baseline", "--set", "n_infrastructure=many"), 10, "expected a whole number"),
         (("run", "baseline", "--set", "n_infrastructure"), 10, "expected KEY=VALUE"),
         (("run", "baseline", "--set", "command_center.pipelin.clustering=1"), 10, "did you mean 'pipeline'"),
         (

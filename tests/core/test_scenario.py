@@ -497,11 +497,40 @@ def test_what_is_given_at_launch_wins_over_the_file() -> None:
         resolve(path, content, frames=2, spede=1)
 
 
-def test_a_short_name_of_a_scene_takes_only_the_options_that_its_type_has(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_takes_the_options_that_are_given() -> None:
     known = dict(scene_index=1, n_infrastructure=3, n_mobile=2)
-    assert scenario.choose_scene("intersection", **known) == dict(type="Intersection", **known)
-    assert scenario.choose_scene("intersection:2", **known)["scene_index"] == 2, "the name says it"
-    assert scenario.choose_scene(dict(type="TinyScene"), **known) == dict(type="TinyScene", n_infrastructure=3)
+    choose = scenario.choose_scene
+    assert choose("intersection", **known) == dict(type="Intersection", **known)
+    assert choose("intersection:1", **known) == choose("intersection", **known)
+    nothing = dict.fromkeys(known)
+    assert choose("avstack:x", **nothing) == dict(type="AVstackScene", path="x")
+    assert choose(dict(type="TinyScene", n_infrastructure=1), **nothing) == dict(type="TinyScene", n_infrastructure=1)
+
+
+@pytest.mark.parametrize(
+    ("scene", "option", "reason"),
+    [
+        ("avstack:x", dict(scene_index=0), "scene: AVstackScene has no parameter 'scene_index'"),
+        (dict(type="TinyScene"), dict(n_mobile=0), "TinyScene has no parameter 'n_mobile'; .*n_infrastructure"),
+        ("intersection:2", dict(scene_index=1), "scene: scene_index is 1, but 2 in 'intersection:2'"),
+    ],
+)
+def test_an_option_that_a_scene_does_not_take_or_contradicts_is_refused(scene: Any, option: Any, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        scenario.choose_scene(scene, **option)
+
+
+@pytest.mark.parametrize(
+    "name", ["baseline", "uncoordinated", "passthrough", "chaos", "attack_during_partition", "realistic_network"]
+)
+def test_numbers_of_agents_are_launch_time_parameters_of_our_scenarios(name: str) -> None:
+    _, content = load(name, ["n_infrastructure=3", "n_mobile=1"])
+    agents = ("ego", "mobile_1", "infra_1", "infra_2", "infra_3")
+    assert scenario.agents_of(content["scene"]) == agents
+    _, content = load(name, ["n_infrastructure=none"])
+    assert len(scenario.agents_of(content["scene"])) == {"chaos": 3, "realistic_network": 7}.get(name, 5)
+    with pytest.raises(ConfigurationError, match=r"n_infrastructure: found 'many', expected a whole number"):
+        resolved(name, "n_infrastructure=many")
 
 
 def test_an_agents_own_name_wins_over_a_pattern() -> None:
