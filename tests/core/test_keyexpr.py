@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh import bundle, keyexpr
+from mast_zenoh.endpoints import NodeOptions
 from mast_zenoh.errors import WiringError
-from mast_zenoh.keyexpr import NodeOptions
-from mast_zenoh.wiring import Input, Wiring, to_mermaid, to_text
+from mast_zenoh.wiring import TAP, Input, Wiring, to_mermaid, to_text
 
 MAPS = bundle.ROOT / "keyexpr_maps"
 
@@ -102,7 +102,7 @@ def test_chains_of_any_length_stay_connected_and_invisible(agents: list[str], ch
         assert order == sorted(order), "chains keep the order of the rewrites"
     for key in keys:
         zenoh.KeyExpr(key)
-        if keyexpr.TAP in key:
+        if TAP in key:
             assert not zenoh.KeyExpr("**").intersects(zenoh.KeyExpr(key)), "wildcards do not see taps"
     assert Wiring.from_json(wiring.to_json()) == wiring
 

@@ -1,0 +1,81 @@
+"""Which ports of which nodes an entry of a key-expression map means. Pure functions."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from mast_zenoh.errors import WiringError, nearest
+from mast_zenoh.wiring import Endpoint
+
+#: Roles that a map may name even where a scenario has no such node.
+ROLES = (
+    *("simulator", "agent", "broker", "command_center", "adversary", "coordinator", "link"),
+    *("evaluator", "recorder", "visualizer"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class NodeOptions:
+    """The part of a node that the wiring depends on: its role, its ports, and the options that bind it to a wire."""
+
+    role: str
+    options: Mapping[str, str]
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+
+
+def members(
+    role: str,
+    nodes: Mapping[str, NodeOptions],
+    place: str,
+    *,
+    placeholder: str = "",
+    subject: str = "",
+    node: object = None,
+) -> dict[str, NodeOptions]:
+    """The nodes of a role that belong to one subject of a placeholder; without a placeholder, all of them.
+
+    A node belongs to the subject that it is itself, or that its option of the placeholder's name names. If no node of
+    the role has that option, all of them belong to every subject. node: leave out all but the node of this name
+
+    Raises WiringError for an unknown role, and for a name that no node of the role has.
+    """
+    roles = {*ROLES, *(other.role for other in nodes.values())}
+    if role not in roles:
+        raise WiringError(f"{place}: no role {role!r}{nearest(str(role), roles)}")
+    found = {name: options for name, options in nodes.items() if options.role == role}
+    if node is not None and node not in found:
+        raise WiringError(f"{place}: node: no {role} is called {node!r}{nearest(str(node), found)}")
+    if role == placeholder:
+        found = {subject: found[subject]}
+    elif placeholder and any(placeholder in options.options for options in found.values()):
+        found = {name: options for name, options in found.items() if options.options.get(placeholder) == subject}
+    return {name: options for name, options in found.items() if node in (None, name)}
+
+
+def ports(
+    nodes: Mapping[str, NodeOptions],
+    port: str,
+    message: str,
+    place: str,
+    *,
+    output: bool = False,
+    optional: Collection[str] = (),
+) -> list[Endpoint]:
+    """The port of each node; `optional` ports are left out where a node has none of that name.
+
+    Raises WiringError where a node has no such port, or one for another message type.
+    """
+    found = []
+    for name, node in nodes.items():
+        known = node.outputs if output else node.inputs
+        side = "output" if output else "input"
+        if port not in known and port in optional:
+            continue
+        if port not in known:
+            raise WiringError(f"{place}: {name} has no {side} port {port!r}{nearest(port, known)}")
+        if known[port] != message:
+            raise WiringError(f"{place}: {name}.{port} carries {known[port]!r} messages, the wire {message!r}")
+        found.append(Endpoint(name, port))
+    return found
