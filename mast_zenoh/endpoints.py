@@ -32,7 +32,7 @@ def members(
     *,
     placeholder: str = "",
     subject: str = "",
-    node: object = None,
+    node: str | None = None,
 ) -> dict[str, NodeOptions]:
     """The nodes of a role that belong to one subject of a placeholder; without a placeholder, all of them.
 
@@ -43,10 +43,10 @@ def members(
     """
     roles = {*ROLES, *(other.role for other in nodes.values())}
     if role not in roles:
-        raise WiringError(f"{place}: no role {role!r}{nearest(str(role), roles)}")
+        raise WiringError(f"{place}: no role {role!r}{nearest(role, roles)}")
     found = {name: options for name, options in nodes.items() if options.role == role}
     if node is not None and node not in found:
-        raise WiringError(f"{place}: node: no {role} is called {node!r}{nearest(str(node), found)}")
+        raise WiringError(f"{place}: node: no {role} is called {node!r}{nearest(node, found)}")
     if role == placeholder:
         found = {subject: found[subject]}
     elif placeholder and any(placeholder in options.options for options in found.values()):

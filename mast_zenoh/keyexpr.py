@@ -255,12 +255,15 @@ def _listed(to: object) -> list[object]:
 
 
 def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """(place, entry) of all entries of one kind, in order; raises WiringError for one with wrong keys."""
+    """(place, entry) of all entries of one kind, in order; raises WiringError for one with wrong keys or values."""
     required, optional = _KEYS[kind]
     for file, content in sources:
         for index, entry in enumerate(content.get(kind, ())):
             place = f"{file}: {kind} {index + 1}"
             _check_keys(entry, (*required, *optional), place, required=required)
+            for key in ("wire", "role", "input", "output", "leg", "node"):
+                if not isinstance(entry.get(key, ""), str):
+                    raise WiringError(f"{place}: {key}: found {entry[key]!r}, expected a string")
             yield place, entry
 
 

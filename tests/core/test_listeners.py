@@ -53,7 +53,7 @@ def world(**more: NodeOptions) -> dict[str, NodeOptions]:
     }
 
 
-def listen(wire: str, input: str, role: str = "adversary", **more: str) -> dict[str, Any]:
+def listen(wire: str, input: str, role: Any = "adversary", **more: Any) -> dict[str, Any]:
     return {"wire": wire, "role": role, "input": input, **more}
 
 
@@ -159,6 +159,8 @@ def test_a_listener_stands_before_the_branches() -> None:
         (listen("agent/*/pose", "poses", leg="tap"), "leg: found 'tap', expected 'source', or no `leg`"),
         (listen("agent/*/pose", "poses", every="yes"), "unknown key 'every'; known: input, leg, node, role, wire"),
         ({"wire": "agent/*/pose", "role": "adversary"}, "missing input"),
+        (listen("agent/*/pose", "poses", role=["adversary"]), r"role: found \['adversary'\], expected a string"),
+        (listen("agent/*/pose", "poses", node=3), "node: found 3, expected a string"),
         (listen("agent/infra_1/tracks", "tracks"), "adversary_1 publishes or passes on 'agent/infra_1/tracks': it wo"),
         (listen("agent/ego/tracks", "tracks", "agent"), "ego has no input port 'tracks'"),
         (listen("agent/{agent}/pose", "poses"), "adversary_1 hears 'agent/infra_1/pose' already, on its port 'pose'"),

@@ -11,6 +11,7 @@ from carla_writer import FRAMES, actors_at, npcs_at, state, write_lines, write_o
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.scenes import AVstackScene, Recording
 from mast_zenoh.scenes.avstack import EGO_ID
 from mast_zenoh.sensing import CleanDetector, LidarSensor, Walls, lidar_points, sensor_pose, to_world
@@ -174,12 +175,22 @@ def test_a_number_of_agents_that_the_scene_cannot_meet_is_refused(run: Path, par
         read(run, **parameters)
 
 
+def played(*settings: str) -> dict[str, NodeSpec]:
+    """The nodes of the baseline under these settings."""
+    path, content = scenario.load("baseline", settings)
+    return scenario.resolve(path, content).nodes
+
+
 def test_all_agents_of_a_scene_with_two_cars_play_unless_fewer_are_asked_for(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run-0", second_car=True)
     assert read(run).agent_names == ("ego", "mobile_2", "infra_1")
     assert read(run, n_mobile=0).agent_names == ("ego", "infra_1")
-    _, content = scenario.load("baseline", [f"scene=avstack:{run}"])
-    assert scenario.agents_of(content["scene"]) == ("ego", "mobile_2", "infra_1")
+    nodes = played(f"scene=avstack:{run}")
+    assert [name for name, spec in nodes.items() if spec.role == "agent"] == ["ego", "mobile_2", "infra_1"]
+    with pytest.raises(ConfigurationError, match="n_infrastructure is 9, expected 0 to 1"):
+        played(f"scene=avstack:{run}", "n_infrastructure=9", "n_mobile=1")
+    with pytest.raises(ConfigurationError, match="n_mobile is 3, expected 0 to 1"):
+        played(f"scene=avstack:{run}", "n_infrastructure=1", "n_mobile=3")
 
 
 def test_scenarios_that_name_agents_find_those_of_the_data_set(tmp_path: Path) -> None:
