@@ -37,21 +37,23 @@ def members(
     """The nodes of a role that belong to one subject of a placeholder; without a placeholder, all of them.
 
     A node belongs to the subject that it is itself, or that its option of the placeholder's name names. If no node of
-    the role has that option, all of them belong to every subject. node: leave out all but the node of this name
+    the role has that option, all of them belong to every subject.
+
+    node: leave out all but the node of this name
 
     Raises WiringError for an unknown role, and for a name that no node of the role has.
     """
     roles = {*ROLES, *(other.role for other in nodes.values())}
     if role not in roles:
         raise WiringError(f"{place}: no role {role!r}{nearest(role, roles)}")
-    found = {name: options for name, options in nodes.items() if options.role == role}
-    if node is not None and node not in found:
-        raise WiringError(f"{place}: node: no {role} is called {node!r}{nearest(node, found)}")
+    of_role = {name: other for name, other in nodes.items() if other.role == role}
+    if node is not None and node not in of_role:
+        raise WiringError(f"{place}: node: no {role} is called {node!r}{nearest(node, of_role)}")
     if role == placeholder:
-        found = {subject: found[subject]}
-    elif placeholder and any(placeholder in options.options for options in found.values()):
-        found = {name: options for name, options in found.items() if options.options.get(placeholder) == subject}
-    return {name: options for name, options in found.items() if node in (None, name)}
+        of_role = {subject: of_role[subject]}
+    elif placeholder and any(placeholder in other.options for other in of_role.values()):
+        of_role = {name: other for name, other in of_role.items() if other.options.get(placeholder) == subject}
+    return {name: other for name, other in of_role.items() if node in (None, name)}
 
 
 def ports(
@@ -67,7 +69,7 @@ def ports(
 
     Raises WiringError where a node has no such port, or one for another message type.
     """
-    found = []
+    ends = []
     for name, node in nodes.items():
         known = node.outputs if output else node.inputs
         side = "output" if output else "input"
@@ -77,5 +79,5 @@ def ports(
             raise WiringError(f"{place}: {name} has no {side} port {port!r}{nearest(port, known)}")
         if known[port] != message:
             raise WiringError(f"{place}: {name}.{port} carries {known[port]!r} messages, the wire {message!r}")
-        found.append(Endpoint(name, port))
-    return found
+        ends.append(Endpoint(name, port))
+    return ends

@@ -115,15 +115,15 @@ def _check_source(wire: Wire) -> None:
     names = ", ".join(listener.end.node for listener in wire.listeners if listener.source)
     if names:
         raise WiringError(
-            f"{names} would hear the source of {wire.key!r} on another key: a node that listens with leg = 'source' "
-            "keeps its key while a run goes on; have the first interposer there from the beginning, and until the end"
+            f"{names} would hear the source of {wire.key!r} on another key, but a node that listens there keeps "
+            "its key during a run: put the first interposer there at launch (PassThrough), and leave it there"
         )
 
 
 def _without(wire: Wire, node: str) -> Wire:
     if any(node == leg.publisher.node for branch in wire.branches for leg in branch.legs):
         raise WiringError(f"{node} stands before one subscriber of {wire.key!r} alone: it cannot be released")
-    wire = replace(wire, listeners=tuple(each for each in wire.listeners if each.end.node != node))
+    wire = replace(wire, listeners=tuple(ear for ear in wire.listeners if ear.end.node != node))
     if len(wire.legs) > 1 and wire.legs[1].publisher.node == node:
         _check_source(wire)
     legs: list[Leg] = []

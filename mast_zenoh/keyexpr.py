@@ -159,7 +159,7 @@ def _instances(
     place: str,
 ) -> Iterator[Wire]:
     """The wires that one entry stands for: one for each value of its placeholder."""
-    template, message = str(entry["key"]), str(entry["message"])
+    template, message = entry["key"], entry["message"]
     if message not in SCHEMAS:
         raise WiringError(f"{place}: no message type {message!r}{nearest(message, SCHEMAS)}")
     placeholders = _PLACEHOLDER.findall(template)
@@ -173,8 +173,8 @@ def _instances(
             if not match:
                 raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port")
             role, port = match.groups()
-            found = members(role, nodes, place, placeholder=placeholder, subject=subject)
-            return ports(found, port, message, place, output=output, optional=optional.get(role, ()))
+            meant = members(role, nodes, place, placeholder=placeholder, subject=subject)
+            return ports(meant, port, message, place, output=output, optional=optional.get(role, ()))
 
         key = template.replace(f"{{{placeholder}}}", subject)
         for chunk in key.split("/"):
@@ -205,15 +205,9 @@ def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOption
     """The wire with the listeners of one entry."""
     if entry.get("leg", "source") != "source":
         raise WiringError(f"{place}: leg: found {entry['leg']!r}, expected 'source', or no `leg`")
-    found = members(
-        entry["role"],
-        nodes,
-        place,
-        placeholder=_placeholder(entry["wire"]),
-        subject=wire.subject,
-        node=entry.get("node"),
-    )
-    ends = ports(found, entry["input"], wire.message, place)
+    placeholder, node = _placeholder(entry["wire"]), entry.get("node")
+    listening = members(entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject, node=node)
+    ends = ports(listening, entry["input"], wire.message, place)
     return rewrites.listen(wire, [Listener(end, "leg" in entry) for end in ends], place, every="*" in entry["wire"])
 
 
@@ -261,7 +255,7 @@ def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, An
         for index, entry in enumerate(content.get(kind, ())):
             place = f"{file}: {kind} {index + 1}"
             _check_keys(entry, (*required, *optional), place, required=required)
-            for key in ("wire", "role", "input", "output", "leg", "node"):
+            for key in ("key", "message", "from", "wire", "role", "input", "output", "leg", "node"):
                 if not isinstance(entry.get(key, ""), str):
                     raise WiringError(f"{place}: {key}: found {entry[key]!r}, expected a string")
             yield place, entry

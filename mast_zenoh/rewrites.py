@@ -18,9 +18,11 @@ def insert(
 
     Raises WiringError for a node without the ports, a node that is on the wire already, and an ambiguous `to`.
     """
-    found = members(entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject, node=entry.get("node"))
-    into = ports(found, entry["input"], wire.message, place)
-    out = ports(found, entry["output"], wire.message, place, output=True)
+    inserted = members(
+        entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject, node=entry.get("node")
+    )
+    into = ports(inserted, entry["input"], wire.message, place)
+    out = ports(inserted, entry["output"], wire.message, place, output=True)
     for entrance, exit_ in zip(into, out, strict=True):
         subscriber = _subscriber(wire, entrance.node, entry["to"], nodes, place) if "to" in entry else None
         if "to" in entry and subscriber is None:

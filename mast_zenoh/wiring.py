@@ -57,7 +57,7 @@ class Wire:
 
     legs:      the trunk, which all subscribers hear; its last leg has the wire's key, and is heard by those subscribers
                that have no branch and by the entrances of the branches
-    listeners: those who hear the wire beside its subscribers; no legs of the trunk or of branches name them
+    listeners: what else hears the wire; they are not among the subscribers of its legs
     """
 
     key: str
@@ -89,7 +89,7 @@ class Wire:
 
     def listeners_of(self, leg: Leg) -> tuple[Endpoint, ...]:
         """The listeners that hear one of the wire's legs."""
-        return tuple(found.end for found in self.listeners if self.key_of(found) == leg.key)
+        return tuple(listener.end for listener in self.listeners if self.key_of(listener) == leg.key)
 
     def hearers(self, leg: Leg) -> tuple[Endpoint, ...]:
         """The subscribers and the listeners of one of the wire's legs."""
@@ -176,12 +176,12 @@ class Wiring:
                     "interposers": list(wire.interposers),
                     "listeners": [
                         {
-                            "node": found.end.node,
-                            "port": found.end.port,
-                            "source": found.source,
-                            "key": wire.key_of(found),
+                            "node": listener.end.node,
+                            "port": listener.end.port,
+                            "source": listener.source,
+                            "key": wire.key_of(listener),
                         }
-                        for found in wire.listeners
+                        for listener in wire.listeners
                     ],
                     "legs": [
                         *(leg_json(leg) for leg in wire.legs),
@@ -218,7 +218,7 @@ def _wire_of(data: Mapping[str, Any]) -> Wire:
         tuple(
             Branch(heard_by[legs[0].publisher.node], legs[-1].subscribers[0], tuple(legs)) for legs in branches.values()
         ),
-        tuple(Listener(Endpoint(found["node"], found["port"]), found["source"]) for found in data.get("listeners", ())),
+        tuple(Listener(Endpoint(ear["node"], ear["port"]), ear["source"]) for ear in data.get("listeners", ())),
     )
 
 

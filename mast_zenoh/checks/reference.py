@@ -112,7 +112,7 @@ def _without(wire: Wire, gone: set[str]) -> Wire:
         return tuple(end for end in ends if end.node not in gone)
 
     legs: tuple[Leg, ...] = tuple(replace(leg, subscribers=rest(leg.subscribers)) for leg in wire.legs)
-    return replace(wire, legs=legs, listeners=tuple(each for each in wire.listeners if each.end.node not in gone))
+    return replace(wire, legs=legs, listeners=tuple(ear for ear in wire.listeners if ear.end.node not in gone))
 
 
 def _perfect(spec: NodeSpec) -> NodeSpec:

@@ -55,7 +55,7 @@ class Intersection(Scene):
         detector: Detector = _DETECTOR,
     ) -> None:
         n_infrastructure = _POLES if n_infrastructure is None else n_infrastructure
-        n_mobile = n_mobile or 0
+        n_mobile = 0 if n_mobile is None else n_mobile
         for name, value, limit in (
             ("scene_index", scene_index, None),
             ("n_infrastructure", n_infrastructure, _MAX_POLES),
