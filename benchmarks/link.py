@@ -31,7 +31,7 @@ import msgpack
 import numpy as np
 import zenoh
 
-from mast_zenoh import bundle, codec, keyexpr, links, loading, registry
+from mast_zenoh import bundle, codec, endpoints, keyexpr, links, loading, registry
 from mast_zenoh.links import Chain, Passage, Rule
 from mast_zenoh.messages import Header
 from mast_zenoh.runtime.mesh import ATTACHMENT, MARK, MeshNode, prefix
@@ -63,10 +63,10 @@ def wiring() -> Wiring:
     """A link before the broker, and nothing else."""
     link = link_class()
     nodes = {
-        "simulator": keyexpr.NodeOptions("simulator", {}, {}, {"clock": "clock"}),
-        "ego": keyexpr.NodeOptions("agent", {}, {}, {"tracks": "tracks"}),
-        "broker": keyexpr.NodeOptions("broker", {}, {"tracks": "tracks"}, {}),
-        "link_ego": keyexpr.NodeOptions("link", {"agent": "ego"}, link.inputs, link.outputs),
+        "simulator": endpoints.NodeOptions("simulator", {}, {}, {"clock": "clock"}),
+        "ego": endpoints.NodeOptions("agent", {}, {}, {"tracks": "tracks"}),
+        "broker": endpoints.NodeOptions("broker", {}, {"tracks": "tracks"}, {}),
+        "link_ego": endpoints.NodeOptions("link", {"agent": "ego"}, link.inputs, link.outputs),
     }
     return keyexpr.resolve([("benchmark", MAP)], nodes)
 

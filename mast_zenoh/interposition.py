@@ -12,8 +12,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 from mast_zenoh.errors import WiringError, nearest
-from mast_zenoh.keyexpr import TAP
-from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring import TAP, Endpoint, Leg, Wire, Wiring
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
@@ -37,8 +36,8 @@ class Place:
 def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
     """The wiring with `node` on a wire.
 
-    Raises WiringError for a wire that there is not, a node that has a part in it already, a key that has a publisher
-    already, and a name that cannot be part of a key.
+    Raises WiringError for an unknown wire, a node that has a part in it already, a listener at the source that would
+    have to hear another key, a key that has a publisher already, and a name that cannot be part of a key.
     """
     if not _NAME.fullmatch(node):
         raise WiringError(f"node {node!r}: a node's name is one chunk of a key expression: letters, digits, _ . -")
@@ -50,6 +49,8 @@ def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
     if node in parties(target):
         raise WiringError(f"{node} is on the wire {target.key!r} already: that would be a loop")
     *before, last = target.legs
+    if not before:
+        _check_source(target)
     taken = {leg.key for leg in target.every_leg}
     tap = next(key for i in range(len(taken) + 1) if (key := f"{target.key}/{TAP}/{i}") not in taken)
     into = Leg(tap, last.publisher, (Endpoint(node, place.input),))
@@ -69,7 +70,8 @@ def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
 def remove(wiring: Wiring, node: str) -> Wiring:
     """The wiring without `node`: whoever spoke to it on a wire speaks to those that it spoke to, on their key.
 
-    Raises WiringError for a node that sits on no wire, and for one that stands before a single subscriber.
+    Raises WiringError for a node that sits on no wire, for one that stands before a single subscriber, and where a
+    listener at the source would have to hear another key.
     """
     sitting = {wire.key: wire.interposers for wire in wiring.wires if wire.interposers}
     if not any(node in interposers for interposers in sitting.values()):
@@ -103,14 +105,27 @@ def taps_into(wiring: Wiring, nodes: Collection[str]) -> dict[str, str]:
 
 
 def parties(wire: Wire) -> set[str]:
-    """Whoever speaks or hears on any leg of a wire."""
+    """The nodes that publish or hear any leg of a wire."""
     legs = wire.every_leg
-    return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in leg.subscribers}
+    return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in wire.hearers(leg)}
+
+
+def _check_source(wire: Wire) -> None:
+    """Raise WiringError where nodes listen at the source: those that hear a wire keep their key while a run goes on."""
+    names = ", ".join(listener.end.node for listener in wire.listeners if listener.source)
+    if names:
+        raise WiringError(
+            f"{names} would hear the source of {wire.key!r} on another key, but a node that listens there keeps "
+            "its key during a run: put the first interposer there at launch (PassThrough), and leave it there"
+        )
 
 
 def _without(wire: Wire, node: str) -> Wire:
     if any(node == leg.publisher.node for branch in wire.branches for leg in branch.legs):
         raise WiringError(f"{node} stands before one subscriber of {wire.key!r} alone: it cannot be released")
+    wire = replace(wire, listeners=tuple(ear for ear in wire.listeners if ear.end.node != node))
+    if len(wire.legs) > 1 and wire.legs[1].publisher.node == node:
+        _check_source(wire)
     legs: list[Leg] = []
     for leg in wire.legs:
         if leg.publisher.node == node:  # the leg before leads to it, and to nobody else

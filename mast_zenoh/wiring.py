@@ -9,6 +9,9 @@ from typing import Any
 #: The message type of an input port that hears every key: a node that has one publishes nothing.
 ANY = "*"
 
+#: The verbatim chunk of hidden legs, which wildcard subscribers do not match.
+TAP = "@tap"
+
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
@@ -37,11 +40,24 @@ class Branch:
 
 
 @dataclass(frozen=True, slots=True)
+class Listener:
+    """A subscriber that a rewrite adds to a wire.
+
+    source: it hears what the publisher sends, before any interposer; else what is sent on the wire's key, behind the
+            interposers of the trunk and before the branches
+    """
+
+    end: Endpoint
+    source: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Wire:
     """A logical connection. `subject` is the name in its key (the agent of agent/{agent}/pose), else empty.
 
-    legs: the trunk, which all subscribers hear; its last leg has the wire's key, and is heard by those subscribers
-          that have no branch and by the entrances of the branches
+    legs:      the trunk, which all subscribers hear; its last leg has the wire's key, and is heard by those subscribers
+               that have no branch and by the entrances of the branches
+    listeners: what else hears the wire; they are not among the subscribers of its legs
     """
 
     key: str
@@ -49,6 +65,7 @@ class Wire:
     message: str
     legs: tuple[Leg, ...]
     branches: tuple[Branch, ...] = ()
+    listeners: tuple[Listener, ...] = ()
 
     @property
     def every_leg(self) -> tuple[Leg, ...]:
@@ -65,6 +82,18 @@ class Wire:
         """Whom the wire is for, behind branches or not."""
         behind = {branch.entrance: branch.subscriber for branch in self.branches}
         return tuple(behind.get(end, end) for end in self.legs[-1].subscribers)
+
+    def key_of(self, listener: Listener) -> str:
+        """The key on which a listener hears the wire."""
+        return self.legs[0 if listener.source else -1].key
+
+    def listeners_of(self, leg: Leg) -> tuple[Endpoint, ...]:
+        """The listeners that hear one of the wire's legs."""
+        return tuple(listener.end for listener in self.listeners if self.key_of(listener) == leg.key)
+
+    def hearers(self, leg: Leg) -> tuple[Endpoint, ...]:
+        """The subscribers and the listeners of one of the wire's legs."""
+        return (*leg.subscribers, *self.listeners_of(leg))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +131,9 @@ class Wiring:
                 yield wire, leg
 
     def flows(self) -> Iterator[tuple[str, str, str]]:
-        """(key, publisher, subscriber) of whoever hears whom, overhearers included."""
-        for _, leg in self.legs():
-            for end in (*leg.subscribers, *self.overhearers):
+        """(key, publisher, subscriber) of every leg: listeners and overhearers are subscribers too."""
+        for wire, leg in self.legs():
+            for end in (*wire.hearers(leg), *self.overhearers):
                 yield leg.key, leg.publisher.node, end.node
 
     def keys(self) -> tuple[str, ...]:
@@ -118,7 +147,7 @@ class Wiring:
         for wire, leg in self.legs():
             if leg.publisher.node == node:
                 outputs[leg.publisher.port, wire.subject] = leg.key
-            for subscriber in (*leg.subscribers, *self.overhearers):
+            for subscriber in (*wire.hearers(leg), *self.overhearers):
                 if subscriber.node == node:
                     inputs[leg.key] = Input(subscriber.port, wire.subject, wire.message, wire.legs[0].publisher.node)
         return Ports(inputs, outputs)
@@ -145,6 +174,15 @@ class Wiring:
                     "publisher": wire.legs[0].publisher.node,
                     "subscribers": [end.node for end in wire.subscribers],
                     "interposers": list(wire.interposers),
+                    "listeners": [
+                        {
+                            "node": listener.end.node,
+                            "port": listener.end.port,
+                            "source": listener.source,
+                            "key": wire.key_of(listener),
+                        }
+                        for listener in wire.listeners
+                    ],
                     "legs": [
                         *(leg_json(leg) for leg in wire.legs),
                         *(leg_json(leg, branch.subscriber.node) for branch in wire.branches for leg in branch.legs),
@@ -180,6 +218,7 @@ def _wire_of(data: Mapping[str, Any]) -> Wire:
         tuple(
             Branch(heard_by[legs[0].publisher.node], legs[-1].subscribers[0], tuple(legs)) for legs in branches.values()
         ),
+        tuple(Listener(Endpoint(ear["node"], ear["port"]), ear["source"]) for ear in data.get("listeners", ())),
     )
 
 
@@ -195,6 +234,11 @@ def to_text(wiring: Wiring) -> str:
         }
         ends = ", ".join(f"({behind[end]}{end.node})" if end in behind else end.node for end in wire.subscribers)
         lines.append(f"{mark} {wire.key:<34} {chain}{ends or '(nobody)'}")
+        lines += [
+            f"      {leg.publisher.node} ── {leg.key} ──▶ {end.node} (listens)"
+            for leg in wire.legs
+            for end in wire.listeners_of(leg)
+        ]
         if wire.interposers:
             lines += [
                 f"      {leg.publisher.node} ── {leg.key} ──▶ {', '.join(e.node for e in leg.subscribers)}"
@@ -205,11 +249,12 @@ def to_text(wiring: Wiring) -> str:
 
 
 def to_mermaid(wiring: Wiring) -> str:
-    """The wiring as a Mermaid flow chart; inserted nodes and tap legs are marked."""
+    """The wiring as a Mermaid flow chart; inserted nodes, tap legs and listeners are marked."""
     lines = ["flowchart LR"]
     interposers = sorted({node for wire in wiring.wires for node in wire.interposers})
     lines += [f"    {node}{{{{{node}}}}}:::inserted" for node in interposers]
     for wire, leg in wiring.legs():
         arrow = "-.->" if leg.key != wire.key else "-->"
         lines += [f'    {leg.publisher.node} {arrow}|"{leg.key}"| {end.node}' for end in leg.subscribers]
+        lines += [f'    {leg.publisher.node} --o|"{leg.key}"| {end.node}' for end in wire.listeners_of(leg)]
     return "\n".join([*lines, "    classDef inserted fill:#c0392b,color:#fff"])

@@ -1,8 +1,8 @@
 """An adversary on a wire: takes what a publisher sent, and passes on what it wants its subscribers to believe.
 
-It sits on `detections` (between an agent's sensors and its perception) or on `tracks` (between the agent and the
-command centre); the key-expression map decides. Neither end can tell: keys, headers and the rows that it leaves alone
-are passed on as they came.
+It sits on `detections` (between an agent's sensors and its perception), on `tracks` (between the agent and the
+command centre) or on `picture` (between the command centre and the agent); the key-expression map decides. Neither end
+can tell: keys, headers and the rows that it leaves alone are passed on as they came.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from mast_zenoh.attacks import Attack, PassThrough, Tampering, Targets
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.fusion.collation import LatestBefore
 from mast_zenoh.geometry import rotation_from_quaternion, states_to_local, states_to_world
 from mast_zenoh.messages import Body
@@ -33,11 +34,13 @@ class Adversary(Node):
         "pose": "pose",
         "detections": "detections",
         "tracks": "tracks",
+        "picture": "picture",
         "directive": "directive",
     }
     outputs = {
         "detections_out": "detections",
         "tracks_out": "tracks",
+        "picture_out": "picture",
         "observation": "observation",
         "report": "attack_report",
     }
@@ -50,7 +53,11 @@ class Adversary(Node):
         self.directives: LatestBefore[Targets] = LatestBefore()
 
     def start(self, context: Context) -> None:
-        """Its draws are its own."""
+        """Its draws are its own. Raises ConfigurationError on a picture's wire for an attack that would change it."""
+        if context.connected("picture_out") and not isinstance(self.attack, PassThrough):
+            raise ConfigurationError(
+                f"{context.name}: {type(self.attack).__name__} cannot change pictures: expected PassThrough"
+            )
         self.attack.bind(context.seed, context.name)
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -73,6 +80,10 @@ class Adversary(Node):
 
     def on_tracks(self, received: Received, context: Context) -> None:
         """The victim's tracks, on their way to the command centre."""
+        self.on_message(received, context)
+
+    def on_picture(self, received: Received, context: Context) -> None:
+        """The command centre's picture, on its way to the agent."""
         self.on_message(received, context)
 
     def on_directive(self, received: Received, context: Context) -> None:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from mast_zenoh.fusion import CommandCenterPipeline
+from mast_zenoh.fusion import Pipeline
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.process import main
 from mast_zenoh.states import ObjectStates
 
 
 class CommandCenter(Node):
-    """pipeline: clustering and group tracking, as in the paper's configuration listing."""
+    """pipeline: from the agents' tracks to the picture; `CommandCenterPipeline` is that of the paper's listing."""
 
     role = "command_center"
     inputs = {"clock": "clock", "collated": "collated"}
     outputs = {"picture": "picture"}
 
-    def __init__(self, pipeline: CommandCenterPipeline) -> None:
+    def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
 
     def on_clock(self, received: Received, context: Context) -> None:

@@ -2,6 +2,9 @@
 
 from uncoordinated import scenario as uncoordinated
 
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenario import agents_of
+
 
 def scenario(
     n_adversaries=1,
@@ -11,12 +14,11 @@ def scenario(
     kill_s=8.0,
     restart_after_s=1.5,
     scene="intersection",
-    scene_index=0,
-    n_infrastructure=4,
-    n_mobile=0,
+    scene_index=None,
+    n_infrastructure=None,
+    n_mobile=None,
 ):
     """The first infrastructure agents are compromised, the last two are cut off, and the last one is killed later."""
-    cut_off = [f"infra_{i}" for i in range(max(1, n_infrastructure - 1), n_infrastructure + 1)]
     attacked = uncoordinated(
         n_adversaries=n_adversaries,
         attack_start_s=attack_start_s,
@@ -25,10 +27,13 @@ def scenario(
         n_infrastructure=n_infrastructure,
         n_mobile=n_mobile,
     )
+    cut_off = agents_of(attacked["scene"])[1:][-2:]
+    if not cut_off:
+        raise ConfigurationError("the scene has no agent but the ego: expected one more, to be cut off")
     return attacked | dict(
         name="attack_during_partition",
         faults=[
-            dict(type="Partition", at=partition_s, until=partition_until_s, nodes=cut_off),
+            dict(type="Partition", at=partition_s, until=partition_until_s, nodes=list(cut_off)),
             dict(type="Kill", at=kill_s, node=cut_off[-1], restart_after=restart_after_s),
         ],
     )

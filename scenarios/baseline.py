@@ -26,8 +26,11 @@ agent = dict(
 )
 
 
-def scenario(scene="intersection", scene_index=0, n_infrastructure=4, n_mobile=0):
-    """scene: a short name such as "intersection" or "avstack:PATH"; the others: of scenes that have such a choice."""
+def scenario(scene="intersection", scene_index=None, n_infrastructure=None, n_mobile=None):
+    """scene: a short name such as "intersection" or "avstack:PATH"; scene_index: which generated junction;
+
+    n_infrastructure, n_mobile: how many poles, and cars besides the ego, have sensors; None: all that the scene has.
+    """
     return dict(
         name="baseline",
         scene=choose_scene(scene, scene_index=scene_index, n_infrastructure=n_infrastructure, n_mobile=n_mobile),

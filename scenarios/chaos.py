@@ -3,6 +3,7 @@
 from baseline import scenario as baseline
 
 from mast_zenoh.faults import random_schedule
+from mast_zenoh.scenario import agents_of
 
 
 def scenario(
@@ -12,20 +13,21 @@ def scenario(
     most_faults=5,
     servers=("broker", "command_center"),
     scene="intersection",
-    scene_index=0,
-    n_infrastructure=2,
-    n_mobile=0,
+    scene_index=None,
+    n_infrastructure=None,
+    n_mobile=None,
 ):
-    """chaos_seed: of the faults; settle_s: at the end, without any; most_faults: at most; servers: hit like agents.
+    """chaos_seed: of the faults; settle_s: at the end, without any; most_faults: at most; servers: hit like agents;
+
+    n_infrastructure: None: two on a generated junction, else all that the scene has.
 
     The scene, and all draws in it, are those of the run's own seed: runs of two chaos seeds differ by their faults.
     """
-    agents = [
-        "ego",
-        *(f"mobile_{i}" for i in range(1, n_mobile + 1)),
-        *(f"infra_{i + 1}" for i in range(n_infrastructure)),
-    ]
-    return baseline(scene, scene_index, n_infrastructure, n_mobile) | dict(
+    if n_infrastructure is None and str(scene).startswith("intersection"):
+        n_infrastructure = 2
+    calm = baseline(scene, scene_index, n_infrastructure, n_mobile)
+    agents = agents_of(calm["scene"])
+    return calm | dict(
         name="chaos",
         faults=random_schedule(chaos_seed, duration_s, agents, servers=servers, settle_s=settle_s, most=most_faults),
         run=dict(mode="lockstep", seed=0, frames=round(duration_s * 10.0)),

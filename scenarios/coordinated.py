@@ -11,9 +11,9 @@ def scenario(
     attack_start_s=4.0,
     reselect_every_s=20.0,
     scene="intersection",
-    scene_index=0,
-    n_infrastructure=4,
-    n_mobile=0,
+    scene_index=None,
+    n_infrastructure=None,
+    n_mobile=None,
 ):
     """As `uncoordinated`; reselect_every_s: how often the coordinator makes a new plan."""
     return baseline(scene, scene_index, n_infrastructure, n_mobile) | dict(
@@ -40,5 +40,5 @@ def scenario(
                 propagation=dict(type="TrajectoryPropagation"),
             )
         ),
-        keyexpr=dict(map="testbed.toml", rewrites=["coordinated.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["on_tracks.toml", "coordination.toml"]),
     )

@@ -2,15 +2,17 @@
 
 from baseline import scenario as baseline
 
+from mast_zenoh.scenario import agents_of
 
-def scenario(scene="intersection", scene_index=0, n_infrastructure=4, n_mobile=0):
-    """As `baseline`, with one pass-through adversary on each infrastructure agent and on the ego."""
-    agents = ["ego", *(f"infra_{i}" for i in range(1, n_infrastructure + 1))]
-    return baseline(scene, scene_index, n_infrastructure, n_mobile) | dict(
+
+def scenario(scene="intersection", scene_index=None, n_infrastructure=None, n_mobile=None):
+    """As `baseline`, with one pass-through adversary on every agent."""
+    unattacked = baseline(scene, scene_index, n_infrastructure, n_mobile)
+    return unattacked | dict(
         name="passthrough",
         adversaries={
             f"adversary_{i}": dict(type="Adversary", agent=agent, attack=dict(type="PassThrough"))
-            for i, agent in enumerate(agents)
+            for i, agent in enumerate(agents_of(unattacked["scene"]))
         },
-        keyexpr=dict(map="testbed.toml", rewrites=["passthrough.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml", "on_tracks.toml"]),
     )

@@ -16,15 +16,19 @@ def scenario(
     mobile="wireless_v2x",
     max_age_s=0.25,
     scene="intersection",
-    scene_index=0,
-    n_infrastructure=4,
-    n_mobile=2,
+    scene_index=None,
+    n_infrastructure=None,
+    n_mobile=None,
 ):
     """attack: none, uncoordinated or coordinated; n_adversaries: agents compromised, where there is an attack;
 
     infrastructure, mobile: profiles of the links of the agents that stand and of those that move (perfect, wired,
-    wireless_v2x); max_age_s: the command centre uses what an agent said last for so long; the others as in `baseline`.
+    wireless_v2x); max_age_s: the command centre uses what an agent said last for so long;
+
+    n_mobile: None: two cars besides the ego on a generated junction, else all that the scene has.
     """
+    if n_mobile is None and str(scene).startswith("intersection"):
+        n_mobile = 2
     if attack not in ATTACKS:
         raise ConfigurationError(f"attack: found {attack!r}{nearest(str(attack), ATTACKS)}")
     more = {} if attack == "none" else dict(n_adversaries=n_adversaries)

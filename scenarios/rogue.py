@@ -3,7 +3,7 @@
 from uncoordinated import scenario as uncoordinated
 
 
-def scenario(n_infrastructure=2, scene="intersection", scene_index=0):
+def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
     """Two infrastructure agents; an adversary before the first, so that there is a tap leg to be heard."""
     return uncoordinated(
         n_adversaries=1, n_infrastructure=n_infrastructure, scene=scene, scene_index=scene_index, attack_start_s=0.0

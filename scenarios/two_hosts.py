@@ -7,7 +7,7 @@ The hosts are network namespaces of this machine (docs/network.md): this needs r
 from baseline import scenario as baseline
 
 
-def scenario(scene="intersection", scene_index=0, cut_s=3.0, partition_s=5.0):
+def scenario(scene="intersection", scene_index=None, cut_s=3.0, partition_s=5.0):
     """cut_s: when west is cut off; partition_s: for how long, 0 for not at all."""
     partition = dict(type="HostPartition", at=cut_s, until=cut_s + partition_s, hosts=["west"])
     return baseline(scene, scene_index, n_infrastructure=4) | dict(

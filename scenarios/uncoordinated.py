@@ -10,9 +10,9 @@ def scenario(
     fraction_translations=0.0,
     attack_start_s=4.0,
     scene="intersection",
-    scene_index=0,
-    n_infrastructure=4,
-    n_mobile=0,
+    scene_index=None,
+    n_infrastructure=None,
+    n_mobile=None,
 ):
     """n_adversaries: agents compromised; false_positives: mean number added by each (Poisson);
 
@@ -35,5 +35,5 @@ def scenario(
             f"adversary_{i}": dict(type="Adversary", agent=f"infra_{i}", attack=attack)
             for i in range(1, n_adversaries + 1)
         },
-        keyexpr=dict(map="testbed.toml", rewrites=["uncoordinated.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml"]),
     )

@@ -3,8 +3,8 @@
 
 def study(
     scene="intersection",
-    scene_index=0,
-    n_infrastructure=4,
+    scene_index=None,
+    n_infrastructure=None,
     n_adversaries=2,
     false_positives=5.0,
     fraction_false_negatives=0.2,

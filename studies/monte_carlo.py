@@ -3,7 +3,7 @@
 
 def study(
     scenes="intersection:0,intersection:1,intersection:2",
-    n_infrastructure=4,
+    n_infrastructure=None,
     adversaries=(1, 2, 3),
     false_positives=5.0,
     fraction_false_negatives=0.2,

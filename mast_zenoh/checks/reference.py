@@ -106,13 +106,13 @@ def _without_branches(wire: Wire, links: set[str]) -> Wire:
 
 
 def _without(wire: Wire, gone: set[str]) -> Wire:
-    """The wire without some of its subscribers."""
+    """The wire without some of its subscribers and listeners."""
 
     def rest(ends: tuple[Endpoint, ...]) -> tuple[Endpoint, ...]:
         return tuple(end for end in ends if end.node not in gone)
 
     legs: tuple[Leg, ...] = tuple(replace(leg, subscribers=rest(leg.subscribers)) for leg in wire.legs)
-    return replace(wire, legs=legs)
+    return replace(wire, legs=legs, listeners=tuple(ear for ear in wire.listeners if ear.end.node not in gone))
 
 
 def _perfect(spec: NodeSpec) -> NodeSpec:

@@ -100,7 +100,8 @@ def plan(
         config.setdefault("agent", target.subject)
     spec = replace(node_spec(path, name, cls.role, config | {"file": str(path)}), on_exit="continue")
     build_node(spec, name, str(path))
-    place = _place(cls, path, name, target, wiring, resolved, input, output)
+    subject = str(spec.config.get("agent", target.subject))
+    place = _place(cls, path, name, target, subject, wiring, resolved, input, output)
     insert(wiring, name, place)
     return name, spec, place
 
@@ -110,6 +111,7 @@ def _place(
     path: Path,
     name: str,
     target: Wire,
+    subject: str,
     wiring: Wiring,
     resolved: Resolved,
     input: str | None,
@@ -117,8 +119,8 @@ def _place(
 ) -> Place:
     """Its ports on the wire, what else it hears, and what it says of its own.
 
-    It hears the one other wire of a message type that it takes, if that is nobody's or of the same subject (the clock,
-    the agent's pose), and speaks on the wires that the testbed's map has for its role (an adversary's report).
+    It hears the one other wire of a message type that it takes, if that is nobody's or of its subject (the clock, its
+    agent's pose), and speaks on the wires that the testbed's map has for its role (an adversary's report).
     """
     into = _port(cls.inputs, target, input, f"{path}: {cls.__name__}", "input")
     out = _port(cls.outputs, target, output, f"{path}: {cls.__name__}", "output")
@@ -126,7 +128,7 @@ def _place(
     for port, message in cls.inputs.items():
         if port == into or message in cls.outputs.values():
             continue
-        found = [w.key for w in wiring.wires if w.message == message and w.subject in ("", target.subject)]
+        found = [w.key for w in wiring.wires if w.message == message and w.subject in ("", subject)]
         if len(found) == 1 and found[0] != target.key:
             hears[found[0]] = port
     taken = {wire.key for wire in wiring.wires}

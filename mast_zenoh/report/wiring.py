@@ -51,7 +51,7 @@ def wire_rows(run: RunFolder) -> list[WireRow]:
             wire.get("message", ""),
             wire.get("publisher", ""),
             tuple(wire.get("interposers", ())),
-            tuple(wire.get("subscribers", ())),
+            (*wire.get("subscribers", ()), *(f"{ear['node']} (listens)" for ear in wire.get("listeners", ()))),
             tuple(leg["key"] for leg in wire.get("legs", ()) if leg["key"] != wire["key"]),
             tuple(node for node in wire.get("interposers", ()) if run.role(node) == "link"),
             tuple(dict.fromkeys(leg["before"] for leg in wire.get("legs", ()) if leg.get("before"))),
@@ -183,7 +183,8 @@ def _lines(run: RunFolder, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spo
             return Spot(node, _gap(run, wire) if node in chain else seated.get(node, -1))
 
         for leg in wire.get("legs") or [{"from": wire["publisher"], "to": wire["subscribers"]}]:
-            for to in leg["to"]:
+            listening = [ear["node"] for ear in wire.get("listeners", ()) if ear["key"] == leg.get("key")]
+            for to in (*leg["to"], *listening):
                 if run.role(to) in _LISTENERS:
                     continue
                 line = lines[spot(leg["from"]), spot(to)]

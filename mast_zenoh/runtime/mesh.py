@@ -38,7 +38,7 @@ from mast_zenoh.runtime import results
 from mast_zenoh.runtime.failures import Failure
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.rewiring import Outlet, Rewiring, Told, counted
-from mast_zenoh.wiring import Leg, Wiring
+from mast_zenoh.wiring import Leg, Wire, Wiring
 
 #: What a message carries beside its payload: a mark of this testbed's nodes, the epoch, and the step that it was sent
 #: in. An interposer's messages carry the same as the publisher's would, so there is nothing to tell them by.
@@ -341,7 +341,7 @@ class MeshNode:
 
     def await_matching(self) -> None:
         """Wait until every wire that somebody listens to has its listener, so that no first message is lost."""
-        heard = [self.outlets[leg.key].publisher for _, leg in self.wiring.legs() if self._is_heard(leg)]
+        heard = [self.outlets[leg.key].publisher for wire, leg in self.wiring.legs() if self._is_heard(wire, leg)]
         self.await_listeners([*heard, self._counts, self._failed])
 
     def await_listeners(self, awaited: Sequence[zenoh.Publisher]) -> None:
@@ -360,7 +360,7 @@ class MeshNode:
         for listener in listeners:
             listener.undeclare()
 
-    def _is_heard(self, leg: Leg) -> bool:
+    def _is_heard(self, wire: Wire, leg: Leg) -> bool:
         """Whether it is a leg that this node speaks on and another that is up listens to."""
-        hearers = {end.node for end in (*leg.subscribers, *self.wiring.overhearers)}
+        hearers = {end.node for end in (*wire.hearers(leg), *self.wiring.overhearers)}
         return leg.publisher.node == self.name and bool(hearers - self.without)

@@ -10,13 +10,14 @@
 What comes of it is in `mast_zenoh.resolved`: processes get that as JSON, never the Python file.
 """
 
-from mast_zenoh.scenario.reading import choose_scene, load
+from mast_zenoh.scenario.reading import agents_of, choose_scene, load
 from mast_zenoh.scenario.resolution import resolve
 from mast_zenoh.scenario.shape import MODES, RUN_DEFAULTS
 
 __all__ = [
     "MODES",
     "RUN_DEFAULTS",
+    "agents_of",
     "choose_scene",
     "load",
     "resolve",

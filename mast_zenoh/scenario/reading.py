@@ -3,26 +3,45 @@
 from __future__ import annotations
 
 import inspect
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from mast_zenoh import loading, registry, scenes
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, MastError, nearest
 from mast_zenoh.scenario.shape import spelt
 from mast_zenoh.settings import reach, split
 
 
 def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, Any]:
-    """The scene of a short name ("intersection", "avstack:PATH", …), with those options that its type takes."""
+    """The scene of a short name ("intersection", "avstack:PATH", …), with those options that are not None.
+
+    Raises ConfigurationError for an option that the scene's type does not take, or that contradicts the scene.
+    """
     if not isinstance(scene, (str, Mapping)):
         raise ConfigurationError(f"scene: found {scene!r}, expected a short name or a dict(type=…)")
     spec = dict(scene) if isinstance(scene, Mapping) else scenes.parse_scene(scene)
     type_ = registry.known_types(scenes.Scene).get(str(spec.get("type")))
-    if type_ is not None:
-        takes = inspect.signature(type_).parameters
-        spec = {**{name: value for name, value in options.items() if name in takes}, **spec}
+    takes = inspect.signature(type_).parameters if type_ else options  # an unknown type is refused when it is built
+    for name, value in options.items():
+        if value is None:
+            continue
+        if name not in takes:
+            raise ConfigurationError(f"scene: {spec['type']} has no parameter {name!r}{nearest(name, takes)}")
+        if spec.setdefault(name, value) != value:
+            raise ConfigurationError(f"scene: {name} is {value!r}, but {spec[name]!r} in {scene!r}: expected one value")
     return spec
+
+
+def agents_of(scene: str | Mapping[str, Any]) -> tuple[str, ...]:
+    """The names of the agents that a scene plays, the ego first: for scenarios that place nodes or faults by name.
+
+    Raises ConfigurationError (of the scene's parameters), SceneError (of its data).
+    """
+    spec = choose_scene(scene)
+    built = registry.build(spec, scenes.Scene, "scene")
+    return scenes.prepare(built, 0, 1, json.dumps(spec, sort_keys=True)).agent_names
 
 
 def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]:
@@ -35,7 +54,7 @@ def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]
     parameters, dotted = split(settings, function, str(path))
     try:
         scenario = function(**parameters)
-    except ConfigurationError as error:
+    except MastError as error:
         raise type(error)(f"{path}: {error}") from None
     except Exception as error:
         raise ConfigurationError(f"{path}: scenario(...): {type(error).__name__}: {error}") from error

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import bundle, keyexpr, loading, registry, scenes
+from mast_zenoh import bundle, endpoints, keyexpr, loading, registry, scenes
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.scenario.nodes import nodes_of
@@ -88,7 +88,7 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
     for name, spec in nodes.items():
         cls = loading.node_class(Path(spec.file), spec.type)
         bound = {key: value for key, value in spec.config.items() if isinstance(value, str)}
-        views[name] = keyexpr.NodeOptions(spec.role, bound, cls.inputs, cls.outputs)
+        views[name] = endpoints.NodeOptions(spec.role, bound, cls.inputs, cls.outputs)
     return keyexpr.resolve(sources, views, _usual_ports())
 
 

@@ -29,7 +29,7 @@ _EGO_LIDAR = LidarSensor(
 )
 _EGO_CAMERA = Camera(mount_position=np.array([1.6, 0.0, 1.4]))
 
-_MAX_POLES = 16
+_POLES, _MAX_POLES = 4, 16
 _POLE_HEIGHT_M = 15.0
 _POLE_PITCH_DEG = 30.0
 _POLE_ASIDE_M = 16.0  # from the ego's path
@@ -43,7 +43,9 @@ class AV2Log(Scene):
     """An Argoverse 2 sensor log: a real car in real traffic, to which poles are added.
 
     path:             the folder of a log, with annotations*.feather and city_SE3_egovehicle.feather
-    n_infrastructure: virtual poles along the ego's path, 15 m above the ground there, looking 30 degrees down, 0 to 16
+    n_infrastructure: virtual poles along the ego's path, 15 m above the ground there, looking 30 degrees down, 0 to 16;
+                      None: 4
+    n_mobile:         further mobile agents: 0, a log has the sensors of one car; None: 0
     detector:         what makes detections of what the lidars see
 
     The world's origin is on the ground below the ego's first position. What the ego sees are the lidar returns counted
@@ -51,7 +53,17 @@ class AV2Log(Scene):
     data. Traffic signs, cones and the like are left out (`av2_files.LEFT_OUT`).
     """
 
-    def __init__(self, *, path: str, n_infrastructure: int = 4, detector: Detector = _DETECTOR) -> None:
+    def __init__(
+        self,
+        *,
+        path: str,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
+        detector: Detector = _DETECTOR,
+    ) -> None:
+        n_infrastructure = _POLES if n_infrastructure is None else n_infrastructure
+        if n_mobile:
+            raise ConfigurationError(f"AV2Log: n_mobile is {n_mobile}, expected 0: a log has no other car with sensors")
         if not 0 <= n_infrastructure <= _MAX_POLES:
             raise ConfigurationError(f"AV2Log: n_infrastructure is {n_infrastructure}, expected 0 to {_MAX_POLES}")
         self.path = Path(path)

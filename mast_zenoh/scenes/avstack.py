@@ -36,8 +36,8 @@ class AVstackScene(Scene):
     """A scene in the CARLA multi-agent layout, with what lies beside it (docs/scenes.md).
 
     path:             a run folder, a folder above a single run, or a tar archive of either
-    n_infrastructure: of the static agents, the first so many, or all there are; None: all
-    n_mobile:         of the mobile agents besides the ego, the first so many, or all there are; None: all
+    n_infrastructure: how many of the static agents, the first ones; None: all
+    n_mobile:         how many of the mobile agents besides the ego, the first ones; None: all
     replay:           take the detections in `detections.jsonl`, if there is one; else they are made by `detector`
     detector:         what makes detections of what the lidars see
 
@@ -93,11 +93,16 @@ class AVstackScene(Scene):
         static = [number for number, state in actors.items() if state.size is None]
         if not mobile:
             raise SceneError(f"{run / 'objects'}: no actor has a box, expected the ego at least")
-        for name, wanted in (("n_infrastructure", self.n_infrastructure), ("n_mobile", self.n_mobile)):
-            if wanted is not None and wanted < 0:
-                raise ConfigurationError(f"{self.path}: {name} is {wanted}, expected 0 or more")
-        others = mobile[1:] if self.n_mobile is None else mobile[1 : 1 + self.n_mobile]
-        return [mobile[0], *others, *(static if self.n_infrastructure is None else static[: self.n_infrastructure])]
+        ego, *others = mobile
+        for name, wanted, present, kind in (
+            ("n_mobile", self.n_mobile, others, "mobile agents besides the ego"),
+            ("n_infrastructure", self.n_infrastructure, static, "static agents"),
+        ):
+            if wanted is not None and not 0 <= wanted <= len(present):
+                raise ConfigurationError(
+                    f"{self.path}: {name} is {wanted}, expected 0 to {len(present)}: so many {kind} are in the scene"
+                )
+        return [ego, *others[: self.n_mobile], *static[: self.n_infrastructure]]
 
 
 def _read_states(

@@ -23,15 +23,16 @@ _SEARCH_S = 45.0  # in which a start is looked for, so that the ego drives throu
 _WINDOW_S = 15.0  # for which the ego is looked at
 _POLE_HEIGHT_M = 15.0
 _POLE_PITCH_DEG = 30.0
-_MAX_POLES, _MAX_MOBILE = 16, 20
+_POLES, _MAX_POLES, _MAX_MOBILE = 4, 16, 20
 
 
 class Intersection(Scene):
     """A signalised junction of about 200 x 200 m; needs no data.
 
     scene_index:      which junction: arms, lanes, buildings, how much traffic; 0, 1, 2, …
-    n_infrastructure: poles with a lidar 15 m up, looking 30 degrees down, 0 to 16; the first stand near the stop lines
-    n_mobile:         further agents among the motor vehicles, 0 to 20
+    n_infrastructure: poles with a lidar 15 m up, looking 30 degrees down, 0 to 16; the first stand near the stop lines;
+                      None: 4
+    n_mobile:         further agents among the motor vehicles, 0 to 20; None: 0
     n_vehicles:       motor vehicles, of which the ego is one; None: as the junction has it, about 20
     n_bicycles, n_pedestrians: None: as the junction has it
     rate_hz:          frames per second
@@ -45,14 +46,16 @@ class Intersection(Scene):
         self,
         *,
         scene_index: int = 0,
-        n_infrastructure: int = 4,
-        n_mobile: int = 0,
+        n_infrastructure: int | None = None,
+        n_mobile: int | None = None,
         n_vehicles: int | None = None,
         n_bicycles: int | None = None,
         n_pedestrians: int | None = None,
         rate_hz: float = 10.0,
         detector: Detector = _DETECTOR,
     ) -> None:
+        n_infrastructure = _POLES if n_infrastructure is None else n_infrastructure
+        n_mobile = 0 if n_mobile is None else n_mobile
         for name, value, limit in (
             ("scene_index", scene_index, None),
             ("n_infrastructure", n_infrastructure, _MAX_POLES),

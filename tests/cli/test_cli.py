@@ -65,7 +65,7 @@ def test_without_a_folder_the_run_names_its_own(mast, tmp_path: Path) -> None:
         (("run", "basline"), 10, "did you mean 'baseline.py'"),
         (("run", "no/such/file.py"), 10, "no such file"),
         (("run", "baseline", "--set", "n_infrastructre=3"), 10, "did you mean 'n_infrastructure'"),
-        (("run", "baseline", "--set", "n_infrastructure=many"), 10, "expected int"),
+        (("run", "baseline", "--set", "n_infrastructure=many"), 10, "expected a whole number"),
         (("run", "baseline", "--set", "n_infrastructure"), 10, "expected KEY=VALUE"),
         (("run", "baseline", "--set", "command_center.pipelin.clustering=1"), 10, "did you mean 'pipeline'"),
         (
@@ -76,7 +76,7 @@ def test_without_a_folder_the_run_names_its_own(mast, tmp_path: Path) -> None:
         (("run", "baseline", "--set", "scene=intersecton"), 10, "did you mean 'intersection'"),
         (("run", "uncoordinated", "--set", "n_adversaries=9"), 10, "no agent 'infra_5'"),
         (("run", "baseline", "--set", "keyexpr.map=testbd.toml"), 11, "did you mean 'testbed.toml'"),
-        (("run", "baseline", "--set", "keyexpr.rewrites=['coordinted.toml']"), 11, "did you mean 'coordinated.toml'"),
+        (("run", "baseline", "--set", "keyexpr.rewrites=['on_trcks.toml']"), 11, "did you mean 'on_tracks.toml'"),
         (("run", "baseline", "--set", "broker.file='brokr.py'"), 12, "did you mean 'broker.py'"),
         (("run", "baseline", "--set", "broker.type='Brokr'"), 12, "did you mean 'Broker'"),
         (("run", "baseline", "--set", "scene=av2:no/such/log"), 13, "no/such/log"),

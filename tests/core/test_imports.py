@@ -25,6 +25,8 @@ LAYERS = (
         "registry",
         "settings",
         "keyexpr",
+        "rewrites",
+        "endpoints",
         "interposition",
         "wiring",
         "messagelog",

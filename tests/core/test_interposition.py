@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.errors import WiringError
 from mast_zenoh.interposition import Place, insert, interposer_of, remove, taps_into
-from mast_zenoh.keyexpr import TAP
-from mast_zenoh.wiring import Branch, Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring import TAP, Branch, Endpoint, Leg, Listener, Wire, Wiring
 
 
 def wire(key: str, publisher: str, *subscribers: str) -> Wire:
@@ -18,7 +19,8 @@ def wire(key: str, publisher: str, *subscribers: str) -> Wire:
 
 
 RECORDER = (Endpoint("recorder", "everything"),)
-PLAIN = Wiring((wire("clock", "sim", "a", "b"), wire("a/tracks", "a", "b", "c"), wire("b/out", "b", "c")), RECORDER)
+HEARD_BY_D = replace(wire("b/out", "b", "c"), listeners=(Listener(Endpoint("d", "in")),))
+PLAIN = Wiring((wire("clock", "sim", "a", "b"), wire("a/tracks", "a", "b", "c"), HEARD_BY_D), RECORDER)
 NODES, WIRES = ("m", "n", "o", "p"), [found.key for found in PLAIN.wires]
 
 
@@ -52,6 +54,7 @@ def test_whoever_comes_and_goes_the_ends_of_all_wires_stay_and_the_chain_is_whol
         assert len(set(keys)) == len(keys)
         for found in wiring.wires:
             assert found.legs[-1].key == found.key
+            assert [end.node for end in found.listeners_of(found.legs[-1])] == ["d"] * (found.key == "b/out")
             assert all(leg.key.startswith(f"{found.key}/{TAP}/") for leg in found.legs[:-1])
             for leg, onward in zip(found.legs, found.legs[1:], strict=False):
                 assert [end.node for end in leg.subscribers] == [onward.publisher.node]

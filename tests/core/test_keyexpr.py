@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh import bundle, keyexpr
+from mast_zenoh.endpoints import NodeOptions
 from mast_zenoh.errors import WiringError
-from mast_zenoh.keyexpr import NodeOptions
-from mast_zenoh.wiring import Input, Wiring, to_mermaid, to_text
+from mast_zenoh.wiring import TAP, Input, Wiring, to_mermaid, to_text
 
 MAPS = bundle.ROOT / "keyexpr_maps"
 
@@ -102,7 +102,7 @@ def test_chains_of_any_length_stay_connected_and_invisible(agents: list[str], ch
         assert order == sorted(order), "chains keep the order of the rewrites"
     for key in keys:
         zenoh.KeyExpr(key)
-        if keyexpr.TAP in key:
+        if TAP in key:
             assert not zenoh.KeyExpr("**").intersects(zenoh.KeyExpr(key)), "wildcards do not see taps"
     assert Wiring.from_json(wiring.to_json()) == wiring
 
@@ -147,11 +147,22 @@ def test_a_name_that_is_no_chunk_is_refused() -> None:
 
 
 def test_a_missing_or_broken_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(WiringError, match=r"did you mean 'uncoordinated\.toml'"):
-        keyexpr.load(MAPS / "uncoordinatd.toml")
+    with pytest.raises(WiringError, match=r"did you mean 'on_detections\.toml'"):
+        keyexpr.load(MAPS / "on_detection.toml")
     (tmp_path / "map.toml").write_text("[[wire")
     with pytest.raises(WiringError, match="not TOML"):
         keyexpr.load(tmp_path / "map.toml")
+
+
+@pytest.mark.parametrize("name", keyexpr.RENAMED)
+def test_a_renamed_rewrite_is_refused_and_its_successors_exist(name: str, tmp_path: Path) -> None:
+    with pytest.raises(WiringError, match=f"^{name}: ") as caught:
+        keyexpr.load(MAPS / name)
+    for successor in keyexpr.RENAMED[name]:
+        assert repr(successor) in str(caught.value)
+        assert keyexpr.load(MAPS / successor)
+    (tmp_path / name).write_text("insert = []")
+    assert keyexpr.load(tmp_path / name) == {"insert": []}, "a user's own file may have any name"
 
 
 def test_the_wiring_is_printed_as_text_and_drawn_with_its_rewrites() -> None:

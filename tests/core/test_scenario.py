@@ -257,7 +257,7 @@ def test_a_users_own_algorithms_can_be_named_by_their_type(tmp_path: Path) -> No
         + (
             "def scenario():\n"
             f"    return dict(scene={TINY!r}, agents={{'*': {AGENT!r}}}, commandcenter=commandcenter,\n"
-            "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['uncoordinated.toml']),\n"
+            "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['on_detections.toml']),\n"
             "        adversaries=dict(eve=dict(agent='infra_1', attack=dict(type='Shy', shyness=2))))\n"
         )
     )
@@ -270,6 +270,38 @@ def test_a_users_own_algorithms_can_be_named_by_their_type(tmp_path: Path) -> No
     assert type(run.nodes["command_center"].pipeline._group_tracking._tracker).__name__ == "MyTracker"
 
 
+OWN_PIPELINE = """
+import numpy as np
+
+from mast_zenoh.fusion import Pipeline
+
+class OneAgent(Pipeline):
+    def __init__(self, *, believed: str) -> None:
+        self.believed = believed
+
+    def step(self, time_ns, states, agent, agents, weights=None):
+        theirs = states.select(agent == agents.index(self.believed)) if self.believed in agents else states.select([])
+        in_order = theirs.select(np.argsort(theirs.id))
+        return in_order, np.ones(len(in_order), np.int64)
+
+    def reset(self) -> None:
+        pass
+"""
+
+
+@pytest.mark.parametrize("key", ["commandcenter", "command_center"])
+def test_the_command_centre_takes_a_users_own_pipeline(tmp_path: Path, key: str) -> None:
+    text = OWN_PIPELINE + REST.replace("=commandcenter", "=dict(pipeline=dict(type='OneAgent', believed='infra_2'))")
+    found = resolved(written(tmp_path, text % key), frames=6)
+    run = Run(found)
+    assert not run.failures
+    pictures = run.decoded("cc/picture", "picture")
+    tracks = run.decoded("agent/infra_2/tracks", "tracks")
+    assert sum(len(message.body["id"]) for message in tracks) > 0
+    for picture, told in zip(pictures, tracks, strict=True):
+        np.testing.assert_array_equal(picture.body["id"], np.sort(told.body["id"]))
+
+
 def test_a_users_own_algorithm_may_stand_in_the_file_of_a_users_own_node(tmp_path: Path) -> None:
     ours = (bundle.ROOT / "nodes" / "adversary.py").read_text()
     own = OWN_ALGORITHMS.split("class MyTracker")[0]
@@ -280,7 +312,7 @@ def test_a_users_own_algorithm_may_stand_in_the_file_of_a_users_own_node(tmp_pat
     text = LISTING + (
         "def scenario():\n"
         f"    return dict(scene={TINY!r}, agents={{'*': {AGENT!r}}}, commandcenter=commandcenter,\n"
-        "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['uncoordinated.toml']),\n"
+        "        evaluator=dict(scorer=dict(type='Scorer')), keyexpr=dict(rewrites=['on_detections.toml']),\n"
         "        adversaries=dict(eve=dict(file='shy_adversary.py', type='Adversary', agent='infra_1',\n"
         "            attack=dict(type='Shy'))))\n"
     )
@@ -385,8 +417,12 @@ WRONG_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         r"testbd\.toml: no such .*did you mean 'testbed\.toml'",
     ),
     "a rewrite": (
-        lambda s: s["keyexpr"].update(rewrites=["coordinatd.toml"]),
-        r"did you mean '(un)?coordinated\.toml'",
+        lambda s: s["keyexpr"].update(rewrites=["on_track.toml"]),
+        r"did you mean 'on_tracks\.toml'",
+    ),
+    "a rewrite by the name that it had before": (
+        lambda s: s["keyexpr"].update(rewrites=["coordinated.toml"]),
+        r"coordinated\.toml: .* name 'on_tracks\.toml' and 'coordination\.toml' instead",
     ),
     "a rewrite in the scenario": (
         lambda s: s["keyexpr"].update(rewrites=[{"inserts": []}]),
@@ -430,8 +466,8 @@ def test_what_is_wrong_with_the_wiring_is_told_with_its_place(what: str) -> None
 
 
 def test_rewrites_are_a_list() -> None:
-    error = refused(lambda s: s["keyexpr"].update(rewrites="coordinated.toml"))
-    assert "keyexpr.rewrites: found 'coordinated.toml', expected a list" in str(error)
+    error = refused(lambda s: s["keyexpr"].update(rewrites="on_tracks.toml"))
+    assert "keyexpr.rewrites: found 'on_tracks.toml', expected a list" in str(error)
 
 
 @pytest.mark.parametrize(
@@ -461,11 +497,40 @@ def test_what_is_given_at_launch_wins_over_the_file() -> None:
         resolve(path, content, frames=2, spede=1)
 
 
-def test_a_short_name_of_a_scene_takes_only_the_options_that_its_type_has(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_takes_the_options_that_are_given() -> None:
     known = dict(scene_index=1, n_infrastructure=3, n_mobile=2)
-    assert scenario.choose_scene("intersection", **known) == dict(type="Intersection", **known)
-    assert scenario.choose_scene("intersection:2", **known)["scene_index"] == 2, "the name says it"
-    assert scenario.choose_scene(dict(type="TinyScene"), **known) == dict(type="TinyScene", n_infrastructure=3)
+    choose = scenario.choose_scene
+    assert choose("intersection", **known) == dict(type="Intersection", **known)
+    assert choose("intersection:1", **known) == choose("intersection", **known)
+    nothing = dict.fromkeys(known)
+    assert choose("avstack:x", **nothing) == dict(type="AVstackScene", path="x")
+    assert choose(dict(type="TinyScene", n_infrastructure=1), **nothing) == dict(type="TinyScene", n_infrastructure=1)
+
+
+@pytest.mark.parametrize(
+    ("scene", "option", "reason"),
+    [
+        ("avstack:x", dict(scene_index=0), "scene: AVstackScene has no parameter 'scene_index'"),
+        (dict(type="TinyScene"), dict(n_mobile=0), "TinyScene has no parameter 'n_mobile'; .*n_infrastructure"),
+        ("intersection:2", dict(scene_index=1), "scene: scene_index is 1, but 2 in 'intersection:2'"),
+    ],
+)
+def test_an_option_that_a_scene_does_not_take_or_contradicts_is_refused(scene: Any, option: Any, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        scenario.choose_scene(scene, **option)
+
+
+@pytest.mark.parametrize(
+    "name", ["baseline", "uncoordinated", "passthrough", "chaos", "attack_during_partition", "realistic_network"]
+)
+def test_numbers_of_agents_are_launch_time_parameters_of_our_scenarios(name: str) -> None:
+    _, content = load(name, ["n_infrastructure=3", "n_mobile=1"])
+    agents = ("ego", "mobile_1", "infra_1", "infra_2", "infra_3")
+    assert scenario.agents_of(content["scene"]) == agents
+    _, content = load(name, ["n_infrastructure=none"])
+    assert len(scenario.agents_of(content["scene"])) == {"chaos": 3, "realistic_network": 7}.get(name, 5)
+    with pytest.raises(ConfigurationError, match=r"n_infrastructure: found 'many', expected a whole number"):
+        resolved(name, "n_infrastructure=many")
 
 
 def test_an_agents_own_name_wins_over_a_pattern() -> None:

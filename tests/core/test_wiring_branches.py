@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh import bundle, keyexpr
+from mast_zenoh.endpoints import NodeOptions
 from mast_zenoh.errors import WiringError
-from mast_zenoh.keyexpr import NodeOptions
-from mast_zenoh.wiring import Branch, Endpoint, Input, Leg, Wiring, to_mermaid, to_text
+from mast_zenoh.wiring import TAP, Branch, Endpoint, Input, Leg, Wiring, to_mermaid, to_text
 
 
 def node(role: str, inputs: str = "", outputs: str = "", **options: str) -> NodeOptions:
@@ -167,7 +167,7 @@ def test_any_mix_of_links_and_adversaries_leaves_every_subscriber_hearing_every_
     assert len(keys) == len(set(keys)), "one publisher per key"
     for key in keys:
         zenoh.KeyExpr(key)
-        if keyexpr.TAP in key:
+        if TAP in key:
             assert not zenoh.KeyExpr("**").intersects(zenoh.KeyExpr(key)), "wildcards do not see taps"
             assert not any(zenoh.KeyExpr(f"{other}/**").intersects(zenoh.KeyExpr(key)) for other in plain_keys)
 

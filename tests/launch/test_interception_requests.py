@@ -73,6 +73,15 @@ def test_our_adversary_gets_the_wire_the_clock_and_its_agents_pose_and_reports_t
     assert place_of(json.loads(json.dumps(place_json(place)))) == place
 
 
+def test_our_adversary_on_the_picture_hears_the_pose_of_the_agent_that_it_is_told_to_deceive(
+    resolved: Resolved,
+) -> None:
+    settings = ("attack.type=PassThrough", "agent=ego")
+    _, _, place = plan(resolved, "cc/picture", "adversary.py", settings=settings)
+    assert (place.wire, place.input, place.output) == ("cc/picture", "picture", "picture_out")
+    assert place.hears == {"clock": "clock", "agent/ego/pose": "pose"}
+
+
 def test_ports_are_named_where_several_fit(resolved: Resolved, tmp_path: Path) -> None:
     two = node_file(tmp_path, {"a": "tracks", "b": "tracks"}, {"out": "tracks"})
     with pytest.raises(NodeFileError, match="the inputs a, b: say which by --input"):

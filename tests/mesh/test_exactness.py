@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import tarfile
@@ -57,6 +58,78 @@ def test_interposers_that_change_nothing_leave_no_trace_in_the_recording(launch,
     tapped = on_mesh(launch, "passthrough", "n_infrastructure=2")
     assert_equal(in_process(tmp_path / "plain", "baseline", "n_infrastructure=2"), tapped, taps=False)
     assert_equal(in_process(tmp_path / "tapped", "passthrough", "n_infrastructure=2"), tapped)
+
+
+OWN_PIPELINE = """
+import numpy as np
+
+from mast_zenoh import loading
+from mast_zenoh.fusion import Pipeline
+
+_, baseline = loading.function("scenarios", "baseline", "scenario")
+
+
+class EveryTrack(Pipeline):
+    def step(self, time_ns, states, agent, agents, weights=None):
+        order = np.lexsort((states.id, np.array(agents)[agent]))
+        return states.select(order).with_(id=np.arange(len(states))), np.ones(len(states), np.int64)
+
+    def reset(self):
+        pass
+
+
+def scenario():
+    made = baseline(n_infrastructure=1)
+    del made["command_center"]
+    return made | dict(commandcenter=dict(pipeline=dict(type="EveryTrack")))
+"""
+
+
+def test_a_users_own_pipeline_makes_the_same_pictures_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(OWN_PIPELINE)
+    run = on_mesh(launch, str(tmp_path / "mine.py"))
+    assert not any(node.get("failures") for node in json.loads((run / "run.json").read_text())["nodes"].values())
+    assert_equal(run, in_process(tmp_path / "inproc", str(tmp_path / "mine.py")))
+    assert sum(message.wire == "cc/picture" for message in read(run)) == FRAMES
+
+
+LISTENING = """
+from mast_zenoh import loading
+
+_, baseline = loading.function("scenarios", "baseline", "scenario")
+
+
+def scenario(folder=""):
+    every = dict(wire="agent/*/tracks", role="defence", input="tracks")
+    guard = dict(role="defence", file=folder + "/guard.py")
+    return baseline(n_infrastructure=2) | dict(
+        adversaries=dict(
+            shadow=dict(file=folder + "/shadow.py", agent="infra_1", heard=["ego", "infra_1", "infra_2"]),
+            eve=dict(agent="infra_2", attack=dict(type="UncoordinatedAttack", start_s=0.2)),
+        ),
+        nodes=dict(guard=guard, source_guard=guard),
+        keyexpr=dict(
+            rewrites=[
+                "on_detections.toml",
+                {"listen": [dict(wire="agent/*/pose", role="adversary", input="poses", node="shadow")]},
+                {"listen": [every | dict(node="guard"), every | dict(node="source_guard", leg="source")]},
+            ]
+        ),
+    )
+"""
+
+
+def test_nodes_that_listen_hear_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(LISTENING)
+    what = (str(tmp_path / "mine.py"), f"folder={Path(__file__).parents[1] / 'runtime'}")
+    run = on_mesh(launch, *what)
+    assert not any(node.get("failures") for node in json.loads((run / "run.json").read_text())["nodes"].values())
+    assert_equal(run, in_process(tmp_path / "inproc", *what))
+    before, after = (
+        [m.payload for m in read(run) if m.key == f"agent/infra_1/detections{leg}"] for leg in ("/@tap/0", "")
+    )
+    assert len(before) == len(after) == FRAMES
+    assert not set(before) & set(after), "every pose was heard, so every message was changed"
 
 
 def test_the_reference_scene_is_played_alike_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from tiny_world import PERIOD_NS, Bench, Run, detections, pose, states, tiny, tr
 
 from mast_zenoh import codec
 from mast_zenoh.attacks import ACTIONS, UncoordinatedAttack
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.messages import Message
 from mast_zenoh.states import DETECTION_COLUMNS, STATE_COLUMNS
 from mast_zenoh.wiring import Wiring
@@ -226,6 +227,37 @@ def test_an_adversary_on_both_wires_of_its_agent_holds_back_neither() -> None:
     run = Run(tiny("passthrough", edit=on_both))
     assert not run.failures
     assert len(run.messages["agent/infra_1/detections"]) == len(run.messages["agent/infra_1/tracks"]) == 12
+
+
+def on_picture(attack: dict[str, Any]) -> Any:
+    """A change of a scenario: one adversary on the picture's downlink to the ego."""
+
+    def change(scenario: dict) -> None:
+        scenario["adversaries"] = {"adversary_1": dict(agent="ego", attack=attack)}
+        scenario["keyexpr"] = dict(rewrites=["on_picture.toml"])
+
+    return change
+
+
+def test_an_adversary_on_the_downlink_stands_before_its_agent_alone_and_passes_pictures_on_as_they_are() -> None:
+    resolved = tiny(edit=on_picture(dict(type="PassThrough")))
+    ports = Wiring.from_json(resolved.wiring).ports
+    leg = "cc/picture/@tap/ego/0"
+    assert ports("adversary_1").outputs["picture_out", ""] == leg
+    assert {name: leg in ports(name).inputs for name in ("ego", "infra_1", "evaluator")} == {
+        "ego": True,
+        "infra_1": False,
+        "evaluator": False,
+    }
+    run, plain = Run(resolved), Run(tiny())
+    assert not run.failures
+    assert run.messages.pop(leg) == run.messages["cc/picture"]
+    assert run.messages == plain.messages
+
+
+def test_an_attack_that_cannot_change_pictures_is_refused_on_their_wire() -> None:
+    with pytest.raises(ConfigurationError, match="adversary_1: UncoordinatedAttack cannot change pictures"):
+        Run(tiny(edit=on_picture(ATTACK)))
 
 
 def test_two_adversaries_on_one_wire_make_a_chain() -> None:

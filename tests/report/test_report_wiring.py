@@ -64,6 +64,22 @@ def test_nodes_on_a_wire_stand_between_its_ends_in_order() -> None:
     assert (infra, Spot("broker")) not in plan.lines
 
 
+def test_a_listener_is_drawn_on_the_leg_that_it_hears_and_named_in_the_table() -> None:
+    wire = a_wire("agent/ego/tracks", "tracks", "ego", ["broker"], ("mallory",))
+    wire["listeners"] = [
+        {"node": "guard", "port": "tracks", "source": False, "key": "agent/ego/tracks"},
+        {"node": "source_guard", "port": "tracks", "source": True, "key": "agent/ego/tracks/@tap/0"},
+    ]
+    run = a_run([wire], {"ego": "agent", "broker": "broker", "mallory": "adversary"})
+    plan = layout(run)
+    assert plan is not None
+    mallory = Spot("mallory", after=1)
+    assert {to for source, to in plan.lines if source == mallory} == {Spot("broker"), Spot("guard")}
+    assert {to for source, to in plan.lines if source == Spot("ego")} == {mallory, Spot("source_guard")}
+    assert draw_wiring(run) is not None
+    assert wire_rows(run)[0].subscribers == ("broker", "guard (listens)", "source_guard (listens)")
+
+
 def branched(trunk: tuple[str, ...] = ()) -> RunFolder:
     """The picture, on which each of two agents has a link of its own, and who sits on the trunk before them."""
     agents = ["ego", "infra_1", "infra_2"]

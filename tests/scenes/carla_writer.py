@@ -74,10 +74,12 @@ def write_calibration(folder: Path, frame: int, agent: str, mount: list[float], 
     return path
 
 
-def actors_at(frame: int) -> list[dict[str, Any]]:
+def actors_at(frame: int, second_car: bool = False) -> list[dict[str, Any]]:
+    """The ego, a pole, and perhaps another car with sensors, which drives before the ego."""
     return [
         state("car", 0, [0.1 * frame, 0.0, 0.0]),
         state("static-actor", 1, POLE.tolist(), np.pi, np.radians(30), hwl=None, velocity=[0.0] * 3),
+        *([state("car", 2, [8.0 + 0.1 * frame, 0.0, 0.0])] if second_car else []),
     ]
 
 
@@ -88,10 +90,10 @@ def npcs_at(frame: int) -> list[dict[str, Any]]:
     ]
 
 
-def write_run(run: Path) -> Path:
+def write_run(run: Path, second_car: bool = False) -> Path:
     """Frames 4 to 7 of an ego that passes a car and a truck, and of a pole that sees the car in part."""
     for frame in FRAMES:
-        write_objects(run / "objects", "actors", frame, actors_at(frame))
+        write_objects(run / "objects", "actors", frame, actors_at(frame, second_car))
         write_objects(run / "objects", "npcs", frame, npcs_at(frame))
         both, part = npcs_at(frame), npcs_at(frame)[:1]
         part[0]["visible_fraction"] = 0.5
@@ -99,7 +101,10 @@ def write_run(run: Path) -> Path:
         write_objects(run / "objects_sensor" / "lidar-0-1", "objects", frame, part)
         ego = reference([0.1 * frame, 0.0, 0.0], 1.0, [0.0] * 3, WORLD)
         pole = reference(POLE.tolist(), *passive(np.pi, np.radians(30)), WORLD)
-        for number, agent, mount in ((0, ego, [0.0, 0.0, 1.8]), (1, pole, [0.0] * 3)):
+        sensors = [(0, ego, [0.0, 0.0, 1.8]), (1, pole, [0.0] * 3)]
+        if second_car:
+            sensors.append((2, reference([8.0 + 0.1 * frame, 0.0, 0.0], 1.0, [0.0] * 3, WORLD), [0.0, 0.0, 1.8]))
+        for number, agent, mount in sensors:
             write_calibration(run / "data" / f"lidar-0-{number}", frame, agent, mount, camera=False)
             write_calibration(run / "data" / f"camera-0-{number}", frame, agent, mount, camera=True)
     return run

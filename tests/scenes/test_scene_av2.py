@@ -140,6 +140,13 @@ def test_too_many_poles_are_refused(log: Path) -> None:
         AV2Log(path=str(log), n_infrastructure=17)
 
 
+def test_a_log_has_four_poles_unless_asked_and_no_other_car_with_sensors(log: Path) -> None:
+    assert read(log).agent_names == read(log, n_infrastructure=4, n_mobile=0).agent_names
+    assert len(read(log).agents) == 5
+    with pytest.raises(ConfigurationError, match="n_mobile is 1, expected 0: a log has no other car with sensors"):
+        AV2Log(path=str(log), n_mobile=1)
+
+
 def with_value(name: str, row: int, value: object) -> Callable[[dict[str, Any]], dict[str, Any]]:
     def change(columns: dict[str, Any]) -> dict[str, Any]:
         values = list(columns[name])

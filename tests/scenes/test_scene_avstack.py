@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from carla_writer import FRAMES, actors_at, npcs_at, state, write_lines, write_objects, write_run
 
+from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.scenes import AVstackScene, Recording
 from mast_zenoh.scenes.avstack import EGO_ID
 from mast_zenoh.sensing import CleanDetector, LidarSensor, Walls, lidar_points, sensor_pose, to_world
@@ -154,11 +156,54 @@ def test_agents_and_frames_can_be_left_out(run: Path) -> None:
     recording = AVstackScene(path=str(run), n_infrastructure=0).record(0, 2)
     assert recording.agent_names == ("ego",)
     assert len(recording) == 2
-    assert read(run, n_infrastructure=9).agent_names == ("ego", "infra_1"), "all there are"
-    with pytest.raises(ConfigurationError, match="n_infrastructure is -1, expected 0 or more"):
-        read(run, n_infrastructure=-1)
+    assert read(run).agent_names == read(run, n_infrastructure=1, n_mobile=0).agent_names == ("ego", "infra_1")
     with pytest.raises(ConfigurationError, match="5 frames asked for, the scene has 4"):
         AVstackScene(path=str(run)).record(0, 5)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        (dict(n_infrastructure=9), "n_infrastructure is 9, expected 0 to 1: so many static agents are in the scene"),
+        (dict(n_infrastructure=-1), "n_infrastructure is -1, expected 0 to 1"),
+        (dict(n_mobile=1), "n_mobile is 1, expected 0 to 0: so many mobile agents besides the ego are in the scene"),
+        (dict(n_mobile=-1), "n_mobile is -1, expected 0 to 0"),
+    ],
+)
+def test_a_number_of_agents_that_the_scene_cannot_meet_is_refused(run: Path, parameters: dict, reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"{run}: {reason}"):
+        read(run, **parameters)
+
+
+def played(*settings: str) -> dict[str, NodeSpec]:
+    """The nodes of the baseline under these settings."""
+    path, content = scenario.load("baseline", settings)
+    return scenario.resolve(path, content).nodes
+
+
+def test_all_agents_of_a_scene_with_two_cars_play_unless_fewer_are_asked_for(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run-0", second_car=True)
+    assert read(run).agent_names == ("ego", "mobile_2", "infra_1")
+    assert read(run, n_mobile=0).agent_names == ("ego", "infra_1")
+    nodes = played(f"scene=avstack:{run}")
+    assert [name for name, spec in nodes.items() if spec.role == "agent"] == ["ego", "mobile_2", "infra_1"]
+    with pytest.raises(ConfigurationError, match="n_infrastructure is 9, expected 0 to 1"):
+        played(f"scene=avstack:{run}", "n_infrastructure=9", "n_mobile=1")
+    with pytest.raises(ConfigurationError, match="n_mobile is 3, expected 0 to 1"):
+        played(f"scene=avstack:{run}", "n_infrastructure=1", "n_mobile=3")
+
+
+def test_scenarios_that_name_agents_find_those_of_the_data_set(tmp_path: Path) -> None:
+    scene = f"scene=avstack:{write_run(tmp_path / 'run-0', second_car=True)}"
+    _, passthrough = scenario.load("passthrough", [scene])
+    agents = [adversary["agent"] for adversary in passthrough["adversaries"].values()]
+    assert agents == ["ego", "mobile_2", "infra_1"]
+    _, partition = scenario.load("attack_during_partition", [scene])
+    assert partition["faults"][0]["nodes"] == ["mobile_2", "infra_1"]
+    _, chaos = scenario.load("chaos", [scene])
+    assert chaos["scene"] == dict(type="AVstackScene", path=str(tmp_path / "run-0"))
+    with pytest.raises(SceneError, match=r"passthrough\.py: .*/nowhere: no such file"):
+        scenario.load("passthrough", [f"scene=avstack:{tmp_path}/nowhere"])
 
 
 def damaged(run: Path, what: str) -> None:

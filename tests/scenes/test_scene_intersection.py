@@ -160,6 +160,7 @@ def test_a_scene_may_be_long_empty_slow_or_fast() -> None:
 @pytest.mark.parametrize(
     ("parameters", "reason"),
     [
+        ({"n_infrastructure": -1}, "n_infrastructure is -1, expected 0 to 16"),
         ({"n_infrastructure": 17}, "n_infrastructure is 17, expected 0 to 16"),
         ({"n_mobile": -1}, "n_mobile is -1, expected 0 to 20"),
         ({"n_vehicles": 3, "n_mobile": 3}, "n_vehicles is 3, expected 4 or more"),

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mast_zenoh import scenario
 from mast_zenoh.security.access import access_control
 from mast_zenoh.security.credentials import LAUNCHER
-from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring import Endpoint, Leg, Listener, Wire, Wiring
 
 PREFIX = "mast/r"
 NODES = ("n0", "n1", "n2", "n3", "n4")
@@ -28,16 +28,18 @@ MESSAGES = (
 
 @st.composite
 def wirings(draw: st.DrawFn) -> Wiring:
-    """Wires with their chains, and sometimes one who overhears all."""
+    """Wires with their chains and listeners, and sometimes a node that overhears all."""
     wires = []
     for number in range(draw(st.integers(0, 5))):
         chain = draw(st.permutations(NODES[:4]))
         length, key = draw(st.integers(1, 3)), f"w/{number}"
         ends = [Endpoint(node, "port") for node in chain]
         keys = [*(f"{key}/@tap/{hop}" for hop in range(length - 1)), key]
-        hearers = [*((end,) for end in ends[1:length]), tuple(ends[length:])]
+        heard = draw(st.integers(length, 4))  # those from here on listen
+        hearers = [*((end,) for end in ends[1:length]), tuple(ends[length:heard])]
         legs = tuple(map(Leg, keys, ends[:length], hearers))
-        wires.append(Wire(key, "", "clock", legs))
+        listeners = tuple(Listener(end, draw(st.booleans())) for end in ends[heard:])
+        wires.append(Wire(key, "", "clock", legs, listeners=listeners))
     return Wiring(tuple(wires), (Endpoint("n4", "everything"),) if draw(st.booleans()) else ())
 
 
@@ -165,6 +167,22 @@ def test_nothing_outside_the_run_is_allowed_to_anybody(key: str) -> None:
     for common_name in (*NAMES.values(), "n0.other", "n0", "", "@authority.r"):
         for message in MESSAGES:
             assert not any(allows(access, common_name, flow, message, key) for flow in ("ingress", "egress"))
+
+
+@pytest.mark.parametrize(("source", "key"), [(False, "w/0"), (True, "w/0/@tap/0")])
+def test_a_listener_may_hear_the_key_of_its_leg_and_nothing_else_of_the_wire(source: bool, key: str) -> None:
+    ends = [Endpoint(name, "port") for name in ("n0", "n1", "n2")]
+    legs = (Leg("w/0/@tap/0", ends[0], (ends[1],)), Leg("w/0", ends[1], (ends[2],)))
+    access = rules(Wiring((Wire("w/0", "", "clock", legs, listeners=(Listener(Endpoint("n3", "port"), source),)),)))
+
+    def may(flow: str, message: str, asked: str) -> bool:
+        return allows(access, NAMES["n3"], flow, message, f"{PREFIX}/{asked}")
+
+    for asked in ("w/0", "w/0/@tap/0"):
+        assert may("ingress", "declare_subscriber", asked) == may("egress", "put", asked) == (asked == key)
+        assert not may("ingress", "put", asked)
+        assert not may("egress", "declare_subscriber", asked)
+    assert not may("ingress", "declare_subscriber", "w/**")
 
 
 def test_the_rules_of_a_real_scenario_name_no_wildcard_but_those_of_control() -> None:

@@ -12,8 +12,8 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.endpoints import ROLES
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.keyexpr import ROLES
 from mast_zenoh.resolved import NodeSpec
 
 #: The value of `router.on` for the machine on which `mast deploy` runs.

@@ -162,7 +162,8 @@ class Siege:
 
     def hearers(self, key: str) -> int:
         """How many nodes hear what is sent on this key."""
-        return len(self._leg(key)[1].subscribers) + len(self.wiring.overhearers)
+        wire, leg = self._leg(key)
+        return len(wire.hearers(leg)) + len(self.wiring.overhearers)
 
     def known(self, node: str) -> str:
         """The name of a node of the run; raises ConfigurationError."""

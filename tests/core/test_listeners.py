@@ -1,0 +1,354 @@
+"""A rewrite can add subscribers to a wire, and name one agent's wire; all other nodes hear and publish as before."""
+
+from __future__ import annotations
+
+from fnmatch import fnmatch
+from itertools import product
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh import keyexpr
+from mast_zenoh.endpoints import NodeOptions
+from mast_zenoh.errors import WiringError
+from mast_zenoh.interposition import Place, insert, parties, remove
+from mast_zenoh.wiring import Input, Wiring, to_mermaid, to_text
+
+AGENTS = ("ego", "infra_1", "infra_2")
+
+
+def node(role: str, inputs: str = "", outputs: str = "", **options: str) -> NodeOptions:
+    """A node whose ports are given as `port:message` words."""
+    into, out = (dict(word.split(":") for word in words.split()) for words in (inputs, outputs))
+    return NodeOptions(role, options, into, out)
+
+
+def wire(key: str, message: str, publisher: str, *subscribers: str) -> dict[str, Any]:
+    return {"key": key, "message": message, "from": publisher, "to": list(subscribers)}
+
+
+MAP = {
+    "wire": [
+        wire("agent/{agent}/pose", "pose", "simulator.pose", "agent.pose", "adversary.pose"),
+        wire("agent/{agent}/tracks", "tracks", "agent.tracks", "broker.tracks"),
+        wire("cc/picture", "picture", "broker.picture", "agent.picture"),
+    ]
+}
+ON_TRACKS = {"wire": "agent/{agent}/tracks", "role": "adversary", "input": "tracks", "output": "tracks_out"}
+PORTS = "pose:pose poses:pose tracks:tracks", "tracks_out:tracks"
+
+
+def adversary(agent: str) -> NodeOptions:
+    return node("adversary", *PORTS, agent=agent)
+
+
+def world(**more: NodeOptions) -> dict[str, NodeOptions]:
+    return {
+        "simulator": node("simulator", outputs="pose:pose"),
+        **{name: node("agent", "pose:pose picture:picture", "tracks:tracks") for name in AGENTS},
+        "broker": node("broker", "tracks:tracks", "picture:picture"),
+        **more,
+    }
+
+
+def listen(wire: str, input: str, role: Any = "adversary", **more: Any) -> dict[str, Any]:
+    return {"wire": wire, "role": role, "input": input, **more}
+
+
+def resolve(nodes: dict[str, NodeOptions], *rewrites: dict[str, Any]) -> Wiring:
+    return keyexpr.resolve([("map.toml", MAP), *((f"rewrite_{i}.toml", r) for i, r in enumerate(rewrites))], nodes)
+
+
+def heard(wiring: Wiring, name: str, port: str) -> dict[str, str]:
+    """Subject by key of what a node hears on one port."""
+    return {key: hears.subject for key, hears in wiring.ports(name).inputs.items() if hears.port == port}
+
+
+DEFENCE = node("defence", "tracks:tracks poses:pose")
+
+
+# -- which wires, and which nodes ------------------------------------------------------------------------------------
+
+
+def test_an_adversary_hears_every_agents_pose_and_tells_them_apart_by_their_subject() -> None:
+    wiring = resolve(world(adversary_1=adversary("infra_1")), {"listen": [listen("agent/*/pose", "poses")]})
+    assert heard(wiring, "adversary_1", "poses") == {"agent/ego/pose": "ego", "agent/infra_2/pose": "infra_2"}
+    assert heard(wiring, "adversary_1", "pose") == {"agent/infra_1/pose": "infra_1"}, "a node hears a wire once"
+    one_port = resolve(world(adversary_1=adversary("infra_1")), {"listen": [listen("agent/*/pose", "pose")]})
+    assert sorted(heard(one_port, "adversary_1", "pose").values()) == sorted(AGENTS)
+
+
+def test_every_adversary_hears_the_pose_of_an_agent_that_is_named() -> None:
+    nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("infra_2"))
+    wiring = resolve(nodes, {"listen": [listen("agent/ego/pose", "poses")]})
+    for name in ("adversary_1", "adversary_2"):
+        assert heard(wiring, name, "poses") == {"agent/ego/pose": "ego"}
+    found = wiring.ports("adversary_1").inputs["agent/ego/pose"]
+    assert found == Input("poses", "ego", "pose", "simulator")
+
+
+def test_a_placeholder_means_the_agent_that_a_listener_is_bound_to() -> None:
+    nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("infra_2"))
+    wiring = resolve(nodes, {"listen": [listen("agent/{agent}/tracks", "tracks")]})
+    assert heard(wiring, "adversary_1", "tracks") == {"agent/infra_1/tracks": "infra_1"}
+    assert heard(wiring, "adversary_2", "tracks") == {"agent/infra_2/tracks": "infra_2"}
+
+
+@pytest.mark.parametrize("every", ["agent/*/tracks", "agent/{agent}/tracks"])
+def test_a_node_that_is_bound_to_no_agent_hears_all_tracks(every: str) -> None:
+    wiring = resolve(world(guard=DEFENCE), {"listen": [listen(every, "tracks", "defence")]})
+    assert heard(wiring, "guard", "tracks") == {f"agent/{name}/tracks": name for name in AGENTS}
+
+
+def test_one_node_of_a_role_can_be_named() -> None:
+    nodes = world(guard_1=DEFENCE, guard_2=DEFENCE)
+    wiring = resolve(nodes, {"listen": [listen("agent/*/tracks", "tracks", "defence", node="guard_2")]})
+    assert not wiring.ports("guard_1").inputs
+    assert len(wiring.ports("guard_2").inputs) == 3
+
+
+def test_a_wire_without_a_placeholder_is_heard_by_the_whole_role() -> None:
+    nodes = world(guard=node("defence", "seen:picture"))
+    wiring = resolve(nodes, {"listen": [listen("cc/picture", "seen", "defence")]})
+    assert heard(wiring, "guard", "seen") == {"cc/picture": ""}
+
+
+# -- on which leg ----------------------------------------------------------------------------------------------------
+
+
+def test_a_listener_hears_what_the_subscribers_hear_unless_it_asks_for_the_source() -> None:
+    nodes = world(adversary_1=adversary("infra_1"), guard=DEFENCE, source_guard=DEFENCE)
+    entries = [
+        listen("agent/infra_1/tracks", "tracks", "defence", node="guard"),
+        listen("agent/infra_1/tracks", "tracks", "defence", node="source_guard", leg="source"),
+    ]
+    # Listeners come after all inserts, whichever file or entry comes first.
+    for rewrites in ([{"listen": entries}, {"insert": [ON_TRACKS]}], [{"listen": entries, "insert": [ON_TRACKS]}]):
+        wiring = resolve(nodes, *rewrites)
+        assert list(heard(wiring, "guard", "tracks")) == ["agent/infra_1/tracks"]
+        assert list(heard(wiring, "source_guard", "tracks")) == ["agent/infra_1/tracks/@tap/0"]
+        assert list(heard(wiring, "adversary_1", "tracks")) == ["agent/infra_1/tracks/@tap/0"]
+    plain = resolve(nodes, {"listen": entries})
+    assert list(heard(plain, "source_guard", "tracks")) == ["agent/infra_1/tracks"], "nobody sits on the wire"
+
+
+def test_a_listener_stands_before_the_branches() -> None:
+    link = node("link", "tracks:tracks", "tracks_out:tracks", agent="ego")
+    before_broker = {**ON_TRACKS, "role": "link", "to": "broker"}
+    nodes = world(link_ego=link, guard=DEFENCE)
+    wiring = resolve(nodes, {"insert": [before_broker], "listen": [listen("agent/*/tracks", "tracks", "defence")]})
+    assert heard(wiring, "guard", "tracks") == {f"agent/{name}/tracks": name for name in AGENTS}
+    assert "agent/ego/tracks/@tap/broker/0" in heard(wiring, "broker", "tracks")
+
+
+# -- what is refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("entry", "reason"),
+    [
+        (listen("agent/*/pse", "poses"), "no wire 'agent/\\*/pse'"),
+        (listen("agent/infra_3/pose", "poses"), "no wire 'agent/infra_3/pose'; did you mean 'agent/infra_[12]/pose'"),
+        (listen("agent/*/pose", "poes"), "adversary_1 has no input port 'poes'; did you mean 'poses'"),
+        (listen("agent/*/tracks", "poses"), "adversary_1.poses carries 'pose' messages, the wire 'tracks'"),
+        (listen("agent/*/pose", "poses", "adversry"), "no role 'adversry'; did you mean 'adversary'"),
+        (listen("agent/*/pose", "poses", node="adversary_2"), "node: no adversary is called 'adversary_2'; did you"),
+        (listen("agent/*/pose", "poses", node="ego"), "node: no adversary is called 'ego'; known: adversary_1"),
+        (listen("agent/*/pose", "poses", leg="tap"), "leg: found 'tap', expected 'source', or no `leg`"),
+        (listen("agent/*/pose", "poses", every="yes"), "unknown key 'every'; known: input, leg, node, role, wire"),
+        ({"wire": "agent/*/pose", "role": "adversary"}, "missing input"),
+        (listen("agent/*/pose", "poses", role=["adversary"]), r"role: found \['adversary'\], expected a string"),
+        (listen("agent/*/pose", "poses", node=3), "node: found 3, expected a string"),
+        (listen("agent/infra_1/tracks", "tracks"), "adversary_1 publishes or passes on 'agent/infra_1/tracks': it wo"),
+        (listen("agent/ego/tracks", "tracks", "agent"), "ego has no input port 'tracks'"),
+        (listen("agent/{agent}/pose", "poses"), "adversary_1 hears 'agent/infra_1/pose' already, on its port 'pose'"),
+        (listen("agent/{agent}/pose", "pose", leg="source"), "hears 'agent/infra_1/pose' already"),
+        (listen("cc/picture", "tracks", "recorder"), "recorder.+carries '\\*' messages|has no input port 'tracks'"),
+    ],
+)
+def test_a_listener_that_cannot_be_is_refused_with_file_entry_and_reason(entry: dict[str, Any], reason: str) -> None:
+    nodes = world(adversary_1=adversary("infra_1"), recorder=node("recorder", "everything:*"))
+    with pytest.raises(WiringError, match=rf"^rewrite_0\.toml: listen 1: .*{reason}"):
+        resolve(nodes, {"insert": [ON_TRACKS], "listen": [entry]})
+
+
+def test_a_listen_that_would_reach_no_node_of_its_role_is_refused() -> None:
+    nodes = world(guard=node("defence", "poses:pose", agent="mobile_7"))
+    reason = r"no defence belongs to 'agent/\{agent\}/pose': expected one with agent='ego', found guard \(mobile_7\)"
+    with pytest.raises(WiringError, match=reason):
+        resolve(nodes, {"listen": [listen("agent/{agent}/pose", "poses", "defence")]})
+    assert resolve(world(), {"listen": [listen("agent/*/pose", "poses")]}) == resolve(world()), "a role without nodes"
+
+
+def test_hearing_a_wire_already_on_the_port_that_is_named_is_no_error() -> None:
+    nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"))
+    twice = {"listen": [listen("agent/ego/pose", "pose"), listen("agent/ego/pose", "pose")]}
+    wiring = resolve(nodes, twice)
+    assert heard(wiring, "adversary_2", "pose") == {"agent/ego/pose": "ego"}
+    assert heard(wiring, "adversary_1", "pose").keys() == {"agent/ego/pose", "agent/infra_1/pose"}
+    assert sum(subscriber == "adversary_1" for key, _, subscriber in wiring.flows() if key == "agent/ego/pose") == 1
+
+
+# -- one named agent -------------------------------------------------------------------------------------------------
+
+
+def test_an_insert_that_names_an_agent_takes_the_nodes_bound_to_it_and_leaves_out_the_others() -> None:
+    nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"), adversary_3=adversary("ego"))
+    wiring = resolve(nodes, {"insert": [{**ON_TRACKS, "wire": "agent/ego/tracks"}]})
+    chains = {wire.key: wire.interposers for wire in wiring.wires if wire.message == "tracks"}
+    assert chains == {
+        "agent/ego/tracks": ("adversary_2", "adversary_3"),
+        "agent/infra_1/tracks": (),
+        "agent/infra_2/tracks": (),
+    }
+    named = resolve(nodes, {"insert": [{**ON_TRACKS, "wire": "agent/ego/tracks", "node": "adversary_3"}]})
+    assert [wire.interposers for wire in named.wires if wire.interposers] == [("adversary_3",)]
+
+
+def test_an_insert_on_all_wires_can_name_one_node() -> None:
+    nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"))
+    wiring = resolve(nodes, {"insert": [{**ON_TRACKS, "node": "adversary_2"}]})
+    assert {wire.key: wire.interposers for wire in wiring.wires if wire.interposers} == {
+        "agent/ego/tracks": ("adversary_2",)
+    }
+
+
+def test_nodes_that_are_bound_to_no_agent_are_put_where_the_insert_says() -> None:
+    nodes = world(relay=node("relay", "tracks:tracks", "tracks_out:tracks"))
+    wiring = resolve(nodes, {"insert": [{**ON_TRACKS, "role": "relay", "wire": "agent/infra_2/tracks"}]})
+    assert {wire.key for wire in wiring.wires if wire.interposers} == {"agent/infra_2/tracks"}
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (dict(wire="agent/infra_2/tracks"), "no adversary belongs to 'agent/infra_2/tracks': expected one with agent="),
+        (dict(wire="agent/infra_9/tracks"), "no wire 'agent/infra_9/tracks'; did you mean 'agent/infra_[12]/tracks'"),
+        (dict(wire="agent/*/tracks"), r"no wire 'agent/\*/tracks'"),
+        (dict(node="adversary_9"), "node: no adversary is called 'adversary_9'; did you mean 'adversary_1'"),
+    ],
+)
+def test_an_insert_that_names_what_is_not_there_is_refused(change: dict[str, str], reason: str) -> None:
+    with pytest.raises(WiringError, match=rf"^rewrite_0\.toml: insert 1: {reason}"):
+        resolve(world(adversary_1=adversary("infra_1")), {"insert": [{**ON_TRACKS, **change}]})
+
+
+# -- what it looks like ----------------------------------------------------------------------------------------------
+
+
+def test_listeners_are_printed_drawn_and_written() -> None:
+    nodes = world(adversary_1=adversary("infra_1"), guard=DEFENCE, source_guard=DEFENCE)
+    entries = [
+        listen("agent/infra_1/tracks", "tracks", "defence", node="guard"),
+        listen("agent/infra_1/tracks", "tracks", "defence", node="source_guard", leg="source"),
+    ]
+    wiring = resolve(nodes, {"insert": [ON_TRACKS], "listen": entries})
+    text = to_text(wiring)
+    assert "infra_1 ── agent/infra_1/tracks/@tap/0 ──▶ source_guard (listens)" in text
+    assert "adversary_1 ── agent/infra_1/tracks ──▶ guard (listens)" in text
+    drawn = to_mermaid(wiring)
+    assert 'infra_1 --o|"agent/infra_1/tracks/@tap/0"| source_guard' in drawn
+    assert 'adversary_1 --o|"agent/infra_1/tracks"| guard' in drawn
+    written = next(wire for wire in wiring.to_json()["wires"] if wire["key"] == "agent/infra_1/tracks")
+    assert written["subscribers"] == ["broker"]
+    assert written["listeners"] == [
+        {"node": "guard", "port": "tracks", "source": False, "key": "agent/infra_1/tracks"},
+        {"node": "source_guard", "port": "tracks", "source": True, "key": "agent/infra_1/tracks/@tap/0"},
+    ]
+
+
+WIRES = [("agent/*/pose", "poses"), ("agent/infra_2/pose", "poses")]
+WIRES += [("agent/*/tracks", "tracks"), ("agent/infra_2/tracks", "tracks"), ("agent/ego/tracks", "tracks")]
+LISTENS = st.builds(
+    lambda wire, role, source: listen(*wire, role, **({"leg": "source"} if source else {})),
+    st.sampled_from(WIRES),
+    st.sampled_from(["adversary", "defence"]),
+    st.booleans(),
+)
+
+
+def listening(
+    nodes: dict[str, NodeOptions], plain: Wiring, entries: list[dict[str, Any]]
+) -> set[tuple[str, str]] | None:
+    """(key, node) of what these listeners hear beside what the wiring has already; None: one of them is refused."""
+    heard = {(wire.key, end.node): (end.port, False) for wire in plain.wires for end in wire.subscribers}
+    found = set()
+    for entry in entries:
+        for wire, name in product(plain.wires, nodes):
+            if nodes[name].role != entry["role"] or not fnmatch(wire.key, entry["wire"]):
+                continue
+            wanted = entry["input"], "leg" in entry
+            taking_part = name in (leg.publisher.node for leg in wire.legs)
+            if (taking_part or heard.get((wire.key, name), wanted) != wanted) and "*" not in entry["wire"]:
+                return None
+            if not taking_part and (wire.key, name) not in heard:
+                heard[wire.key, name] = wanted
+                found.add((wire.legs[0 if wanted[1] else -1].key, name))
+    return found
+
+
+@given(st.lists(LISTENS, max_size=4), st.booleans())
+@settings(max_examples=200)
+def test_listeners_hear_each_wire_once_and_nothing_of_their_own_and_change_nothing_for_others(
+    entries: list[dict[str, Any]], first: bool
+) -> None:
+    nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"), guard=DEFENCE)
+    inserts = {"insert": [ON_TRACKS]}
+    listens = {"listen": entries}
+    plain = resolve(nodes, inserts)
+    expected = listening(nodes, plain, entries)
+    rewrites = (listens, inserts) if first else (inserts, listens)
+    if expected is None:
+        with pytest.raises(WiringError, match=": listen "):
+            resolve(nodes, *rewrites)
+        return
+    wiring = resolve(nodes, *rewrites)
+    assert {(key, subscriber) for key, _, subscriber in set(wiring.flows()) - set(plain.flows())} == expected
+    assert wiring.keys() == plain.keys()
+    for name in nodes:
+        before, after = plain.ports(name), wiring.ports(name)
+        assert after.outputs == before.outputs
+        assert after.inputs.items() >= before.inputs.items()
+        if name not in ("adversary_1", "adversary_2", "guard"):
+            assert after.inputs == before.inputs
+    for found, known in zip(wiring.wires, plain.wires, strict=True):
+        ears = [end.node for leg in found.every_leg for end in found.hearers(leg)]
+        assert len(ears) == len(set(ears)), "once"
+        assert {listener.end.node for listener in found.listeners}.isdisjoint(parties(known)), "nothing of its own"
+        assert (found.legs, found.branches, found.subscribers) == (known.legs, known.branches, known.subscribers)
+    assert Wiring.from_json(wiring.to_json()) == wiring
+
+
+# -- while a run goes on ---------------------------------------------------------------------------------------------
+
+
+def test_a_node_put_on_a_wire_while_a_run_goes_on_stands_before_its_listeners() -> None:
+    wiring = resolve(world(guard=DEFENCE), {"listen": [listen("agent/ego/tracks", "tracks", "defence")]})
+    changed = insert(wiring, "mallory", Place("agent/ego/tracks", "in", "out"))
+    assert changed.ports("guard") == wiring.ports("guard")
+    assert ("agent/ego/tracks", "mallory", "guard") in set(changed.flows())
+    assert remove(changed, "mallory") == wiring
+    with pytest.raises(WiringError, match="guard is on the wire 'agent/ego/tracks' already"):
+        insert(wiring, "guard", Place("agent/ego/tracks", "in", "out"))
+
+
+def test_a_listener_at_the_source_keeps_its_key_while_a_run_goes_on() -> None:
+    at_source = {"listen": [listen("agent/*/tracks", "tracks", "defence", leg="source")]}
+    wiring = resolve(world(guard=DEFENCE), at_source)
+    with pytest.raises(WiringError, match="guard would hear the source of 'agent/ego/tracks' on another key"):
+        insert(wiring, "mallory", Place("agent/ego/tracks", "in", "out"))
+    intercepted = resolve(world(guard=DEFENCE, first=adversary("ego")), {"insert": [ON_TRACKS]}, at_source)
+    chain = insert(intercepted, "mallory", Place("agent/ego/tracks", "in", "out"))
+    assert chain.ports("guard") == intercepted.ports("guard")
+    assert remove(chain, "mallory") == intercepted
+    for both in (chain, intercepted):
+        with pytest.raises(WiringError, match="guard would hear the source of 'agent/ego/tracks' on another key"):
+            remove(both, "first")
+
+
+def test_a_listener_that_leaves_listens_no_longer() -> None:
+    nodes = world(first=adversary("ego"))
+    wiring = resolve(nodes, {"insert": [ON_TRACKS], "listen": [listen("agent/infra_1/tracks", "tracks")]})
+    assert not any(found.listeners for found in remove(wiring, "first").wires)

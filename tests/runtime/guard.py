@@ -1,0 +1,29 @@
+"""A user's own defence that only listens: it keeps what it hears of agents' tracks."""
+
+from typing import Any
+
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime.process import main
+
+
+class Guard(Node):
+    """heard: (subject, frame, payload) of every message, in the order in which they came."""
+
+    role = "defence"
+    inputs = {"tracks": "tracks"}
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, int, bytes]] = []
+
+    def on_tracks(self, received: Received, context: Context) -> None:
+        """An agent's tracks."""
+        self.heard.append((received.subject, received.frame, received.encoded))
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        """How many messages of each agent came."""
+        subjects = [subject for subject, _, _ in self.heard]
+        return {"heard": {subject: subjects.count(subject) for subject in sorted(set(subjects))}}
+
+
+if __name__ == "__main__":
+    main(Guard)

@@ -1,0 +1,44 @@
+"""A user's own adversary that listens: the places where it puts its victim's detections depend on all agents' poses."""
+
+from mast_zenoh.fusion.collation import Gather
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime.process import main
+
+
+class Shadow(Node):
+    """agent: the victim; heard: the agents whose poses it waits for."""
+
+    role = "adversary"
+    inputs = {"clock": "clock", "detections": "detections", "poses": "pose"}
+    outputs = {"detections_out": "detections"}
+
+    def __init__(self, agent: str, heard: tuple[str, ...]) -> None:
+        self.agent = agent
+        self.gather: Gather[str, Received] = Gather({"detections", *heard})
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        """Frames of which something is missing are passed on as they are."""
+        for _, items in self.gather.expired(received.frame):
+            if "detections" in items:
+                context.relay("detections_out", items["detections"])
+
+    def on_poses(self, received: Received, context: Context) -> None:
+        """Where an agent is."""
+        self.take(received.subject, received, context)
+
+    def on_detections(self, received: Received, context: Context) -> None:
+        """What the victim detects."""
+        self.take("detections", received, context)
+
+    def take(self, name: str, received: Received, context: Context) -> None:
+        """Displace the detections when everything of the frame has come."""
+        items = self.gather.add(received.frame, name, received)
+        if items is not None:
+            detections = items.pop("detections")
+            offset = sum(items[name].body["position"] for name in sorted(items)) * 0.01
+            body = {**detections.body, "position": detections.body["position"] + offset}
+            context.relay("detections_out", detections, body)
+
+
+if __name__ == "__main__":
+    main(Shadow)

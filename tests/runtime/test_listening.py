@@ -1,0 +1,83 @@
+"""Nodes that listen hear the wire as their rewrite says, and a run with them is as exact as one without."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+from tiny_world import Run, tiny
+
+HERE = Path(__file__).parent
+ATTACK = dict(type="UncoordinatedAttack", start_s=0.2)
+
+
+def shadowed(scenario: dict[str, Any]) -> None:
+    """An adversary on infra_1's detections that hears the poses of all agents."""
+    heard = ["ego", "infra_1", "infra_2"]
+    scenario["adversaries"] = {"shadow": dict(file=str(HERE / "shadow.py"), agent="infra_1", heard=heard)}
+    listen = dict(wire="agent/*/pose", role="adversary", input="poses")
+    scenario["keyexpr"] = dict(rewrites=["on_detections.toml", {"listen": [listen]}])
+
+
+def guarded(scenario: dict[str, Any]) -> None:
+    """An adversary on infra_1's tracks, and two defences: one hears all tracks, one what the agents sent."""
+    guard = dict(role="defence", file=str(HERE / "guard.py"))
+    scenario["nodes"] = {"guard": guard, "source_guard": guard}
+    scenario["adversaries"] = {"eve": dict(agent="infra_1", attack=ATTACK)}
+    every = dict(wire="agent/*/tracks", role="defence", input="tracks")
+    listen = [every | dict(node="guard"), every | dict(node="source_guard", leg="source")]
+    scenario["keyexpr"] = dict(rewrites=["on_tracks.toml", {"listen": listen}])
+
+
+def test_what_an_adversary_does_with_the_poses_it_hears_is_the_same_in_any_order_of_delivery() -> None:
+    resolved, plain = tiny(edit=shadowed), Run(tiny())
+    run = Run(resolved)
+    assert not run.failures
+    for key in ("agent/ego/pose", "agent/infra_2/pose", "agent/infra_2/detections"):
+        assert run.messages[key] == plain.messages[key]
+    sent = run.decoded("agent/infra_1/detections/@tap/0", "detections")
+    shown = run.decoded("agent/infra_1/detections", "detections")
+    places = [run.decoded(f"agent/{agent}/pose", "pose") for agent in ("ego", "infra_1", "infra_2")]
+    for frame, (before, after) in enumerate(zip(sent, shown, strict=True)):
+        offset = sum(poses[frame].body["position"] for poses in places) * 0.01
+        assert (after.body["position"] == before.body["position"] + offset).all()
+    for shuffle in range(30):
+        assert Run(resolved, shuffle=shuffle).messages == run.messages
+
+
+def test_a_defence_hears_what_the_broker_hears_or_what_the_agents_sent() -> None:
+    run = Run(tiny(edit=guarded))
+    assert not run.failures
+    for name, leg in (("guard", ""), ("source_guard", "/@tap/0")):
+        heard = defaultdict(list)
+        for subject, _, payload in run.nodes[name].heard:
+            heard[subject].append(payload)
+        assert heard == {
+            "ego": run.messages["agent/ego/tracks"],
+            "infra_1": run.messages[f"agent/infra_1/tracks{leg}"],
+            "infra_2": run.messages["agent/infra_2/tracks"],
+        }
+    assert run.messages["agent/infra_1/tracks"] != run.messages["agent/infra_1/tracks/@tap/0"]
+
+
+def test_listening_leaves_no_trace() -> None:
+    def unguarded(scenario: dict[str, Any]) -> None:
+        guarded(scenario)
+        scenario["nodes"] = {}
+        scenario["keyexpr"] = dict(rewrites=["on_tracks.toml"])
+
+    assert Run(tiny(edit=guarded)).messages == Run(tiny(edit=unguarded)).messages
+
+
+def test_an_adversary_that_is_put_on_one_named_agent_leaves_the_other_to_its_own() -> None:
+    def named(scenario: dict[str, Any]) -> None:
+        scenario["adversaries"] = {f"eve_{agent}": dict(agent=agent, attack=ATTACK) for agent in ("infra_1", "infra_2")}
+        insert = dict(role="adversary", input="tracks", output="tracks_out", wire="agent/infra_2/tracks")
+        scenario["keyexpr"] = dict(rewrites=[{"insert": [insert]}])
+
+    run, plain = Run(tiny(edit=named)), Run(tiny())
+    assert run.messages["agent/infra_1/tracks"] == plain.messages["agent/infra_1/tracks"]
+    assert run.messages["agent/infra_2/tracks/@tap/0"] == plain.messages["agent/infra_2/tracks"]
+    assert run.messages["agent/infra_2/tracks"] != plain.messages["agent/infra_2/tracks"]
+    assert "attack/eve_infra_1/report" not in run.messages
