@@ -26,6 +26,7 @@ class StudyFacts:
     scenes, seeds:  planned for every configuration, all scenes with all seeds
     frames:         of each trial, None for all that the scene has
     done:           by configuration, how many trials have results
+    other_scenes:   labels of configurations that play another scene than the baseline, or one with other agents
     environment:    Python, the packages and a hash of the code that the results depend on
     """
 
@@ -39,6 +40,7 @@ class StudyFacts:
     done: Mapping[str, int]
     failed: tuple[FailedTrial, ...]
     environment: Mapping[str, str]
+    other_scenes: tuple[str, ...] = ()
 
     @property
     def planned(self) -> int:

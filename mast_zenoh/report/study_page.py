@@ -11,7 +11,7 @@ from mast_zenoh.report.study_comparisons import compare
 from mast_zenoh.report.study_facts import StudyFacts, plural
 from mast_zenoh.report.study_rows import StudyRow
 from mast_zenoh.report.study_sections import sections, side_by_side
-from mast_zenoh.report.study_words import comparisons_made, left_out, other_changes, result
+from mast_zenoh.report.study_words import comparisons_made, other_changes, reservations, result
 
 #: So many failed trials are listed openly, the rest behind a click.
 _SHOWN_AT_ONCE = 10
@@ -32,7 +32,7 @@ def write_page(folder: Path, rows: Sequence[StudyRow], facts: StudyFacts, figure
         "failures": facts.failures,
         "failed": facts.failed,
         "shown_at_once": _SHOWN_AT_ONCE,
-        "left_out": left_out(rows, facts),
+        "reservations": reservations(rows, facts),
         "reading": other_changes(rows, facts, comparisons),
         "figures": figures,
         "added": [each for each in tables if each.title.startswith("What the attack adds")],

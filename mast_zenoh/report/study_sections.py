@@ -23,6 +23,7 @@ from mast_zenoh.report.study_rows import (
     columns_of,
     number,
     over_frames,
+    over_trials,
     present,
     shares,
     value,
@@ -88,9 +89,9 @@ def _paper(rows: Sequence[StudyRow], comparisons: Comparisons) -> Section:
 
     def cell(row: StudyRow, column: Column) -> Cell:
         estimate = column.of(row)
-        below = _over_trials(estimate)
-        below_text = below.below if below.text in (number(estimate.mean), DASH) else f"{below.text} {below.below}"
-        return Cell(over_frames(estimate), below_text, comparisons.remains(row, column))
+        same = number(estimate.trial_mean) in (number(estimate.mean), DASH)
+        below = bounds(estimate) if same else over_trials(estimate)
+        return Cell(over_frames(estimate), below, comparisons.remains(row, column))
 
     return _table("What the attack adds, in the paper's columns", caption, PAPER, rows, cell)
 

@@ -14,7 +14,7 @@ from mast_zenoh.report.study_comparisons import Comparisons, compare
 from mast_zenoh.report.study_facts import StudyFacts
 from mast_zenoh.report.study_rows import StudyRow
 from mast_zenoh.report.study_sections import Cell, Section, sections
-from mast_zenoh.report.study_words import comparisons_made, left_out, other_changes, result
+from mast_zenoh.report.study_words import comparisons_made, other_changes, reservations, result
 
 _WIDTH = 80
 
@@ -35,7 +35,7 @@ def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
 def _sentences(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
     """The result in words, a paragraph each."""
     first = [f"{facts.size}.", result(rows, facts, comparisons), *other_changes(rows, facts, comparisons)]
-    return [" ".join(first), *left_out(rows, facts)]
+    return [" ".join(first), *reservations(rows, facts)]
 
 
 def _wrapped(text: str, style: str = "") -> Text:

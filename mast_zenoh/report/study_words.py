@@ -110,9 +110,14 @@ def comparisons_made(comparisons: Comparisons) -> str:
     )
 
 
-def left_out(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
-    """On how many seeds a configuration's numbers rest, where not on all."""
+def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
+    """What to know before trusting a number: which are no pure effect of an attack, and which rest on fewer seeds."""
     sentences = []
+    if facts.other_scenes:
+        sentences.append(
+            f"{', '.join(facts.other_scenes)}: not the baseline's scene, or other agents in it, so differences from "
+            "the baseline are not the attack's alone."
+        )
     names = {(column.estimator, column.metric): column.heading for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
     for row in rows:
         by_count: dict[int, list[str]] = {}

@@ -66,6 +66,7 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
         done=done,
         failed=tuple(_failed(trial, failures[trial.digest]) for trial in trials if trial.digest in failures),
         environment=dict(trials[0].environment),
+        other_scenes=_other_scenes(trials, study.baseline),
     )
     texts = {
         "table.csv": study_export.as_csv(rows, facts),
@@ -116,6 +117,12 @@ def _by_scene_and_seed(store: Store, trials: Sequence[Trial]) -> Iterator[list[O
     """The outcomes of the trials that are done, all of one scene and seed at a time."""
     for _, group in groupby(trials, key=lambda trial: (trial.scene, trial.seed)):
         yield [outcome for outcome in map(store.load, group) if outcome is not None]
+
+
+def _other_scenes(trials: Sequence[Trial], baseline: str) -> tuple[str, ...]:
+    """The configurations whose recording is not that of the baseline in the same scene of the study."""
+    reference = {trial.scene: trial.scene_key for trial in trials if trial.configuration == baseline}
+    return tuple(dict.fromkeys(trial.configuration for trial in trials if trial.scene_key != reference[trial.scene]))
 
 
 def _failed(trial: Trial, error: str) -> FailedTrial:

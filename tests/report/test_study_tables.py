@@ -15,7 +15,7 @@ from mast_zenoh.report import study_export, study_table
 from mast_zenoh.report.study_comparisons import compare, holm
 from mast_zenoh.report.study_facts import FailedTrial
 from mast_zenoh.report.study_rows import Estimate, Series, StudyRow, number, over_frames, over_trials, shares
-from mast_zenoh.report.study_words import left_out, result
+from mast_zenoh.report.study_words import reservations, result
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]
 FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
@@ -177,7 +177,7 @@ def test_seeds_left_out_are_told_for_all_numbers_or_for_those_that_lack_them() -
     some = {Series("ego", "picture", "fp"): estimate(1.0), Series("ego", "picture", "rmse_m"): whole}
     rows = [StudyRow("a", "a", {}, {Series("ego", "picture", "fp"): whole}), StudyRow("b", "b", {}, some)]
     rows.append(StudyRow("c", "c", {}, {}))
-    assert left_out(rows, facts(rows)) == [
+    assert reservations(rows, facts(rows)) == [
         "a: 2 of 20 seeds left out: a trial failed or has no such value.",
         "b: 2 of 20 seeds left out for RMSE m (picture): a trial failed or has no such value.",
         "c: no trial has results.",

@@ -217,6 +217,17 @@ def test_the_digest_is_of_the_configuration_the_seed_the_frames_and_the_users_fi
     assert not found[0] & found[1]
 
 
+def test_configurations_that_play_another_scene_than_the_baseline_are_pointed_out(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "def study():\n    return dict(runs=dict(baseline=dict(scenario='baseline'), "
+        "more=dict(scenario='baseline', grid=dict(n_infrastructure=[2, 4]))), trials=1, frames=2)\n"
+    )
+    ended = trials.run(definition.load(str(tmp_path / "mine.py")), tmp_path / "out", count=1)
+    assert ended.facts.other_scenes == ("more-2",)
+    assert "more-2: not the baseline's scene" in (ended.out / "table.md").read_text()
+    assert "more-2: not the baseline" in ended.report.read_text()
+
+
 def test_everything_is_refused_before_the_first_trial(tmp_path: Path, ran) -> None:
     (tmp_path / "mine.py").write_text(
         "def study():\n    return dict(runs=dict(a=dict(scenario='baseline'), b=dict(scenario='uncoordinated', "
