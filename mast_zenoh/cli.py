@@ -122,9 +122,10 @@ def study(
         allow_failures=allow_failures,
         console=_out,
     )
-    _out.print(study_table.as_rich(ended.rows, loaded.baseline))
+    _out.print(study_table.as_rich(ended.rows, ended.facts))
     for path in ended.files:
         _out.print(str(path), markup=False, highlight=False)
+    _out.print(f"report: {ended.report}", markup=False, highlight=False)
     ended.raise_failures()
 
 

@@ -6,16 +6,13 @@ import json
 import os
 import shlex
 from collections.abc import Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
-from mast_zenoh import __version__
 from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
 from mast_zenoh.report.illustrations import run_figures, study_figures
+from mast_zenoh.report.page import render
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import HEADINGS, Figures, SummaryRow, cells, summary_table
 from mast_zenoh.report.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view
@@ -69,7 +66,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
         "headings": HEADINGS,
         "pages": pages,
     }
-    return _render("study.html.j2", content, study_folder)
+    return render("study.html.j2", content, study_folder)
 
 
 def _shown(run: RunFolder, frame: int | None, common: int | None) -> FrameView | None:
@@ -121,7 +118,7 @@ def _write_run(run: RunFolder, view: FrameView | None, *, chosen: bool) -> tuple
         "scenario": json.dumps(run.scenario, indent=2) if run.scenario else None,
         "timings": json.dumps(timings, indent=2) if timings else None,
     }
-    return content, _render("run.html.j2", content, run.path)
+    return content, render("run.html.j2", content, run.path)
 
 
 def _table_rows(
@@ -214,18 +211,3 @@ def _troubles(told: Mapping[str, Any]) -> str:
 def _command(run: RunFolder) -> str | None:
     command = run.run.get("command")
     return shlex.join(map(str, command)) if isinstance(command, list) else command
-
-
-@cache
-def _templates() -> Environment:
-    return Environment(
-        loader=PackageLoader("mast_zenoh.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-
-
-def _render(template: str, content: dict[str, Any], folder: Path) -> Path:
-    page = _templates().get_template(template).render(content, version=__version__)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "report.html"
-    path.write_text(page, "utf-8")
-    return path

@@ -27,6 +27,16 @@ KEYS = {
 }
 RUN_KEYS = ("scenario", "parameters", "grid")
 RUNTIMES = ("mesh", "inproc")
+#: What the tables call their own columns, so that no parameter of a grid can be called that: results.parquet,
+#: frames.parquet, table.csv.
+COLUMNS = {
+    *("configuration", "scene", "seed", "who", "estimator", "metric", "value", "std", "frames"),
+    *("frame", "agent", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"),
+    *("mean", "std_over_frames", "mean_over_trials", "low", "high", "scenes_low", "scenes_high", "p", "p_holm"),
+    *("scenes", "seeds", "seeds_left_out"),
+}
+#: Where the study file has a key of its own for what such a parameter is probably meant to do.
+_INSTEAD = {"scene": "; list scenes under `scenes`", "seed": "; say how many seeds under `trials`"}
 
 
 @dataclass(frozen=True)
@@ -113,7 +123,7 @@ def _checked(path: Path, content: Any) -> Study:
         name=str(content.get("name", path.stem)),
         configurations=configurations,
         baseline=baseline,
-        scenes=tuple(_place(path, index, scene) for index, scene in enumerate(scenes)),
+        scenes=_places(path, scenes),
         trials=_whole(path, content, "trials", 1),
         seed=_whole(path, content, "seed", 0) or 0,
         frames=_whole(path, content, "frames", 1),
@@ -146,6 +156,11 @@ def _spread(path: Path, label: Any, run: Any) -> list[Configuration]:
     for name, values in grid.items():
         if not isinstance(values, (list, tuple)) or not values:
             raise ConfigurationError(f"{path}: runs.{label}.grid.{name}: found {values!r}, expected a list of values")
+        if name in COLUMNS:
+            where = f"{path}: runs.{label}.grid.{name}"
+            raise ConfigurationError(
+                f"{where}: the tables of results have a column of this name, expected another{_INSTEAD.get(name, '')}"
+            )
     found = []
     for values in itertools.product(*grid.values()):
         point = dict(zip(grid, values, strict=True))
@@ -157,6 +172,20 @@ def _spread(path: Path, label: Any, run: Any) -> list[Configuration]:
         beside = str(file) if file.is_file() else str(run["scenario"])
         found.append(Configuration(name, str(label), beside, settings, tuple(point.items())))
     return found
+
+
+def _places(path: Path, scenes: Sequence[Any]) -> tuple[Place, ...]:
+    """The scenes, with labels that tell them apart: their values, or where these are alike keys and values."""
+    places = [_place(path, index, scene) for index, scene in enumerate(scenes)]
+    if len({place.label for place in places}) < len(places):
+        places = [Place(", ".join(place.settings) or "default", place.settings) for place in places]
+    for index, place in enumerate(places):
+        first = places.index(place)
+        if first < index:
+            raise ConfigurationError(
+                f"{path}: scenes[{index}]: the same as scenes[{first}] ({place.label}), expected each scene once"
+            )
+    return tuple(places)
 
 
 def _place(path: Path, index: int, scene: Any) -> Place:

@@ -1,104 +1,81 @@
-"""From what came of the trials to tables: a row per trial and metric, and an estimate per configuration."""
+"""From the outcome of a trial to its results: all its numbers, and what its attack adds to the baseline's."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from mast_zenoh.metrics import CAUSES, Table, increments
-from mast_zenoh.report.study_rows import NAN, Estimate, StudyRow
-from mast_zenoh.study.definition import Study
-from mast_zenoh.study.statistics import Moments, interval, pooled
-from mast_zenoh.study.trial import Outcome
+from mast_zenoh.metrics import Table, increments
+from mast_zenoh.study.numbers import NAN, Number, numbers
+from mast_zenoh.study.trial import Outcome, Trial
 
-_COUNTS = ("fn", "fp", "tp", "ospa_m", "gospa_m")
-_OF_RUN = ("rmse_m", "id_switches", "completeness")
+#: Stands in the place of an agent for all compromised agents together.
+COMPROMISED = "compromised"
+#: The columns of results.parquet, and their types.
+_COLUMNS = {
+    "configuration": str,
+    "scene": str,
+    "seed": np.int64,
+    "who": str,
+    "estimator": str,
+    "metric": str,
+    "value": np.float64,
+    "std": np.float64,
+    "frames": np.int64,
+}
 
 
-class Value(NamedTuple):
-    """One metric of one trial: docs/studies.md says which there are.
+def values(outcome: Outcome, paired: Outcome | None) -> list[Number]:
+    """All numbers of a trial that did not fail, and what its attack adds to them.
 
-    who: the agent; the adversary for time_to_first_false_s; "compromised" for all compromised agents together
-    std: over frames, NaN for metrics of the whole run; frames: how many, 0 for those
+    paired: the trial of the baseline in the same scene with the same seed; None: there is none to compare with
     """
-
-    configuration: str
-    scene: str
-    seed: int
-    who: str
-    estimator: str
-    metric: str
-    value: float
-    std: float = NAN
-    frames: int = 0
-
-
-def values(outcomes: Sequence[Outcome], baseline: str) -> list[Value]:
-    """All metrics of all trials, in the order of the trials; increments where the trial's baseline is there too.
-
-    outcomes: of trials that did not fail
-    baseline: label of the configuration that the others are paired with, by scene and seed
-    """
-    reference = {(o.trial.scene, o.trial.seed): o for o in outcomes if o.trial.configuration == baseline}
-    result: list[Value] = []
-    for outcome in outcomes:
-        trial = outcome.trial
-
-        def add(who: str, estimator: str, metric: str, *numbers: Any, trial: Any = trial) -> None:
-            numbers = tuple(NAN if each is None else each for each in numbers)
-            result.append(
-                Value(
-                    trial.configuration,
-                    trial.scene,
-                    trial.seed,
-                    who,
-                    estimator,
-                    metric,
-                    float(numbers[0]),
-                    *numbers[1:],
-                )
-            )
-
-        first, last = outcome.metrics.get("scored_frames") or (0, -1)
-        frames = last - first + 1
-        for agent, estimators in outcome.metrics["agents"].items():
-            for estimator, found in estimators.items():
-                for name in _COUNTS:
-                    add(agent, estimator, name, found[name]["mean"], found[name]["std"], frames)
-                for name in _OF_RUN:
-                    add(agent, estimator, name, found[name])
-                for what, counted in found.get("causes", {}).items():
-                    for cause in CAUSES:
-                        add(agent, estimator, f"{what} {cause}", counted.get(cause, 0) / max(frames, 1), NAN, frames)
-        for adversary, seconds in outcome.metrics["time_to_first_false_s"].items():
-            add(adversary, "picture", "time_to_first_false_s", seconds)
-        paired = reference.get((trial.scene, trial.seed))
-        if paired is not None and trial.configuration != baseline:
-            ego = _ego(outcome.metrics["agents"])
-            for who, estimator, metric, mean, std, n in _increments(paired, outcome, ego):
-                add(who, estimator, metric, mean, std, n)
+    result = list(numbers(outcome.metrics))
+    if paired is not None and paired is not outcome:
+        result += _over_baseline(paired, outcome, result)
+        result += _of_the_paper(paired, outcome)
     return result
 
 
-def _ego(agents: Mapping[str, Any]) -> str:
-    return "ego" if "ego" in agents else next(iter(agents))
+def ego(agents: Mapping[str, Any]) -> str:
+    """The agent from which everything is seen: the one named `ego`, else the first."""
+    return "ego" if "ego" in agents else next(iter(agents), "ego")
 
 
-def _increments(paired: Outcome, outcome: Outcome, ego: str) -> list[tuple[str, str, str, Any, Any, int]]:
-    """What the attack adds in one trial, in the paper's columns."""
-    found = increments(_scored(paired), _scored(outcome), agent=ego, compromised=outcome.compromised)
-    n = found["frames"]
-    result = [
-        (ego, "picture", f"{name}_{which}", found[name][which]["mean"], found[name][which]["std"], n)
-        for name in ("fn", "fp", "tp")
-        for which in ("iob", "ioe")
-    ]
-    for name in ("cafn", "cafp"):
-        pooled_frames = n * len(outcome.compromised)
-        result.append(("compromised", "local", f"{name}_iob", found[name]["mean"], found[name]["std"], pooled_frames))
-    return result
+def _over_baseline(paired: Outcome, outcome: Outcome, numbers_attacked: Sequence[Number]) -> Iterator[Number]:
+    """Every number of the ego less that of the baseline, `<metric>_iob`; frame by frame where it is a mean over frames.
+
+    Frame by frame takes the scored frames in which both runs have a value.
+    """
+    who = ego(outcome.metrics.get("agents", {}))
+    before = {(each.estimator, each.metric): each.value for each in numbers(paired.metrics) if each.who == who}
+    tables = [_of_agent(_scored(each), who) for each in (paired, outcome)]
+    for number in numbers_attacked:
+        if number.who != who or (number.estimator, number.metric) not in before:
+            continue
+        name = f"{number.metric}_iob"
+        series = [table.get(number.estimator, {}) for table in tables] if number.frames else [{}]
+        if all(number.metric in each for each in series):
+            added = _frame_by_frame(series[0], series[1], number.metric)
+            mean, std = (added.mean(), added.std()) if len(added) else (NAN, NAN)
+            yield Number(who, number.estimator, name, float(mean), float(std), len(added))
+        else:
+            yield Number(who, number.estimator, name, number.value - before[number.estimator, number.metric])
+
+
+def _of_the_paper(paired: Outcome, outcome: Outcome) -> Iterator[Number]:
+    """The paper's increments that have another reference: over the ego (IoE), and of the compromised agents."""
+    who = ego(outcome.metrics["agents"])
+    added = increments(_scored(paired), _scored(outcome), agent=who, compromised=outcome.compromised)
+    n = added["frames"]
+    parts = [(who, "picture", f"{name}_ioe", added[name]["ioe"], n) for name in ("fn", "fp", "tp")]
+    pooled_frames = n * len(outcome.compromised)
+    parts += [(COMPROMISED, "local", f"{name}_iob", added[name], pooled_frames) for name in ("cafn", "cafp")]
+    for agent, estimator, metric, content, frames in parts:
+        mean, std = (NAN if content[each] is None else content[each] for each in ("mean", "std"))
+        yield Number(agent, estimator, metric, mean, std, frames)
 
 
 def _scored(outcome: Outcome) -> Table:
@@ -109,57 +86,35 @@ def _scored(outcome: Outcome) -> Table:
     return {name: column[inside] for name, column in outcome.per_frame.items()}
 
 
-def summarise(study: Study, found: Sequence[Value], seed: int) -> list[StudyRow]:
-    """A row per configuration: its metrics of the ego's picture and what its attack adds. `seed`: of the bootstrap."""
-    agents = list(dict.fromkeys(value.who for value in found if value.estimator == "local"))
-    ego = _ego(dict.fromkeys(agents)) if agents else "ego"
-    by_cell: dict[tuple[str, str], list[Value]] = {}
-    for value in found:
-        ours = value.who in (ego, "compromised") or value.metric == "time_to_first_false_s"
-        if ours and (value.estimator == "picture" or value.who == "compromised"):
-            by_cell.setdefault((value.configuration, value.metric), []).append(value)
-    rows = []
-    for each in study.configurations:
-        estimates = {
-            metric: _estimate(mine, seed, label, metric)
-            for (label, metric), mine in by_cell.items()
-            if label == each.label
-        }
-        rows.append(StudyRow(each.label, each.run, dict(each.point), estimates))
-    return rows
-
-
-def _estimate(mine: Sequence[Value], seed: int, label: str, metric: str) -> Estimate:
-    known = [value for value in mine if not np.isnan(value.value)]
-    if not known:
-        return Estimate()
-    # An adversary each has its own value; a trial counts once.
-    trials: dict[tuple[str, int], list[float]] = {}
-    for value in known:
-        trials.setdefault((value.scene, value.seed), []).append(value.value)
-    means = np.array([np.mean(each) for each in trials.values()])
-    over_frames = [Moments(value.frames, value.value, value.std) for value in known if value.frames]
-    mean, std = pooled(over_frames) if over_frames else (float(np.mean(means)), NAN)
-    low, high = interval(means, seed, label, metric)
-    return Estimate(mean, std, float(np.mean(means)), low, high, len(means))
-
-
-def columns(found: Sequence[Value]) -> Table:
-    """The values as columns."""
+def _of_agent(table: Table, agent: str) -> dict[str, Table]:
+    """By estimator the rows of one agent."""
+    mine = table["agent"] == agent
+    rows = {name: column[mine] for name, column in table.items()}
     return {
-        name: np.array([value[index] for value in found], dtype=kind)
-        for index, (name, kind) in enumerate(
-            zip(Value._fields, (str, str, np.int64, str, str, str, np.float64, np.float64, np.int64), strict=True)
-        )
+        str(estimator): {name: column[rows["estimator"] == estimator] for name, column in rows.items()}
+        for estimator in np.unique(rows["estimator"])
     }
 
 
-def frames(outcomes: Sequence[Outcome]) -> Table:
-    """The tables per frame of all trials, one below the other, with configuration, scene and seed."""
-    if not outcomes:
-        return {}
-    names = list(outcomes[0].per_frame)
-    length = [len(outcome.per_frame["frame"]) for outcome in outcomes]
-    about = {name: [getattr(o.trial, name) for o in outcomes] for name in ("configuration", "scene", "seed")}
-    result: Table = {name: np.repeat(np.array(column), length) for name, column in about.items()}
-    return result | {name: np.concatenate([outcome.per_frame[name] for outcome in outcomes]) for name in names}
+def _frame_by_frame(before: Table, after: Table, metric: str) -> Any:
+    """(n,) differences after less before, in the frames in which both are known."""
+    _, a, b = np.intersect1d(after["frame"], before["frame"], return_indices=True)
+    added = after[metric][a].astype(np.float64) - before[metric][b]
+    return added[~np.isnan(added)]
+
+
+def columns(trial: Trial, of_trial: Sequence[Number]) -> Table:
+    """The rows of results.parquet of one trial."""
+    about = (trial.configuration, trial.scene, trial.seed)
+    rows = [about + number[:6] for number in of_trial]
+    by_column = list(zip(*rows, strict=True)) if rows else [()] * len(_COLUMNS)
+    return {
+        name: np.array(column, dtype=kind) for (name, kind), column in zip(_COLUMNS.items(), by_column, strict=True)
+    }
+
+
+def frames(outcome: Outcome) -> Table:
+    """The rows of frames.parquet of one trial."""
+    trial, n = outcome.trial, len(outcome.per_frame["frame"])
+    about = {"configuration": trial.configuration, "scene": trial.scene, "seed": trial.seed}
+    return {name: np.full(n, value) for name, value in about.items()} | outcome.per_frame

@@ -1,4 +1,11 @@
-"""Means with their spread: over the frames of all trials, and over trials with a bootstrap interval."""
+"""Means and rates over trials, with 95 % intervals that hold for few trials.
+
+Trials are crossed: every scene is played with the same seeds. What two trials share (a scene's traffic, a seed's draws)
+makes them alike, so whole seeds and whole scenes are the units here, never single trials. docs/studies.md explains the
+intervals and lists their simulated coverage.
+
+Values are arrays (..., scenes, seeds), one value per trial and none missing; leading axes are independent samples.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +13,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import betaincinv, stdtr, stdtrit
 
-from mast_zenoh.states import Floats
-from mast_zenoh.streams import stream
+from mast_zenoh.report.study_rows import LEAST_SEEDS
+from mast_zenoh.states import Bools, Floats
 
 CONFIDENCE = 0.95
-RESAMPLES = 9_999
+#: Fewer seeds than this have no interval, and fewer scenes none to other scenes.
+LEAST_CLUSTERS = LEAST_SEEDS
+
+_UPPER = 0.5 + CONFIDENCE / 2.0
 
 
 class Moments(NamedTuple):
@@ -20,6 +31,13 @@ class Moments(NamedTuple):
     n: int
     mean: float
     std: float
+
+
+class Interval(NamedTuple):
+    """Lower and upper bound, arrays of the shape of the leading axes; NaN where there is no interval."""
+
+    low: Floats
+    high: Floats
 
 
 def pooled(parts: Sequence[Moments]) -> tuple[float, float]:
@@ -32,20 +50,93 @@ def pooled(parts: Sequence[Moments]) -> tuple[float, float]:
     return middle, float(np.sqrt(np.average(std**2 + (mean - middle) ** 2, weights=n)))
 
 
-def interval(values: Floats, seed: int, *purpose: str) -> tuple[float, float]:
-    """95 % interval of the mean of (n,) trials: bias-corrected and accelerated bootstrap, resampling trials.
+def over_seeds(values: Floats) -> Interval:
+    """Interval of the mean over other seeds of these same scenes: Student's t over the seeds' averages.
 
-    The draws are those of the stream (seed, "bootstrap", purpose). NaN of fewer than two values; of equal ones, they.
+    Exact for normal averages, whatever the correlation between the scenes of one seed. None for fewer than
+    LEAST_CLUSTERS seeds, nor where all averages are equal: no spread says nothing about the next seed.
     """
-    from scipy.stats import bootstrap  # slow to load, and workers have no use for it
+    mean, error = _seed_means(values)
+    return _around(mean, error, np.asarray(values.shape[-1] - 1.0))
 
-    values = np.asarray(values, np.float64)
-    if len(values) < 2:
-        return float("nan"), float("nan")
-    if np.ptp(values) == 0.0:
-        return float(values[0]), float(values[0])
-    rng = stream(seed, "bootstrap", *purpose)
-    found = bootstrap(
-        (values,), np.mean, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method="BCa", batch=1000, rng=rng
-    ).confidence_interval
-    return float(found.low), float(found.high)
+
+def equals_zero(values: Floats) -> Floats:
+    """Two-sided p-value of the mean over other seeds being 0, by the t statistic of `over_seeds`; NaN without one."""
+    mean, error = _seed_means(values)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p: Floats = 2.0 * stdtr(values.shape[-1] - 1.0, -np.abs(mean / error))
+    return np.where(np.isnan(error), np.nan, p)
+
+
+def over_scenes(values: Floats) -> Interval:
+    """Interval of the mean over other scenes and seeds, both drawn at random; at least LEAST_CLUSTERS of each.
+
+    Two-way analysis of variance with mean squares A between scenes, B between seeds and C of what is left:
+    the variance of the mean is estimated by (A + max(B - C, 0)) / (scenes * seeds), its degrees of freedom by
+    Satterthwaite's formula. The part of C is contained in A and in B and must count once. This is Hillis's interval
+    for readers and cases (2007, Statistics in Medicine 26:596), with the degrees of freedom of both factors as in
+    Gaylor and Hopper (1969, Technometrics 11:691); Cameron, Gelbach and Miller (2011, JBES 29:238) add and subtract
+    the same three terms. A t interval over the scenes' averages alone would overlook that scenes share their seeds.
+    """
+    scenes, seeds = values.shape[-2:]
+    mean = values.mean(axis=(-2, -1))
+    if min(scenes, seeds) < LEAST_CLUSTERS:
+        return _around(mean, np.full_like(mean, np.nan), np.asarray(1.0))
+    by_scene, by_seed = values.mean(axis=-1), values.mean(axis=-2)
+    left = values - by_scene[..., :, None] - by_seed[..., None, :] + mean[..., None, None]
+    degrees = scenes - 1.0, seeds - 1.0, (scenes - 1.0) * (seeds - 1.0)
+    a, b = seeds * by_scene.var(axis=-1, ddof=1), scenes * by_seed.var(axis=-1, ddof=1)
+    c = (left**2).sum(axis=(-2, -1)) / degrees[2]
+    total = a + np.maximum(b - c, 0.0)
+    spread = a**2 / degrees[0] + np.where(b > c, b**2 / degrees[1] + c**2 / degrees[2], 0.0)
+    error = np.sqrt(total / (scenes * seeds))
+    error = np.where(_negligible(error, mean), np.nan, error)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return _around(mean, error, total**2 / spread)
+
+
+def of_rate(successes: Floats) -> Interval:
+    """Interval of a success rate over other seeds of these same scenes, of trials that are 0 or 1.
+
+    Clopper and Pearson's (1934, Biometrika 26:404) for the effective number of trials of Korn and Graubard (1998,
+    Survey Methodology 24:193): the number of independent trials whose rate would vary as much as the seeds' averages
+    do, corrected for the degrees of freedom. It is the number of seeds where fewer than LEAST_CLUSTERS seeds have a
+    success, or a failure, since their spread is then not known. Never empty, also at 0 and 1; conservative.
+    """
+    scenes, seeds = successes.shape[-2:]
+    by_seed = successes.mean(axis=-2)
+    rate = by_seed.mean(axis=-1)
+    if seeds < LEAST_CLUSTERS:
+        return _around(rate, np.full_like(rate, np.nan), np.asarray(1.0))
+    n, trials = np.full_like(rate, seeds), scenes * seeds
+    variance = by_seed.var(axis=-1, ddof=1) / seeds
+    known: Bools = np.minimum((by_seed > 0.0).sum(axis=-1), (by_seed < 1.0).sum(axis=-1)) >= LEAST_CLUSTERS
+    known &= (variance > 0.0) & (scenes > 1)
+    ratio = (stdtrit(trials - 1.0, _UPPER) / stdtrit(seeds - 1.0, _UPPER)) ** 2 * trials / (trials - 1.0)
+    n[known] = np.minimum(trials, ratio * (rate * (1.0 - rate))[known] / variance[known])
+    hits = rate * n
+    with np.errstate(invalid="ignore"):
+        low = np.where(rate > 0.0, betaincinv(hits, n - hits + 1.0, 1.0 - _UPPER), 0.0)
+        high = np.where(rate < 1.0, betaincinv(hits + 1.0, n - hits, _UPPER), 1.0)
+    return Interval(low, high)
+
+
+def _seed_means(values: Floats) -> tuple[Floats, Floats]:
+    """Mean of the seeds' averages and its standard error; NaN for too few seeds and for equal averages."""
+    averages = values.mean(axis=-2)
+    seeds, mean = averages.shape[-1], averages.mean(axis=-1)
+    if seeds < LEAST_CLUSTERS:
+        return mean, np.full_like(mean, np.nan)
+    error = averages.std(axis=-1, ddof=1) / np.sqrt(seeds)
+    return mean, np.where(_negligible(error, mean), np.nan, error)
+
+
+def _negligible(error: Floats, mean: Floats) -> Bools:
+    """Where a standard error is 0 but for rounding."""
+    negligible: Bools = error <= 1e-12 * np.maximum(1.0, np.abs(mean))
+    return negligible
+
+
+def _around(mean: Floats, error: Floats, degrees: Floats) -> Interval:
+    half = stdtrit(degrees, _UPPER) * error
+    return Interval(mean - half, mean + half)

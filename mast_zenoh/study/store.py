@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import pyarrow
 from pyarrow import parquet
@@ -14,6 +12,7 @@ from pyarrow import parquet
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.study.definition import Study
+from mast_zenoh.study.table_file import write_parquet
 from mast_zenoh.study.trial import Outcome, Trial
 
 _ABOUT = b"mast-zenoh"
@@ -108,12 +107,15 @@ class Store:
         except (OSError, ValueError, KeyError, TypeError, pyarrow.ArrowException):
             return None
 
+    def frame_schema(self, trials: Sequence[Trial]) -> pyarrow.Schema:
+        """The columns that the tables per frame of any trial have that is done, together."""
+        schemas = [pyarrow.schema([])]
+        for trial in trials:
+            try:
+                schemas.append(parquet.read_schema(self._path(trial)).remove_metadata())
+            except (OSError, pyarrow.ArrowException):
+                continue  # not done, or broken
+        return pyarrow.unify_schemas(schemas, promote_options="permissive")
+
     def _path(self, trial: Trial) -> Path:
         return self._trials / f"{trial.digest}.parquet"
-
-
-def write_parquet(path: Path, table: Any) -> None:
-    """Write a table so that whoever reads it finds the old one or the new one, whole."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    parquet.write_table(table, beside, compression="zstd")
-    os.replace(beside, path)

@@ -1,41 +1,21 @@
-"""A study of many trials: carried out, kept, resumed, and summed up."""
+"""A study of many trials: carried out, kept, and resumed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mast_zenoh.errors import Interrupted, TrialsFailed
-from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.report.study_rows import StudyRow
-from mast_zenoh.study import execution, plan, results
+from mast_zenoh.errors import Interrupted
+from mast_zenoh.study import execution, plan, tables
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.store import Store, write_parquet
-from mast_zenoh.study.trial import Outcome, Trial
-
-
-@dataclass(frozen=True)
-class Ended:
-    """A study whose trials are done: its folder, its rows, the files written, and what failed (trial, reason)."""
-
-    out: Path
-    rows: list[StudyRow]
-    files: list[Path]
-    failed: list[tuple[Trial, str]]
-
-    def raise_failures(self) -> None:
-        """Raises TrialsFailed if any trial failed, with the command that runs each alone."""
-        if self.failed:
-            told = "\n".join(
-                f"  {trial.configuration}, {trial.scene}, seed {trial.seed}: {reason}\n    {trial.command()}"
-                for trial, reason in self.failed
-            )
-            raise TrialsFailed(f"{len(self.failed)} trials failed; each can be run alone:\n{told}")
+from mast_zenoh.study.store import Store
+from mast_zenoh.study.tables import Ended
+from mast_zenoh.study.trial import Trial
 
 
 def run(
@@ -79,11 +59,9 @@ def run(
         raise Interrupted(
             f"stopped by Ctrl-C; what is done is kept: go on with the same command and --out {store.folder} --resume"
         ) from None
-    done = [outcome for outcome in map(store.load, trials) if outcome is not None]
-    rows, files = write_tables(study, store.folder, done, seed)
+    ended = tables.write(study, store, trials, failures)
     store.note(study, trials, failures, "failed" if failures else "ok")
-    failed = [(trial, failures[trial.digest]) for trial in trials if trial.digest in failures]
-    return Ended(store.folder, rows, files, failed)
+    return ended
 
 
 def _carry_out(
@@ -109,28 +87,3 @@ def _carry_out(
                 line = f"{what}: {trial.configuration}, {trial.scene}, seed {trial.seed}: {problem}"
                 progress.console.print(line, style="yellow", markup=False, highlight=False)
             progress.advance(bar)
-
-
-def write_tables(study: Study, folder: Path, done: Iterable[Outcome], seed: int) -> tuple[list[StudyRow], list[Path]]:
-    """Write all tables and the figure of the trials that are done; returns their rows and the files."""
-    from mast_zenoh.report import study_table  # drawing libraries are slow to load
-    from mast_zenoh.report.study_figure import increments_figure
-
-    done = list(done)
-    found = results.values(done, study.baseline)
-    rows = results.summarise(study, found, seed)
-    files = [folder / name for name in ("results.parquet", "frames.parquet", "table.csv", "table.md", "table.tex")]
-    write_parquet(files[0], run_folder.arrow_table(results.columns(found)))
-    write_parquet(files[1], run_folder.arrow_table(results.frames(done)))
-    texts = (
-        study_table.as_csv(rows),
-        study_table.as_markdown(rows, study.baseline),
-        study_table.as_latex(rows, study.baseline),
-    )
-    for path, text in zip(files[2:], texts, strict=True):
-        path.write_text(text, encoding="utf-8")
-    picture = increments_figure(rows)
-    if picture is not None:
-        files.append(folder / "increments.png")
-        files[-1].write_bytes(picture)
-    return rows, files

@@ -1,41 +1,29 @@
-"""The tables and the figure of a study: the same numbers, in every form."""
+"""The tables of a study: the same numbers on the terminal, as Markdown, CSV and LaTeX."""
 
 from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 from rich.console import Console
+from study_samples import BASELINE, estimate, facts, grid, row
 
-from mast_zenoh.report import study_table
-from mast_zenoh.report.study_figure import increments_figure
-from mast_zenoh.report.study_rows import Estimate, StudyRow, number, over_frames, over_trials, shares
+from mast_zenoh.report import study_export, study_table
+from mast_zenoh.report.study_comparisons import compare, holm
+from mast_zenoh.report.study_facts import FailedTrial
+from mast_zenoh.report.study_rows import Estimate, Series, StudyRow, number, over_frames, over_trials, shares
+from mast_zenoh.report.study_words import reservations, result
 
-
-def row(label: str, run: str, n: int | None, fp: float) -> StudyRow:
-    estimates = {
-        "fp_iob": Estimate(fp, 1.25, fp, fp - 0.5, fp + 0.5, 20),
-        "fn_iob": Estimate(-0.004, 0.5, -0.004, -0.02, 0.01, 20),
-        "fp": Estimate(3.0, 1.0, 3.0, 2.9, 3.1, 20),
-        "fp injected": Estimate(mean=2.0),
-        "fp clutter": Estimate(mean=1.0),
-        "fp lag": Estimate(mean=0.0),
-    }
-    return StudyRow(label, run, {} if n is None else {"n_adversaries": n}, estimates)
+ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]
+FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
 
 
-ROWS = [
-    row("baseline", "baseline", None, 0.0),
-    *(row(f"uncoordinated-{n}", "uncoordinated", n, 3.0 * n + 0.456) for n in (1, 2, 3)),
-    *(row(f"coordinated-{n}", "coordinated", n, 2.0) for n in (1, 2, 3)),
-]
-
-
-def shown() -> str:
+def shown(rows=ROWS, failed=()) -> str:
     page = io.StringIO()
-    Console(file=page, width=80).print(study_table.as_rich(ROWS, "baseline"))
+    Console(file=page, width=80).print(study_table.as_rich(rows, facts(rows, failed)))
     return page.getvalue()
 
 
@@ -46,63 +34,151 @@ def test_numbers_have_two_decimals_and_no_negative_zero(value: float, text: str)
     assert number(value) == text
 
 
-def test_an_estimate_shows_either_of_its_spreads() -> None:
-    both = Estimate(3.42, 1.2, 3.4, 3.1, 3.8, 20)
+def test_estimates_show_either_of_their_spreads() -> None:
+    both = Estimate(3.42, 1.2, 3.4, 3.1, 3.7, seeds=20)
     assert over_frames(both) == "3.42 ± 1.20"
-    assert over_trials(both) == "3.40 [3.10, 3.80]"
-    assert over_trials(Estimate(3.4, 1.2, 3.4, trials=1)) == "3.40"
+    assert over_trials(both) == "3.40 [3.10, 3.70]"
     assert over_frames(Estimate()) == over_trials(Estimate()) == "\u2013"
 
 
-def test_the_terminal_table_fits_80_columns_and_has_both_spreads() -> None:
-    text = shown()
+def test_estimates_without_an_interval_say_why() -> None:
+    assert over_trials(Estimate(3.4, 1.2, 3.4, seeds=4)) == "3.40 (n < 5)"
+    assert over_trials(Estimate(0.0, 0.0, 0.0, seeds=20)) == "0.00 (all equal)"
+
+
+def test_narrow_intervals_get_the_decimals_that_show_their_width() -> None:
+    assert over_trials(Estimate(trial_mean=0.0163, low=0.0143, high=0.0183, seeds=20)) == "0.016 [0.014, 0.018]"
+
+
+def test_success_rates_are_shown_in_per_cent() -> None:
+    assert over_trials(Estimate(trial_mean=0.9, low=0.683, high=0.988, seeds=20, rate=True)) == "90 % [68, 99]"
+
+
+def test_terminal_tables_fit_80_columns_and_have_both_spreads() -> None:
+    text = shown(failed=[FAILED])
     assert max(map(len, text.splitlines())) <= 80
-    for part in ("9.46 ± 1.25", "[8.96, 9.96]", "coordinated-3", "66.7 %"):
+    for part in ("9.00 ± 1.25*", "[8.50, 9.50]", "coordinated-3", "66.7 %", "90 %", "[70, 100]"):
         assert part in text
     assert "…" not in text
 
 
-def test_a_mean_over_trials_that_differs_from_that_over_frames_is_shown() -> None:
-    page = io.StringIO()
-    odd = StudyRow("x", "x", {}, {"fp_iob": Estimate(3.0, 1.0, 2.5, 2.0, 3.0, 4)})
-    Console(file=page, width=80).print(study_table.as_rich([odd], "baseline"))
-    assert "2.50 [2.00, 3.00]" in page.getvalue()
+def test_terminal_tables_of_long_labels_fit_too() -> None:
+    rows = [BASELINE, *grid("a_run_with_quite_a_long_name", n=(1, 2), false_positives=(5.0, 20.0))]
+    assert max(map(len, shown(rows).splitlines())) <= 80
 
 
-def test_markdown_has_a_line_per_configuration_in_each_of_its_tables() -> None:
-    lines = study_table.as_markdown(ROWS, "baseline").splitlines()
-    assert sum(line.startswith("| uncoordinated-2 |") for line in lines) == 5
-    assert sum(line.startswith("| baseline |") for line in lines) == 3
+def test_terminal_names_failed_trials_first() -> None:
+    text = shown(failed=[FAILED])
+    assert text.lstrip().startswith("1 of 420 trials failed: coordinated-3 1 of 60.")
+    assert "failed" not in shown()
+
+
+def test_estimates_of_the_ego_that_never_change_are_one_sentence_instead_of_a_table() -> None:
+    text = " ".join(shown().split())
+    assert "Not changed in any trial: ego alone." in text
+    assert "What the attack adds: ego alone" not in text
+    changed = replace(ROWS[1], estimates={**ROWS[1].estimates, Series("ego", "local", "fp_iob"): estimate(0.5)})
+    assert "What the attack adds: ego alone" in shown([BASELINE, changed])
+
+
+def test_means_over_trials_that_differ_from_those_over_frames_are_shown() -> None:
+    odd = StudyRow("x", "x", {}, {Series("ego", "picture", "fp_iob"): Estimate(3.0, 1.0, 2.5, 2.0, 3.0, seeds=6)})
+    assert "2.50 [2.00, 3.00]" in shown([BASELINE, odd])
+
+
+def test_markdown_has_failed_trials_first_and_as_many_cells_in_every_line_of_a_table() -> None:
+    lines = study_table.as_markdown(ROWS, facts(ROWS, [FAILED])).splitlines()
+    assert lines[2] == "## 1 of 420 trials failed: coordinated-3 1 of 60"
+    assert "RunError: on \\| purpose" in lines[6]
+    assert "`mast run coordinated --seed 7`" in lines[6]
     for line, after in pairwise(lines):
         if after.startswith("|---"):
             assert line.count("|") == after.count("|")
+    assert sum(line.startswith("| uncoordinated-2 |") for line in lines) == 6
+    assert any(line.startswith("| mission my_metric |") and "7.50 [7.00, 8.00]" in line for line in lines)
 
 
-def test_csv_has_all_digits_and_leaves_the_unknown_empty() -> None:
-    found = list(csv.DictReader(io.StringIO(study_table.as_csv(ROWS))))
-    assert len(found) == 7 * 6
-    one = next(f for f in found if f["configuration"] == "uncoordinated-1" and f["metric"] == "fp_iob")
-    assert (float(one["mean"]), one["trials"]) == (3.456, "20")
-    assert next(f for f in found if f["metric"] == "fp injected")["low"] == ""
+def test_csv_has_all_digits_a_column_per_parameter_and_leaves_the_unknown_empty() -> None:
+    lines = list(csv.DictReader(io.StringIO(study_export.as_csv(ROWS, facts(ROWS)))))
+    assert len(lines) == 1 + 6 * len(ROWS[1].estimates)
+    one = next(
+        f
+        for f in lines
+        if (f["configuration"], f["estimator"], f["metric"]) == ("uncoordinated-1", "picture", "fp_iob")
+    )
+    assert (float(one["mean"]), one["n"], one["seeds"], one["seeds_left_out"]) == (3.0, "1", "20", "0")
+    assert float(one["p_holm"]) > float(one["p"])
+    cause = next(f for f in lines if f["metric"] == "fp injected")
+    assert (cause["low"], cause["p"], cause["p_holm"]) == ("", "", "")
+    assert lines[0]["n"] == ""
 
 
 def test_latex_has_as_many_cells_in_every_row_and_no_character_of_its_own() -> None:
-    text = study_table.as_latex(ROWS, "baseline")
+    text = study_export.as_latex(ROWS, facts(ROWS))
     body = [line for line in text.splitlines() if line.endswith(r"\\")][2:]
     assert len(body) == 2 * 6
     assert {line.count("&") for line in body} == {8}
-    assert r"$9.46 \pm 1.25$" in text
-    assert not set(text.split("\n", 1)[1]) - set(map(chr, range(128)))
+    assert r"$9.00 \pm 1.25$" in text
+    assert not set(text) - set(map(chr, range(128)))
 
 
 def test_shares_add_up_to_one_over_the_causes_that_occur() -> None:
-    assert shares(ROWS[0], "fp") == {"injected": pytest.approx(2 / 3), "clutter": pytest.approx(1 / 3)}
-    assert shares(ROWS[0], "fn") == {}
+    assert shares(ROWS[1], "fp") == {"injected": pytest.approx(2 / 3), "clutter": pytest.approx(1 / 3)}
+    assert shares(ROWS[1], "fn") == {}
 
 
-def test_the_figure_is_the_same_every_time_and_needs_a_number_of_adversaries() -> None:
-    first = increments_figure(ROWS)
-    assert first is not None
-    assert first.startswith(b"\x89PNG")
-    assert increments_figure(ROWS) == first
-    assert increments_figure(ROWS[:1]) is None
+def test_holm_adjusts_step_by_step() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+    assert holm([]) == []
+
+
+def test_comparisons_are_those_of_the_tables_and_the_others_are_counted_apart() -> None:
+    extra = replace(ROWS[1], estimates={**ROWS[1].estimates, Series("ego", "mission", "my_metric_iob"): estimate(1.0)})
+    found = compare([BASELINE, extra], "baseline")
+    assert found.count == 5, "fp and fn of picture and mission, fp of the compromised; those all equal have no test"
+    assert found.others == 1
+    assert found.bonferroni == pytest.approx(0.01)
+    assert found.remaining() == 3
+
+
+def test_result_is_the_largest_change_that_remains_of_what_the_ego_acts_on() -> None:
+    text = result(ROWS, facts(ROWS), compare(ROWS, "baseline"))
+    assert text == (
+        "The largest change: in uncoordinated-3 the ego with the picture has 9.00 more false objects a frame "
+        "[8.50, 9.50] than the baseline."
+    )
+
+
+def test_result_of_an_attack_that_reduces_something_says_fewer() -> None:
+    fewer = row("a", {}, -2.0)
+    assert "2.00 fewer false objects a frame [1.50, 2.50]" in result(
+        [BASELINE, fewer], facts([BASELINE, fewer]), compare([BASELINE, fewer], "baseline")
+    )
+
+
+@pytest.mark.parametrize(
+    ("estimates", "text"),
+    [
+        (estimate(0.1, 0.5, p=0.6), "No attack changes false or missed objects distinguishably, of 1 comparison"),
+        (Estimate(4.0, 1.0, 4.0, seeds=3), "too few seeds for an interval: in a the picture has 4.00 more false"),
+        (Estimate(0.0, 0.0, 0.0, seeds=20), "No attack changes false or missed objects in any trial"),
+        (None, "No trial has the results of its baseline beside it"),
+    ],
+)
+def test_result_without_a_sure_change_says_so(estimates: Estimate | None, text: str) -> None:
+    known = {Series("ego", "picture", "fp_iob"): estimates} if estimates else {}
+    rows = [BASELINE, StudyRow("a", "a", {}, known)]
+    assert text in result(rows, facts(rows), compare(rows, "baseline"))
+
+
+def test_seeds_left_out_are_told_for_all_numbers_or_for_those_that_lack_them() -> None:
+    whole = replace(estimate(1.0), seeds=18, left_out=2)
+    some = {Series("ego", "picture", "fp"): estimate(1.0), Series("ego", "picture", "rmse_m"): whole}
+    rows = [StudyRow("a", "a", {}, {Series("ego", "picture", "fp"): whole}), StudyRow("b", "b", {}, some)]
+    rows.append(StudyRow("c", "c", {}, {}))
+    assert reservations(rows, facts(rows)) == [
+        "a: 2 of 20 seeds left out: a trial failed or has no such value.",
+        "b: 2 of 20 seeds left out for RMSE m (picture): a trial failed or has no such value.",
+        "c: no trial has results.",
+    ]

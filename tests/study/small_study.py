@@ -31,7 +31,7 @@ def write_small(folder: Path) -> Path:
     return path
 
 
-TABLES = ("results.parquet", "frames.parquet", "table.csv", "table.md", "table.tex")
+TABLES = ("results.parquet", "frames.parquet", "table.csv", "table.md", "table.tex", "increments.png")
 
 
 def tables(folder: Path) -> dict[str, bytes]:

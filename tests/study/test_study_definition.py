@@ -47,6 +47,11 @@ def test_scenes_are_short_names_or_parameters(load) -> None:
     assert [place.settings for place in load(runs()).scenes] == [()]
 
 
+def test_scenes_of_equal_values_are_told_apart_by_their_keys(load) -> None:
+    study = load(runs() | {"scenes": [{"scene": "a", "n_mobile": 1}, {"scene": "a", "scene_index": 1}]})
+    assert [place.label for place in study.scenes] == ["scene=a, n_mobile=1", "scene=a, scene_index=1"]
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -59,6 +64,15 @@ def test_scenes_are_short_names_or_parameters(load) -> None:
         (runs() | {"baseline": "atacked"}, r"baseline: found 'atacked'; did you mean 'attacked'"),
         (runs() | {"scenes": []}, r"scenes: found \[\], expected a list"),
         (runs() | {"scenes": [3]}, r"scenes\[0\]: found 3, expected a short name or a dict"),
+        (
+            runs(grid={"scene": ["a"]}),
+            r"grid\.scene: the tables of results have a column .*; list scenes under `scenes`",
+        ),
+        (runs(grid={"metric": [1]}), r"runs\.attacked\.grid\.metric: the tables of results have a column of this name"),
+        (
+            runs() | {"scenes": ["a", "b", "a"]},
+            r"scenes\[2\]: the same as scenes\[0\] \(scene=a\), expected each .* once",
+        ),
         (runs() | {"trials": 0}, r"trials: found 0, expected a whole number from 1"),
         (runs() | {"seed": -1}, r"seed: found -1, expected a whole number from 0"),
         (runs() | {"runtime": "cloud"}, r"runtime: found 'cloud'; known: inproc, mesh"),

@@ -1,40 +1,97 @@
-"""Means and their intervals."""
+"""Means, rates and their intervals."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from mast_zenoh.study.statistics import Moments, interval, pooled
+from mast_zenoh.study.statistics import Moments, equals_zero, of_rate, over_scenes, over_seeds, pooled
+
+
+def sample(scenes: int, seeds: int, of: int = 0) -> np.ndarray:
+    return np.random.default_rng(of).normal(3.0, 1.0, (scenes, seeds))
 
 
 def test_moments_of_trials_pool_to_those_of_all_their_frames() -> None:
     rng = np.random.default_rng(0)
     trials = [rng.normal(k, 1.0 + k, 5 + 3 * k) for k in range(4)]
     everything = np.concatenate(trials)
-    found = pooled([Moments(len(t), float(t.mean()), float(t.std())) for t in trials])
-    assert found == pytest.approx((everything.mean(), everything.std()))
+    result = pooled([Moments(len(t), float(t.mean()), float(t.std())) for t in trials])
+    assert result == pytest.approx((everything.mean(), everything.std()))
     assert np.isnan(pooled([])).all()
 
 
-def test_the_interval_is_the_same_every_time_and_another_for_another_seed() -> None:
-    values = np.random.default_rng(1).exponential(size=20)
-    assert interval(values, 0, "fp") == interval(values, 0, "fp")
-    assert interval(values, 0, "fp") != interval(values, 1, "fp")
-    low, high = interval(values, 0, "fp")
-    assert low < values.mean() < high
+def test_interval_over_seeds_is_students_t_over_the_averages_of_the_seeds() -> None:
+    values = sample(3, 20)
+    averages = values.mean(axis=0)
+    expected = stats.t.interval(0.95, 19, averages.mean(), stats.sem(averages))
+    assert over_seeds(values) == pytest.approx(expected)
+    assert equals_zero(values) == pytest.approx(stats.ttest_1samp(averages, 0.0).pvalue)
 
 
-def test_the_interval_covers_the_mean_about_as_often_as_it_says() -> None:
-    """200 samples of 20: the number that cover is 190 in theory; below 176 has a chance of one in ten thousand."""
-    rng = np.random.default_rng(2)
-    hits = 0
-    for _ in range(200):
-        low, high = interval(rng.normal(3.0, 1.0, 20), 0)
-        hits += low <= 3.0 <= high
-    assert hits >= 176
+def test_scenes_that_only_repeat_one_another_do_not_narrow_the_interval() -> None:
+    one = sample(1, 20)
+    assert over_seeds(np.repeat(one, 10, axis=0)) == pytest.approx(over_seeds(one))
 
 
-def test_of_one_trial_there_is_no_interval_and_of_equal_ones_it_is_a_point() -> None:
-    assert np.isnan(interval(np.array([1.0]), 0)).all()
-    assert interval(np.full(5, 2.5), 0) == (2.5, 2.5)
+@pytest.mark.parametrize("interval", [over_seeds, of_rate, over_scenes])
+def test_fewer_than_five_seeds_have_no_interval(interval) -> None:
+    assert np.isnan(interval(np.array([[0.0, 1.0, 1.0, 0.0]] * 6))).all()
+    assert not np.isnan(interval(np.array([[0.0, 1.0, 1.0, 0.0, 1.0]] * 6))).any()
+
+
+def test_fewer_than_five_scenes_have_no_interval_to_other_scenes() -> None:
+    assert np.isnan(over_scenes(sample(4, 20))).all()
+    assert not np.isnan(over_scenes(sample(5, 20))).any()
+
+
+def test_equal_seeds_have_no_interval_of_the_mean_and_no_test() -> None:
+    for values in (np.zeros((3, 8)), np.full((3, 8), 2.5), np.full((1, 5), 0.1) + 0.2):
+        assert np.isnan(over_seeds(values)).all()
+        assert np.isnan(equals_zero(values))
+
+
+def test_interval_to_other_scenes_is_wider_than_that_over_seeds_where_scenes_differ() -> None:
+    values = sample(8, 20) + np.linspace(-4.0, 4.0, 8)[:, None]
+    low, high = over_scenes(values)
+    inner_low, inner_high = over_seeds(values)
+    assert low < inner_low < inner_high < high
+
+
+def test_interval_to_other_scenes_counts_what_all_scenes_share_in_a_seed() -> None:
+    """With nothing but the seeds' own draws the variance of the mean is that of the seeds' averages."""
+    values = np.repeat(sample(1, 20), 8, axis=0)
+    assert over_scenes(values) == pytest.approx(over_seeds(values))
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 20), (3, 20), (20, 20), (5, 5)])
+def test_rate_of_one_scene_has_the_interval_of_clopper_and_pearson(successes: int, trials: int) -> None:
+    values = (np.arange(trials) < successes).astype(np.float64)[None]
+    expected = stats.binomtest(successes, trials).proportion_ci(0.95, "exact")
+    assert of_rate(values) == pytest.approx((expected.low, expected.high))
+
+
+def test_rate_of_scenes_that_repeat_one_another_counts_each_seed_once() -> None:
+    one = (np.random.default_rng(1).random((1, 40)) < 0.4).astype(np.float64)
+    np.testing.assert_allclose(of_rate(np.repeat(one, 10, axis=0)), of_rate(one), atol=0.02)
+
+
+def test_rate_of_independent_scenes_counts_each_trial() -> None:
+    values = (np.random.default_rng(1).random((10, 60)) < 0.4).astype(np.float64)
+    expected = stats.binomtest(int(values.sum()), 600).proportion_ci(0.95, "exact")
+    assert of_rate(values) == pytest.approx((expected.low, expected.high), abs=0.02)
+
+
+def test_rates_of_nothing_and_of_everything_have_an_interval_with_a_width() -> None:
+    assert of_rate(np.zeros((3, 10))) == pytest.approx((0.0, 0.308), abs=1e-3), "of 10 seeds, not of 30 trials"
+    assert of_rate(np.ones((3, 10))) == pytest.approx((0.692, 1.0), abs=1e-3)
+    assert of_rate(np.zeros((1, 10))).low == 0.0
+
+
+def test_many_samples_at_once_give_the_intervals_of_each() -> None:
+    values = np.stack([sample(6, 12, of) for of in range(4)])
+    for interval in (over_seeds, over_scenes):
+        np.testing.assert_allclose(np.transpose(interval(values)), [interval(each) for each in values])
+    hits = (values > 3.0).astype(np.float64)
+    np.testing.assert_allclose(np.transpose(of_rate(hits)), [of_rate(each) for each in hits])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import shlex
@@ -71,9 +72,31 @@ def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row
     assert cells == {(label, seed) for label in ("baseline", "attacked-1-5.0", "attacked-1-20.0") for seed in (0, 1)}
     found = set(table["metric"])
     assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp injected"} <= found
-    assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "time_to_first_false_s"} <= found
+    assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "rmse_m_iob", "id_switches_iob"} <= found
     frames = parquet.read_table(whole.out / "frames.parquet")
     assert len(frames) == 6 * 8 * 2 * 3, "trials, frames, agents, estimators"
+
+
+def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.Ended) -> None:
+    for name in ("results.parquet", "frames.parquet"):
+        table = parquet.read_table(whole.out / name)
+        assert table.column_names[:3] == ["configuration", "n_adversaries", "false_positives"]
+        rows = set(zip(*(column.to_pylist() for column in table.columns[:3]), strict=True))
+        assert rows == {("baseline", None, None), ("attacked-1-5.0", 1, 5.0), ("attacked-1-20.0", 1, 20.0)}
+    lines = list(csv.DictReader((whole.out / "table.csv").open()))
+    assert {(line["n_adversaries"], line["false_positives"]) for line in lines} == {
+        ("", ""),
+        ("1", "5.0"),
+        ("1", "20.0"),
+    }
+
+
+def test_names_of_the_tables_own_columns_are_all_refused_as_parameters(whole: trials.Ended) -> None:
+    """Those of frames.parquet as far as all runs have them; a metric that is added gives way, as `grid.<name>`."""
+    columns = set((whole.out / "table.csv").read_text().splitlines()[0].split(","))
+    columns |= set(parquet.read_schema(whole.out / "results.parquet").names)
+    columns |= set(parquet.read_schema(whole.out / "frames.parquet").names) & definition.COLUMNS
+    assert columns - {"n_adversaries", "false_positives"} == definition.COLUMNS
 
 
 def test_what_was_stopped_is_resumed_without_repeating_a_trial(small, whole, monkeypatch, tmp_path: Path, ran) -> None:
@@ -87,6 +110,7 @@ def test_what_was_stopped_is_resumed_without_repeating_a_trial(small, whole, mon
     trials.run(small, tmp_path / "out", count=2, resume=True)
     assert len(ran) == 3
     assert tables(tmp_path / "out") == tables(whole.out)
+    assert (tmp_path / "out" / "report.html").read_bytes() == whole.report.read_bytes()
 
 
 def test_more_seeds_can_be_added_later(small, whole, tmp_path: Path, ran) -> None:
@@ -123,12 +147,16 @@ def test_a_failed_trial_is_told_with_its_command_and_the_others_are_kept(small, 
         ended = trials.run(small, tmp_path / "out", count=2)
     with pytest.raises(TrialsFailed, match="1 trials failed") as caught:
         ended.raise_failures()
-    (failed, reason) = ended.failed[0]
-    assert reason == "RunError: on purpose"
-    assert failed.command() in str(caught.value)
-    assert "--seed 1" in failed.command()
-    estimates = {row.label: row.get("fp_iob").trials for row in ended.rows}
-    assert estimates == {"baseline": 0, "attacked-1-5.0": 1, "attacked-1-20.0": 2}
+    (failed,) = ended.facts.failed
+    assert (failed.configuration, failed.seed, failed.error) == ("attacked-1-5.0", 1, "RunError: on purpose")
+    assert failed.command in str(caught.value)
+    assert "--seed 1" in failed.command
+    estimates = {row.label: (row.get("fp_iob").seeds, row.get("fp_iob").left_out) for row in ended.rows}
+    assert estimates == {"baseline": (0, 0), "attacked-1-5.0": (1, 1), "attacked-1-20.0": (2, 0)}
+    for page in ((ended.out / "table.md").read_text(), ended.report.read_text()):
+        assert page.index("1 of 6 trials failed") < page.index("What the attack adds")
+        assert "RunError: on purpose" in page
+        assert failed.command in page
     noted = json.loads((tmp_path / "out" / "study.json").read_text())
     assert [each["error"] for each in noted["trials"] if "error" in each] == ["RunError: on purpose"]
     trials.run(small, tmp_path / "out", count=2, resume=True).raise_failures()
@@ -163,8 +191,9 @@ def test_an_attack_that_does_nothing_adds_nothing_in_any_frame(small, tmp_path: 
         for metric, value, std in zip(table["metric"], table["value"], table["std"], strict=True)
         if metric.endswith("_iob")
     ]
-    assert len(added) == 2 * 2 * 5
-    assert set(added) == {(0.0, 0.0)}
+    assert len(added) > 2 * 2 * 30
+    over_frames = {pair for pair in added if pair[1] is not None}
+    assert (over_frames, {value for value, _ in added}) == ({(0.0, 0.0)}, {0.0})
 
 
 def test_the_digest_is_of_the_configuration_the_seed_the_frames_and_the_users_files(small, tmp_path: Path) -> None:
@@ -187,6 +216,17 @@ def test_the_digest_is_of_the_configuration_the_seed_the_frames_and_the_users_fi
         identity.files_key.cache_clear()
         found.append(digests(definition.load(str(tmp_path / "mine.py"))))
     assert not found[0] & found[1]
+
+
+def test_configurations_that_play_another_scene_than_the_baseline_are_pointed_out(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "def study():\n    return dict(runs=dict(baseline=dict(scenario='baseline'), "
+        "more=dict(scenario='baseline', grid=dict(n_infrastructure=[2, 4]))), trials=1, frames=2)\n"
+    )
+    ended = trials.run(definition.load(str(tmp_path / "mine.py")), tmp_path / "out", count=1)
+    assert ended.facts.other_scenes == ("more-2",)
+    assert "more-2: not the baseline's scene" in (ended.out / "table.md").read_text()
+    assert "more-2: not the baseline" in ended.report.read_text()
 
 
 def test_everything_is_refused_before_the_first_trial(tmp_path: Path, ran) -> None:
@@ -219,8 +259,9 @@ def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path:
         cli.main()
     assert ended.value.code in (0, None)
     said = capsys.readouterr().out
-    for word in ("CAFP IoB", "attacked-1-20.0", "Causes of false tracks", "OSPA", *TABLES):
+    for word in ("CAFP IoB", "attacked-1-20.0", "Causes of false objects", "OSPA", "(n < 5)", *TABLES):
         assert word in said
+    assert f"report: {tmp_path / 'out' / 'report.html'}" in said
 
 
 def test_some_failed_trials_have_an_exit_code_of_their_own(small, tmp_path: Path, capsys, monkeypatch) -> None:
@@ -231,7 +272,9 @@ def test_some_failed_trials_have_an_exit_code_of_their_own(small, tmp_path: Path
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == TrialsFailed.exit_code == 24
-    assert "mast run uncoordinated --set" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "mast run uncoordinated --set" in said.err
+    assert "3 of 3 trials failed" in said.out
 
 
 def test_an_idle_worker_loads_no_drawing_table_or_mesh_library() -> None:

@@ -1,0 +1,28 @@
+"""Makes HTML pages of templates: one file each that needs no other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from mast_zenoh import __version__
+
+
+def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
+    """Write `report.html` into a folder, which is made if it is missing; returns its path."""
+    page = _templates().get_template(template).render(content, version=__version__)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "report.html"
+    path.write_text(page, "utf-8")
+    return path
+
+
+@cache
+def _templates() -> Environment:
+    return Environment(
+        loader=PackageLoader("mast_zenoh.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )

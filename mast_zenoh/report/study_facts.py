@@ -1,0 +1,72 @@
+"""What a study consisted of, for its page and its tables: configurations, scenes, seeds, versions and failed trials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class FailedTrial:
+    """A trial without results, why, and the command that runs it alone."""
+
+    configuration: str
+    scene: str
+    seed: int
+    error: str
+    command: str
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFacts:
+    """One study.
+
+    baseline:       label of the configuration that the others are paired with
+    configurations: by label, the scenario and its settings
+    scenes, seeds:  planned for every configuration, all scenes with all seeds
+    frames:         of each trial, None for all that the scene has
+    done:           by configuration, how many trials have results
+    other_scenes:   labels of configurations that play another scene than the baseline, or one with other agents
+    environment:    Python, the packages and a hash of the code that the results depend on
+    """
+
+    name: str
+    baseline: str
+    configurations: Mapping[str, tuple[str, tuple[str, ...]]]
+    scenes: tuple[str, ...]
+    seeds: tuple[int, ...]
+    frames: int | None
+    runtime: str
+    done: Mapping[str, int]
+    failed: tuple[FailedTrial, ...]
+    environment: Mapping[str, str]
+    other_scenes: tuple[str, ...] = ()
+
+    @property
+    def planned(self) -> int:
+        """Trials of each configuration."""
+        return len(self.scenes) * len(self.seeds)
+
+    @property
+    def trials(self) -> int:
+        """Trials of all configurations."""
+        return self.planned * len(self.configurations)
+
+    @property
+    def failures(self) -> str:
+        """`3 of 420 trials failed`, and of which configurations; "" if none did."""
+        if not self.failed:
+            return ""
+        counts = {label: self.planned - self.done.get(label, 0) for label in self.configurations}
+        parts = [f"{label} {count} of {self.planned}" for label, count in counts.items() if count]
+        return f"{len(self.failed)} of {self.trials} trials failed: {', '.join(parts)}"
+
+    @property
+    def size(self) -> str:
+        """`20 seeds × 3 scenes`."""
+        return f"{plural(len(self.seeds), 'seed')} \u00d7 {plural(len(self.scenes), 'scene')}"
+
+
+def plural(count: int, noun: str) -> str:
+    """`1 seed`, `20 seeds`."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"

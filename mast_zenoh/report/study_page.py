@@ -1,0 +1,65 @@
+"""The page of a study with trials: one HTML file that needs no other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mast_zenoh.report.figures import Picture
+from mast_zenoh.report.page import render
+from mast_zenoh.report.study_comparisons import compare
+from mast_zenoh.report.study_facts import StudyFacts, plural
+from mast_zenoh.report.study_rows import StudyRow
+from mast_zenoh.report.study_sections import sections, side_by_side
+from mast_zenoh.report.study_words import comparisons_made, other_changes, reservations, result
+
+#: So many failed trials are listed openly, the rest behind a click.
+_SHOWN_AT_ONCE = 10
+
+
+def write_page(folder: Path, rows: Sequence[StudyRow], facts: StudyFacts, figures: Mapping[str, Picture]) -> Path:
+    """Write `report.html` into the folder of a study, and return its path.
+
+    figures: of `figures_over_trials`, by name
+    """
+    comparisons = compare(rows, facts.baseline)
+    tables = sections(rows, facts.baseline, comparisons)
+    scores = side_by_side(rows)
+    content = {
+        "title": f"Study {facts.name}",
+        "headline": result(rows, facts, comparisons).removesuffix("."),
+        "facts": _line_of_facts(facts),
+        "failures": facts.failures,
+        "failed": facts.failed,
+        "shown_at_once": _SHOWN_AT_ONCE,
+        "reservations": reservations(rows, facts),
+        "reading": other_changes(rows, facts, comparisons),
+        "figures": figures,
+        "added": [each for each in tables if each.title.startswith("What the attack adds")],
+        "comparisons": comparisons_made(comparisons),
+        "scores": scores if scores.lines else None,
+        "others": [each for each in tables if not each.title.startswith(("What the attack adds", "Scores"))],
+        "configurations": [
+            (label, scenario, settings, facts.done.get(label, 0), facts.planned)
+            for label, (scenario, settings) in facts.configurations.items()
+        ],
+        "baseline": facts.baseline,
+        "scenes": facts.scenes,
+        "environment": facts.environment,
+    }
+    return render("study_trials.html.j2", content, folder)
+
+
+def _line_of_facts(facts: StudyFacts) -> list[str]:
+    seeds = f"{facts.seeds[0]} to {facts.seeds[-1]}" if len(facts.seeds) > 1 else str(facts.seeds[0])
+    done = sum(facts.done.values())
+    return [
+        f"study {facts.name}",
+        plural(len(facts.configurations), "configuration"),
+        facts.size,
+        f"seeds {seeds}" if len(facts.seeds) > 1 else f"seed {seeds}",
+        f"{done} of {facts.trials} trials have results" if done < facts.trials else plural(done, "trial"),
+        f"{facts.frames} frames each" if facts.frames else "all frames of each scene",
+        f"runtime {facts.runtime}",
+        f"mast-zenoh {facts.environment.get('mast-zenoh', 'unknown')}",
+    ]

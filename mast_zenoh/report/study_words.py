@@ -1,0 +1,139 @@
+"""The result of a study in words, made from its numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from mast_zenoh.report.study_comparisons import LEVEL, Comparisons
+from mast_zenoh.report.study_facts import StudyFacts, plural
+from mast_zenoh.report.study_rows import (
+    ADDED,
+    ALL_SCORES,
+    ESTIMATORS,
+    PAPER,
+    Column,
+    StudyRow,
+    bounds,
+    columns_of,
+    value,
+)
+
+#: What an attack can change, by the metric that shows it: its name, and how a change of it reads.
+_CHANGES = {
+    "fp_iob": ("false objects", "{size} {more} false objects a frame"),
+    "fn_iob": ("missed objects", "{size} {more} missed objects a frame"),
+    "rmse_m_iob": ("RMSE", "{size} m {more} RMSE"),
+    "id_switches_iob": ("identity switches", "{size} {more} identity switches a run"),
+}
+#: Where to look for a change first: at what the ego acts on.
+_WHERE = {"mission": "the ego with the picture has", "picture": "the picture has", "local": "the ego alone has"}
+
+_Change = tuple[StudyRow, Column]
+
+
+def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
+    """The largest change of false or missed objects in one sentence, or that there is none."""
+    attacked = [row for row in rows if row.label != facts.baseline]
+    if not attacked:
+        return f"{plural(len(rows), 'configuration')}, nothing to compare."
+    counts = ("fp_iob", "fn_iob")
+    marked = _largest(attacked, counts, comparisons)
+    if marked:
+        return f"The largest change: {_sentence(marked)}."
+    any_change = _largest(attacked, counts, None)
+    if not any_change:
+        return "No trial has the results of its baseline beside it, so there is nothing to compare."
+    if any_change[1].of(any_change[0]).trial_mean == 0.0:
+        return "No attack changes false or missed objects in any trial."
+    if comparisons.count:
+        many = plural(comparisons.count, "comparison")
+        return f"No attack changes false or missed objects distinguishably, of {many} with the baseline."
+    return f"The largest change, too few seeds for an interval: {_sentence(any_change)}."
+
+
+def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
+    """The largest change of each kind that `result` does not name, and the kinds that show none."""
+    attacked = [row for row in rows if row.label != facts.baseline]
+    named = _largest(attacked, ("fp_iob", "fn_iob"), comparisons)
+    sentences, unchanged = [], []
+    for metric, (name, _) in _CHANGES.items():
+        change = _largest(attacked, (metric,), comparisons)
+        if change and change != named:
+            sentences.append(f"{name[:1].upper()}{name[1:]}: {_sentence(change)}.")
+        elif not change and comparisons.count:
+            unchanged.append(name)
+    for name, columns in ADDED:
+        if attacked and all(column.of(row).unchanged for row in attacked for column in columns):
+            sentences.append(f"Not changed in any trial: {name}.")
+    if unchanged:
+        sentences.append(f"Not distinguishable from the baseline: {', '.join(unchanged)}.")
+    return sentences
+
+
+def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comparisons | None) -> _Change | None:
+    """The largest change of the first estimate that shows any; with `comparisons`, of those that remain only."""
+    for estimator in _WHERE:
+        changes = [(row, Column("", metric, estimator)) for row in rows for metric in metrics]
+        known = [(row, column) for row, column in changes if not math.isnan(column.of(row).trial_mean)]
+        if comparisons:
+            known = [(row, column) for row, column in known if comparisons.remains(row, column)]
+        if known:
+            return max(known, key=lambda change: abs(change[1].of(change[0]).trial_mean))
+    return None
+
+
+def _sentence(change: _Change) -> str:
+    """`in uncoordinated-3 the picture has 6.10 more false objects a frame [5.20, 7.00] than the baseline`."""
+    row, column = change
+    estimate = column.of(row)
+    sign = 1.0 if estimate.trial_mean >= 0.0 else -1.0
+    ends = sorted((sign * estimate.low, sign * estimate.high))
+    positive = replace(estimate, trial_mean=sign * estimate.trial_mean, low=ends[0], high=ends[1])
+    more = "more" if sign > 0 else "less" if column.metric == "rmse_m_iob" else "fewer"
+    text = _CHANGES[column.metric][1].format(size=value(positive), more=more)
+    return f"in {row.label} {_WHERE[column.estimator]} {text} {bounds(positive)} than the baseline"
+
+
+def comparisons_made(comparisons: Comparisons) -> str:
+    """How many comparisons there are, what that means for each, and what the mark is."""
+    if not comparisons.count:
+        return "No comparison with the baseline has an interval."
+    count = comparisons.count
+    others = f" table.csv has {comparisons.others} more, which are not counted." if comparisons.others else ""
+    return (
+        f"{plural(count, 'comparison')} with the baseline, each with a 95 % interval of its own: "
+        f"{LEVEL * count:.1f} of them would exclude 0 by chance if no attack did anything. "
+        f"They hold together at 95 % if each is held to a level of {comparisons.bonferroni:.2g} (Bonferroni). "
+        f"* marks the {comparisons.remaining()} that remain distinguishable from 0 after Holm's procedure.{others}"
+    )
+
+
+def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
+    """What to know before trusting a number: which are no pure effect of an attack, and which rest on fewer seeds."""
+    sentences = []
+    if facts.other_scenes:
+        sentences.append(
+            f"{', '.join(facts.other_scenes)}: not the baseline's scene, or other agents in it, so differences from "
+            "the baseline are not the attack's alone."
+        )
+    names = {(column.estimator, column.metric): column.heading for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
+    for row in rows:
+        by_count: dict[int, list[str]] = {}
+        for series, estimate in row.estimates.items():
+            if (series.estimator, series.metric) in names:
+                name = names[series.estimator, series.metric]
+                where = ESTIMATORS.get(series.estimator, series.estimator)
+                change = "change of " if series.metric.endswith("_iob") and "IoB" not in name else ""
+                by_count.setdefault(estimate.left_out, []).append(f"{change}{name} ({where})")
+        if not by_count:
+            sentences.append(f"{row.label}: no trial has results.")
+        for count, which in sorted(by_count.items()):
+            if count:
+                of = "" if len(by_count) == 1 else f" for {', '.join(dict.fromkeys(which))}"
+                sentences.append(
+                    f"{row.label}: {count} of {plural(len(facts.seeds), 'seed')} left out{of}: a trial failed or has "
+                    "no such value."
+                )
+    return sentences

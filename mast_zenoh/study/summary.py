@@ -1,0 +1,94 @@
+"""One estimate per configuration and series, from the numbers of its trials."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from mast_zenoh.report.study_rows import Estimate, Series, StudyRow
+from mast_zenoh.states import Floats
+from mast_zenoh.study import statistics
+from mast_zenoh.study.definition import Study
+from mast_zenoh.study.numbers import ACHIEVED, NAN, Number
+from mast_zenoh.study.results import COMPROMISED, ego
+from mast_zenoh.study.statistics import Moments
+from mast_zenoh.study.trial import Outcome
+
+
+class Samples:
+    """The numbers that a study is summed up from: of the ego, of the compromised agents, and what attacks achieved."""
+
+    def __init__(self, study: Study, seeds: Sequence[int]) -> None:
+        """seeds: those planned, for every configuration and scene."""
+        self._study = study
+        self._scene = {place.label: index for index, place in enumerate(study.scenes)}
+        self._seed = {seed: index for index, seed in enumerate(seeds)}
+        self._cells: dict[str, dict[Series, Floats]] = {each.label: {} for each in study.configurations}
+        self._rates: set[Series] = set()
+        self._ego = ""
+
+    def add(self, outcome: Outcome, of_trial: Iterable[Number]) -> None:
+        """Add the numbers of a trial, `results.values`."""
+        self._ego = agent = self._ego or ego(outcome.metrics["agents"])
+        trial = outcome.trial
+        place = self._scene[trial.scene], self._seed[trial.seed]
+        cells = self._cells[trial.configuration]
+        for number in of_trial:
+            if number.who in (agent, COMPROMISED) or number.estimator == ACHIEVED:
+                series = Series(*number[:3])
+                if series not in cells:
+                    cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)
+                cells[series][:, *place] = number.value, number.std, number.frames
+                if number.binary:
+                    self._rates.add(series)
+
+    def rows(self) -> list[StudyRow]:
+        """A row per configuration."""
+        return [
+            StudyRow(
+                label=each.label,
+                run=each.run,
+                point=dict(each.point),
+                estimates={
+                    series: _estimate(*cell, rate=series in self._rates, added=series.metric.endswith("_iob"))
+                    for series, cell in self._cells[each.label].items()
+                },
+                ego=self._ego or "ego",
+            )
+            for each in self._study.configurations
+        ]
+
+
+def _estimate(values: Floats, stds: Floats, frames: Floats, *, rate: bool, added: bool) -> Estimate:
+    """Of (scenes, seeds) values each, NaN where a trial has none.
+
+    Over frames of all trials; over trials of the seeds that have a value in every scene in which any has one.
+    """
+    pooled = ~np.isnan(values) & ~np.isnan(stds) & (frames > 0)
+    over_frames = [Moments(*each) for each in zip(frames[pooled], values[pooled], stds[pooled], strict=True)]
+    mean, std = statistics.pooled(over_frames)
+    known = ~np.isnan(values)
+    there = known.any(axis=1)
+    complete = values[there][:, known[there].all(axis=0)]
+    scenes, seeds = complete.shape
+    left_out = values.shape[1] - seeds
+    if not complete.size:
+        return Estimate(mean, std, left_out=left_out)
+    middle = float(complete.mean())
+    low, high = statistics.of_rate(complete) if rate else statistics.over_seeds(complete)
+    wide_low, wide_high = (NAN, NAN) if rate else statistics.over_scenes(complete)
+    return Estimate(
+        mean=mean if over_frames else middle,
+        std=std,
+        trial_mean=middle,
+        low=float(low),
+        high=float(high),
+        scenes_low=float(wide_low),
+        scenes_high=float(wide_high),
+        p=float(statistics.equals_zero(complete)) if added else NAN,
+        scenes=scenes,
+        seeds=seeds,
+        left_out=left_out,
+        rate=rate,
+    )

@@ -1,0 +1,130 @@
+"""Writes what a study leaves: tables, figures and the page, from the trials that are done."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import pyarrow
+
+from mast_zenoh.errors import TrialsFailed
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.report.study_facts import FailedTrial, StudyFacts
+from mast_zenoh.report.study_rows import StudyRow
+from mast_zenoh.study import results
+from mast_zenoh.study.definition import Study
+from mast_zenoh.study.parameters import ParameterColumns
+from mast_zenoh.study.store import Store
+from mast_zenoh.study.summary import Samples
+from mast_zenoh.study.table_file import TableFile
+from mast_zenoh.study.trial import Outcome, Trial
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A study whose trials have ended.
+
+    rows: its estimates; facts: what it consisted of; files: all that were written; report: the HTML page
+    """
+
+    out: Path
+    rows: list[StudyRow]
+    facts: StudyFacts
+    files: list[Path]
+    report: Path
+
+    def raise_failures(self) -> None:
+        """Raises TrialsFailed if any trial failed, with the command that runs each alone."""
+        failed = self.facts.failed
+        if failed:
+            lines = (f"  {f.configuration}, {f.scene}, seed {f.seed}: {f.error}\n    {f.command}" for f in failed)
+            raise TrialsFailed(f"{len(failed)} trials failed; each can be run alone:\n" + "\n".join(lines))
+
+
+def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping[str, str]) -> Ended:
+    """Write all files of a study but study.json, from the trials that its folder has.
+
+    trials:   those planned, all of one scene and seed together
+    failures: by digest, the error of a trial that failed
+    """
+    from mast_zenoh.report import study_export, study_page, study_table  # drawing libraries are slow to load
+    from mast_zenoh.report.study_figure import figures_over_trials
+
+    seeds = tuple(sorted({trial.seed for trial in trials}))
+    done, rows = _write_parquet(study, store, trials, seeds)
+    facts = StudyFacts(
+        name=study.name,
+        baseline=study.baseline,
+        configurations={each.label: (each.scenario, each.settings) for each in study.configurations},
+        scenes=tuple(place.label for place in study.scenes),
+        seeds=seeds,
+        frames=trials[0].frames,
+        runtime=trials[0].runtime,
+        done=done,
+        failed=tuple(_failed(trial, failures[trial.digest]) for trial in trials if trial.digest in failures),
+        environment=dict(trials[0].environment),
+        other_scenes=_other_scenes(trials, study.baseline),
+    )
+    texts = {
+        "table.csv": study_export.as_csv(rows, facts),
+        "table.md": study_table.as_markdown(rows, facts),
+        "table.tex": study_export.as_latex(rows, facts),
+    }
+    for name, text in texts.items():
+        (store.folder / name).write_text(text, encoding="utf-8")
+    figures = figures_over_trials(rows, facts)
+    for each in figures.values():
+        each.save(store.folder)
+    names = ["results.parquet", "frames.parquet", *texts, *(f"{name}.png" for name in figures)]
+    report = study_page.write_page(store.folder, rows, facts, figures)
+    return Ended(store.folder, rows, facts, [store.folder / name for name in names], report)
+
+
+def _write_parquet(
+    study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int]
+) -> tuple[Counter[str], list[StudyRow]]:
+    """results.parquet and frames.parquet; how many trials of each configuration are done, and the rows of the tables.
+
+    Only the trials of one scene and seed are in memory at a time.
+    """
+    trial_schema = run_folder.arrow_table(results.columns(trials[0], [])).schema
+    frame_schema = pyarrow.schema([*list(trial_schema)[:3], *store.frame_schema(trials)])
+    per_trial, per_frame = (ParameterColumns(study, schema.names) for schema in (trial_schema, frame_schema))
+    done: Counter[str] = Counter()
+    samples = Samples(study, seeds)
+    with (
+        TableFile(store.folder / "results.parquet", per_trial.schema(trial_schema)) as trial_file,
+        TableFile(store.folder / "frames.parquet", per_frame.schema(frame_schema)) as frame_file,
+    ):
+        for group in _by_scene_and_seed(store, trials):
+            paired = next((each for each in group if each.trial.configuration == study.baseline), None)
+            for outcome in group:
+                label = outcome.trial.configuration
+                of_trial = results.values(outcome, paired)
+                samples.add(outcome, of_trial)
+                trial_file.append(
+                    per_trial.add(run_folder.arrow_table(results.columns(outcome.trial, of_trial)), label)
+                )
+                frame_file.append(per_frame.add(run_folder.arrow_table(results.frames(outcome)), label))
+                done[label] += 1
+    return done, samples.rows()
+
+
+def _by_scene_and_seed(store: Store, trials: Sequence[Trial]) -> Iterator[list[Outcome]]:
+    """The outcomes of the trials that are done, all of one scene and seed at a time."""
+    for _, group in groupby(trials, key=lambda trial: (trial.scene, trial.seed)):
+        yield [outcome for outcome in map(store.load, group) if outcome is not None]
+
+
+def _other_scenes(trials: Sequence[Trial], baseline: str) -> tuple[str, ...]:
+    """The configurations whose recording is not that of the baseline in the same scene of the study."""
+    reference = {trial.scene: trial.scene_key for trial in trials if trial.configuration == baseline}
+    return tuple(dict.fromkeys(trial.configuration for trial in trials if trial.scene_key != reference[trial.scene]))
+
+
+def _failed(trial: Trial, error: str) -> FailedTrial:
+    """A failed trial for the tables, its error on one line."""
+    return FailedTrial(trial.configuration, trial.scene, trial.seed, " ".join(error.split()), trial.command())

@@ -1,0 +1,61 @@
+"""Rows of studies made up by hand: grids of configurations with estimates of every kind."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+from mast_zenoh.report.study_facts import FailedTrial, StudyFacts
+from mast_zenoh.report.study_rows import Estimate, Series, StudyRow
+
+BASELINE = StudyRow("baseline", "baseline", {}, {Series("ego", "picture", "fp"): Estimate(1.0, 0.5, 1.0, 0.9, 1.1)})
+
+
+def estimate(mean: float, half: float = 0.5, p: float = 1e-9, seeds: int = 20) -> Estimate:
+    return Estimate(mean, 1.25, mean, mean - half, mean + half, p=p, scenes=3, seeds=seeds)
+
+
+def row(run: str, point: dict[str, Any], fp: float) -> StudyRow:
+    """A configuration that adds `fp` false objects to picture and mission, surely, and missed ones perhaps."""
+    estimates = {
+        Series("ego", "picture", "fp"): estimate(1.0 + fp, p=float("nan")),
+        Series("ego", "picture", "fp injected"): Estimate(mean=2.0),
+        Series("ego", "picture", "fp clutter"): Estimate(mean=1.0),
+        Series("ego", "picture", "fp lag"): Estimate(mean=0.0),
+        Series("ego", "mission", "my_metric"): estimate(7.5, p=float("nan")),
+        Series("compromised", "local", "cafp_iob"): estimate(2.0 * fp),
+        Series("all", "achieved", "accepted"): Estimate(0.9, trial_mean=0.9, low=0.7, high=1.0, seeds=20, rate=True),
+        Series("adversary_1", "achieved", "accepted"): Estimate(0.4, trial_mean=0.4, low=0.2, high=0.6, rate=True),
+    }
+    for estimator in ("picture", "mission"):
+        estimates[Series("ego", estimator, "fp_iob")] = estimate(fp)
+        estimates[Series("ego", estimator, "fn_iob")] = estimate(-0.004, 0.02, p=0.4)
+    for metric in ("fn_iob", "fp_iob", "tp_iob", "rmse_m_iob", "id_switches_iob"):
+        estimates[Series("ego", "local", metric)] = Estimate(0.0, 0.0, 0.0, scenes=3, seeds=20)
+    return StudyRow("-".join([run, *map(str, point.values())]), run, point, estimates)
+
+
+def grid(run: str, factor: float = 3.0, **values: Sequence[Any]) -> list[StudyRow]:
+    """A row for each point of a grid; the first parameter decides how many false objects it adds."""
+    first = next(iter(values.values()))
+    return [
+        row(run, dict(zip(values, point, strict=True)), factor * (first.index(point[0]) + 1))
+        for point in itertools.product(*values.values())
+    ]
+
+
+def facts(rows: Sequence[StudyRow], failed: Sequence[FailedTrial] = ()) -> StudyFacts:
+    missing = [each.configuration for each in failed]
+    return StudyFacts(
+        name="made",
+        baseline="baseline",
+        configurations={row.label: ("uncoordinated", ("n=1",)) for row in rows},
+        scenes=("intersection:0", "intersection:1", "intersection:2"),
+        seeds=tuple(range(20)),
+        frames=150,
+        runtime="inproc",
+        done={row.label: 60 - missing.count(row.label) for row in rows},
+        failed=tuple(failed),
+        environment={"mast-zenoh": "0.1.0", "code": "0123abcd"},
+    )

@@ -1,0 +1,108 @@
+"""The figures of a study: every configuration is shown once, and only neighbours in one parameter are joined."""
+
+from __future__ import annotations
+
+import pytest
+from study_samples import BASELINE, facts, grid, row
+
+from mast_zenoh.report.study_figure import figures_over_trials
+from mast_zenoh.report.study_panels import Panel, label_of, panels
+
+
+def labels(panel: Panel) -> dict[str, list[str]]:
+    return {curve.label: [row.label for row in curve.rows] for curve in panel.curves}
+
+
+def test_runs_that_sweep_one_parameter_share_a_panel_with_a_curve_each() -> None:
+    rows = [BASELINE, *grid("a", n=(3, 1, 2)), *grid("b", n=(1, 2))]
+    (panel,) = panels(rows, "baseline")
+    assert (panel.x, panel.y, panel.ticks, panel.numeric) == ("n", "", (1, 2, 3), True)
+    assert labels(panel) == {"a": ["a-1", "a-2", "a-3"], "b": ["b-1", "b-2"]}
+
+
+def test_two_parameters_make_a_curve_for_each_value_of_the_second() -> None:
+    rows = [BASELINE, *grid("a", n_adversaries=(1, 2), false_positives=(1.0, 5.0, 20.0))]
+    (panel,) = panels(rows, "baseline")
+    assert panel.x == "false_positives", "the one with most values"
+    assert labels(panel) == {
+        "number of adversaries = 1": ["a-1-1.0", "a-1-5.0", "a-1-20.0"],
+        "number of adversaries = 2": ["a-2-1.0", "a-2-5.0", "a-2-20.0"],
+    }
+    assert all(len({row.point["n_adversaries"] for row in curve.rows}) == 1 for curve in panel.curves)
+
+
+def test_two_numeric_parameters_of_four_values_make_a_heat_map() -> None:
+    (panel,) = panels([BASELINE, *grid("a", n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 10.0))], "baseline")
+    assert (panel.x, panel.y) == ("n", "fp")
+    (panel,) = panels([BASELINE, *grid("a", n=(1, 2, 3, 4), kind=("k", "l", "m", "o"))], "baseline")
+    assert panel.y == "", "categories have no order"
+
+
+def test_a_numeric_parameter_goes_along_x_before_a_category_and_categories_are_not_joined() -> None:
+    (panel,) = panels([BASELINE, *grid("a", kind=("far", "near", "all"), n=(1, 2))], "baseline")
+    assert (panel.x, panel.numeric) == ("n", True)
+    (panel,) = panels([BASELINE, *grid("a", kind=("far", "near"))], "baseline")
+    assert (panel.x, panel.ticks, panel.numeric) == ("kind", ("far", "near"), False)
+    (panel,) = panels([BASELINE, *grid("a", on=(True, False))], "baseline")
+    assert not panel.numeric
+
+
+def test_further_parameters_make_a_panel_for_each_choice() -> None:
+    found = panels([BASELINE, *grid("a", n=(1, 2, 3), start_s=(1.0, 4.0), kind=("far", "near"))], "baseline")
+    assert [panel.title for panel in found] == ["a, kind = far", "a, kind = near"]
+    assert list(labels(found[0])) == ["start (s) = 1", "start (s) = 4"]
+
+
+def test_runs_without_a_sweep_stand_side_by_side() -> None:
+    (panel,) = panels([BASELINE, row("a", {"n": 2}, 1.0), row("b", {}, 2.0)], "baseline")
+    assert (panel.x, panel.ticks, panel.numeric) == ("", ("a-2", "b"), False)
+
+
+@pytest.mark.parametrize(
+    ("grids", "count"),
+    [
+        ([dict(n=(1, 2, 3))], 3),
+        ([dict(n=(1, 2), fp=(1.0, 5.0), kind=("far", "near"))], 8),
+        ([dict(n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 10.0)), dict(n=(1, 2))], 18),
+    ],
+)
+def test_every_configuration_is_shown_exactly_once(grids, count: int) -> None:
+    rows = [BASELINE, row("alone", {}, 1.0)]
+    rows += [each for index, values in enumerate(grids) for each in grid(f"run{index}", **values)]
+    shown = [row.label for panel in panels(rows, "baseline") for curve in panel.curves for row in curve.rows]
+    assert sorted(shown) == sorted(row.label for row in rows[1:])
+    assert len(shown) == count + 1
+
+
+@pytest.mark.parametrize(
+    ("parameter", "label"),
+    [
+        ("n_adversaries", "number of adversaries"),
+        ("attack_start_s", "attack start (s)"),
+        ("command_center.pipeline.clustering.assign_radius_m", "clustering assign radius (m)"),
+        ("fraction_false_negatives", "fraction false negatives"),
+    ],
+)
+def test_parameters_are_labelled_in_words_with_their_unit(parameter: str, label: str) -> None:
+    assert label_of(parameter) == label
+
+
+def test_figures_are_the_same_every_time_and_say_what_they_rest_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mast_zenoh.report import study_figure
+
+    rows = [BASELINE, *grid("a", n=(1, 2), fp=(1.0, 5.0, 20.0)), *grid("b", n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 9.0))]
+    drawn = []
+    made = study_figure._draw
+    monkeypatch.setattr(study_figure, "_draw", lambda *words: drawn.append(made(*words)) or drawn[-1])
+    first, again = figures_over_trials(rows, facts(rows)), figures_over_trials(rows, facts(rows))
+    assert list(first) == ["increments", "increments_mission", "success"]
+    assert {name: each.png for name, each in first.items()} == {name: each.png for name, each in again.items()}
+    footer = drawn[0].get_supxlabel()
+    assert "mean over 20 seeds \u00d7 3 scenes; 95 % interval over seeds of these scenes" in footer
+    curves = [line for line in drawn[0].subfigs[0].axes[0].lines if len(line.get_xdata()) == 3]
+    assert all((line.get_xdata()[1:] > line.get_xdata()[:-1]).all() for line in curves), "no line runs back"
+    assert drawn[0].subfigs[1].axes[0].images, "four values of both: a heat map"
+
+
+def test_studies_without_increments_have_no_figure() -> None:
+    assert figures_over_trials([BASELINE], facts([BASELINE])) == {}

@@ -1,0 +1,88 @@
+"""The page of a study with trials: one file, failures first, nothing of the study's text taken as HTML."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from study_samples import BASELINE, facts, grid
+
+from mast_zenoh.report.study_facts import FailedTrial
+from mast_zenoh.report.study_figure import figures_over_trials
+from mast_zenoh.report.study_page import write_page
+
+ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2), false_positives=(1.0, 5.0, 20.0))]
+FAILED = [
+    FailedTrial(
+        "uncoordinated-1-5.0", "intersection:1", seed, "RunError: <b>bold</b> failure", f"mast run x --seed {seed}"
+    )
+    for seed in range(12)
+]
+
+
+class Page(HTMLParser):
+    """Tags, links and visible text of a page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.source = path.read_text("utf-8")
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.text = ""
+        self.feed(self.source)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("src", "href", "srcset")]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.fixture
+def page(tmp_path: Path):
+    def write(failed=()) -> Page:
+        about = facts(ROWS, failed)
+        return Page(write_page(tmp_path, ROWS, about, figures_over_trials(ROWS, about)))
+
+    return write
+
+
+def test_page_needs_no_other_file(page) -> None:
+    made = page()
+    assert all(link.startswith("data:image/png") for link in made.links)
+    assert len(made.links) == 3
+    assert not {"script", "link", "iframe"} & set(made.tags)
+    assert "url(" not in made.source
+
+
+def test_page_tells_the_result_what_was_run_and_how_many_comparisons_there_are(page) -> None:
+    text = "".join(page().text.split())
+    for part in (
+        "The largest change: in uncoordinated-2-1.0 the ego with the picture has 6.00 more false objects a frame",
+        "7 configurations 20 seeds \u00d7 3 scenes seeds 0 to 19 420 trials 150 frames each runtime inproc",
+        "30 comparisons with the baseline",
+        "(Bonferroni)",
+        "* marks the 18 that remain distinguishable from 0 after Holm's procedure",
+        "6.00* [5.50, 6.50]",
+        "What the attack adds: ego with the picture",
+        "code 0123abcd",
+        "60 of 60",
+        "intersection:0; intersection:1; intersection:2",
+    ):
+        assert part.replace(" ", "") in text, part
+    assert "trialsfailed" not in text
+
+
+def test_failed_trials_come_first_in_red_with_seed_error_and_command(page) -> None:
+    made = page(FAILED)
+    assert made.source.index('role="alert"') < made.source.index("<figure")
+    assert "12 of 420 trials failed: uncoordinated-1-5.0 12 of 60." in made.text
+    for trial in FAILED:
+        assert trial.command in made.text
+        assert f"seed {trial.seed}: " in made.text
+    assert made.text.count("RunError: <b>bold</b> failure") == 12
+    assert "b" not in made.tags
+    assert "2 more" in made.text, "the first ten are listed openly"
+    assert "48 of 60" in made.text

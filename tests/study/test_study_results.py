@@ -1,0 +1,170 @@
+"""From outcomes to rows: every number of a run, what the attack adds to it, and a column per parameter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow
+import pytest
+from made_outcomes import FRAMES, outcome, study
+from pyarrow import parquet
+
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.study import results
+from mast_zenoh.study.numbers import Number, numbers
+from mast_zenoh.study.parameters import ParameterColumns
+from mast_zenoh.study.summary import Samples
+from mast_zenoh.study.table_file import TableFile
+
+NAN = float("nan")
+
+
+def by_name(found) -> dict[tuple[str, str, str], Number]:
+    return {(each.who, each.estimator, each.metric): each for each in found}
+
+
+def test_every_number_of_every_estimator_is_found_whatever_its_name() -> None:
+    metrics = {
+        "scored_frames": [10, 19],
+        "agents": {
+            "ego": {
+                "picture_on_arrival": {"fn": {"mean": 2.0, "std": 0.5}, "rmse_m": None, "note": "text", "list": [1, 2]},
+                "picture": {"causes": {"fp": {"injected": 30}, "fn": {}}, "fp_split": {"attack": 3.0}},
+                "mission": {"my_metric": {"mean": None, "std": None}, "braked": True},
+            }
+        },
+        "driving": {"ego": {"truth": {"braking_s": 1.5}, "mission": {"braking_s": 2.0}}},
+        "achieved": {"all": {"hidden": False, "share": 0.25}, "adversary_1": {"time_to_first_false_s": None}},
+        "latency_ms": {"sim_to_picture": {"p50": 3.0}},
+        "frames_per_second": 200.0,
+    }
+    found = by_name(numbers(metrics))
+    assert found["ego", "picture_on_arrival", "fn"] == ("ego", "picture_on_arrival", "fn", 2.0, 0.5, 10, False)
+    assert np.isnan(found["ego", "picture_on_arrival", "rmse_m"].value)
+    assert found["ego", "picture", "fp injected"][3:6:2] == (3.0, 10), "30 in 10 frames"
+    assert found["ego", "picture", "fn clutter"].value == 0.0, "a cause that did not occur"
+    assert found["ego", "picture", "fp_split.attack"].value == 3.0
+    assert np.isnan(found["ego", "mission", "my_metric"].value)
+    assert found["ego", "mission", "braked"][3::3] == (1.0, True)
+    assert found["ego", "truth", "driving.braking_s"].value == 1.5
+    assert found["ego", "mission", "driving.braking_s"].value == 2.0
+    assert found["all", "achieved", "hidden"][3::3] == (0.0, True)
+    assert np.isnan(found["adversary_1", "achieved", "time_to_first_false_s"].value)
+    assert not {"note", "list", "latency_ms", "frames_per_second"} & {metric for _, _, metric in found}
+
+
+def test_every_number_of_the_ego_has_an_increment_over_the_baseline_of_its_trial() -> None:
+    mine = {"my_metric": 5.0, "seen": True}
+    before = outcome("baseline", 0, 0, fp=1.0, agents={"mission": {"my_metric": 2.0, "seen": False}})
+    after = outcome("attacked", 0, 0, fp=4.0, agents={"mission": mine, "picture": {"only_here": 1.0}})
+    found = {(v.estimator, v.metric): v for v in results.values(after, before) if v.who == "ego"}
+    assert found["picture", "fp_iob"][3:6] == (3.0, 0.0, FRAMES), "frame by frame, in the scored frames"
+    assert found["mission", "fp_iob"].value == 3.0
+    assert found["local", "fp_iob"].value == 0.0
+    assert found["mission", "rmse_m_iob"].value == pytest.approx(0.03)
+    assert found["mission", "my_metric_iob"].value == 3.0
+    assert found["mission", "seen_iob"].value == 1.0
+    assert found["picture", "fp_ioe"].value == 4.0
+    assert ("picture", "only_here_iob") not in found, "the baseline has no such number"
+    assert not any(v.metric.endswith("_iob") for v in results.values(before, before)), "the baseline itself"
+    assert not any(v.metric.endswith("_iob") for v in results.values(after, None)), "its baseline failed"
+
+
+def test_each_parameter_of_the_grid_is_a_column_of_its_type() -> None:
+    points = {
+        "a": {"n": 1, "x": 0.5, "kind": "static", "on": True, "mixed": 3},
+        "b": {"n": 2, "x": 2, "kind": "moving", "on": False, "mixed": "all"},
+    }
+    mine = study(points)
+    own = pyarrow.schema([("configuration", pyarrow.string()), ("value", pyarrow.float64())])
+    columns = ParameterColumns(mine, own.names)
+    rows = [
+        columns.add(pyarrow.table({"configuration": [label], "value": [1.0]}), label)
+        for label in ("baseline", "b", "a")
+    ]
+    made = pyarrow.concat_tables(rows)
+    assert made.schema == columns.schema(own)
+    assert made.column_names == ["configuration", "n", "x", "kind", "on", "mixed", "value"]
+    values = made.to_pydict()
+    assert values["n"] == [None, 2, 1]
+    assert values["x"] == [None, 2.0, 0.5]
+    assert values["kind"] == [None, "moving", "static"]
+    assert values["on"] == [None, "False", "True"], "text: a truth value is no number"
+    assert values["mixed"] == [None, "all", "3"]
+    assert pyarrow.types.is_integer(made.schema.field("n").type)
+    assert pyarrow.types.is_floating(made.schema.field("x").type)
+
+
+def test_a_parameter_named_like_a_metric_of_the_user_keeps_both_columns() -> None:
+    table = pyarrow.table({"configuration": ["a"], "clearance": [1.5]})
+    columns = ParameterColumns(study({"a": {"clearance": 7}}), table.column_names)
+    assert columns.add(table, "a").to_pydict() == {"configuration": ["a"], "grid.clearance": [7], "clearance": [1.5]}
+
+
+def test_tables_written_in_pieces_are_one_table_in_which_missing_columns_are_null(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(TableFile, "ROW_GROUP", 3)
+    text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
+    schema = pyarrow.schema([("name", text), ("mine", pyarrow.float64())])
+    pieces = [{"name": [name] * 2, **({"mine": [float(i)] * 2} if i else {})} for i, name in enumerate("abc")]
+    with TableFile(tmp_path / "t.parquet", schema) as file:
+        for piece in pieces:
+            file.append(run_folder.arrow_table(piece))
+        assert not (tmp_path / "t.parquet").exists()
+    table = parquet.read_table(tmp_path / "t.parquet")
+    assert table.to_pydict() == {"name": list("aabbcc"), "mine": [None, None, 1.0, 1.0, 2.0, 2.0]}
+    assert parquet.read_metadata(tmp_path / "t.parquet").num_row_groups == 2
+
+
+def test_a_table_whose_writing_fails_leaves_no_file(tmp_path) -> None:
+    with pytest.raises(ZeroDivisionError), TableFile(tmp_path / "t.parquet", pyarrow.schema([("a", pyarrow.int64())])):
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def summary(outcomes, seeds: int, scenes: int = 2):
+    samples = Samples(study({"attacked": {}}, scenes), range(seeds))
+    of = {(each.trial.configuration, each.trial.scene, each.trial.seed): each for each in outcomes}
+    for (_, scene, seed), each in of.items():
+        samples.add(each, results.values(each, of.get(("baseline", scene, seed))))
+    return {row.label: row for row in samples.rows()}
+
+
+def test_seeds_that_lack_a_trial_are_left_out_and_counted() -> None:
+    rng = np.random.default_rng(0)
+    extra = rng.normal(3.0, 1.0, (2, 8))
+    done = [
+        outcome(label, scene, seed, fp=1.0 + (extra[scene, seed] if label == "attacked" else 0.0))
+        for label in ("baseline", "attacked")
+        for scene in range(2)
+        for seed in range(8)
+        if (label, scene, seed) not in {("attacked", 1, 3), ("baseline", 0, 5)}
+    ]
+    rows = summary(done, 8)
+    added = rows["attacked"].get("fp_iob")
+    kept = [seed for seed in range(8) if seed not in (3, 5)]
+    assert (added.seeds, added.left_out, added.scenes) == (6, 2, 2)
+    assert added.trial_mean == pytest.approx(extra[:, kept].mean())
+    assert added.low < added.trial_mean < added.high
+    assert (rows["attacked"].get("fp").seeds, rows["baseline"].get("fp").seeds) == (7, 7)
+
+
+def test_four_seeds_have_a_mean_but_no_interval_and_no_test() -> None:
+    done = [outcome(label, 0, seed, fp=float(seed)) for label in ("baseline", "attacked") for seed in range(4)]
+    row = summary(done, 4, scenes=1)["attacked"]
+    assert row.get("fp").trial_mean == 1.5
+    assert np.isnan([row.get("fp").low, row.get("fp").high, row.get("fp_iob").p]).all()
+
+
+def test_truth_values_become_success_rates_with_an_interval_also_when_all_succeed() -> None:
+    done = [
+        outcome("attacked", scene, seed, achieved={"all": {"accepted": True, "hidden": seed < 3 and scene == 0}})
+        for scene in range(2)
+        for seed in range(10)
+    ]
+    row = summary(done, 10)["attacked"]
+    accepted, hidden = row.get("accepted", "achieved", "all"), row.get("hidden", "achieved", "all")
+    assert accepted.rate
+    assert (accepted.trial_mean, accepted.high) == (1.0, 1.0)
+    assert 0.6 < accepted.low < 0.8
+    assert hidden.trial_mean == pytest.approx(3 / 20)
+    assert 0.0 < hidden.low < 0.15 < hidden.high < 1.0
+    assert np.isnan(hidden.scenes_low)
