@@ -26,7 +26,7 @@ def scenario():
     return baseline(n_infrastructure=1) | dict(
         name="attack",
         adversaries=dict(eve=dict(agent="infra_1", attack=dict(type="Fragile"))),
-        keyexpr=dict(map="testbed.toml", rewrites=["uncoordinated.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml"]),
     )
 """
     },
@@ -67,7 +67,7 @@ def scenario():
     return baseline(n_infrastructure=1) | dict(
         name="start",
         adversaries=dict(eve=dict(agent="infra_1", file="idle.py")),
-        keyexpr=dict(map="testbed.toml", rewrites=["uncoordinated.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml"]),
     )
 """,
         "idle.py": """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import re
 from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import version
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import mast_zenoh
-from mast_zenoh import bundle, kernels, scenario, scenes
+from mast_zenoh import bundle, kernels, scenes
 
 #: Packages whose versions decide over the numbers, and parts of this one that do not.
 _PACKAGES = ("mast-zenoh", "numpy", "scipy", "filterpy", "msgpack")
@@ -31,9 +32,10 @@ def environment() -> dict[str, str]:
     return found | {"code": _hash(path.read_bytes() for path in sorted(set(files)))}
 
 
-def scene_key(loaded: Mapping[str, Any]) -> str:
-    """The same for scenarios that play the same scene; the seed is not in it."""
-    return json.dumps(scenario.choose_scene(loaded.get("scene", "intersection")), sort_keys=True, default=str)
+def scene_key(scene: scenes.Scene) -> str:
+    """The same for scenes that are the same recording, whether their defaults are spelt out or not; without the seed."""
+    told = json.dumps([type(scene).__qualname__, vars(scene)], sort_keys=True, default=repr)
+    return re.sub(r" at 0x[0-9a-f]+", "", told)  # two objects of one kind are told apart by what can be seen of them
 
 
 @cache

@@ -37,7 +37,7 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
                         settings=settings,
                         frames=frames,
                         runtime=runtime,
-                        scene_key=identity.scene_key(loaded),
+                        scene_key=identity.scene_key(scene),
                         environment=environment,
                     )
                 )

@@ -34,29 +34,30 @@ def study(tmp_path: Path) -> definition.Study:
 
 def test_a_trial_whose_handler_failed_says_what_failed_where_and_how_to_see_it(study, tmp_path: Path) -> None:
     ended = trials.run(study, tmp_path / "out", count=1)
-    ((trial, reason),) = ended.failed
-    assert trial.configuration == "first"
-    assert reason.startswith("HandlerFailed: handlers failed, so the numbers may be wrong:")
-    assert SAID in reason
-    assert f"{tmp_path / 'attack.py'}:" in reason
-    assert "--allow-failures" not in trial.command()
+    (failed,) = ended.facts.failed
+    assert failed.configuration == "first"
+    assert failed.error.startswith("HandlerFailed: handlers failed, so the numbers may be wrong:")
+    assert SAID in failed.error
+    assert f"{tmp_path / 'attack.py'}:" in failed.error
+    assert "--allow-failures" not in failed.command
 
 
 @pytest.mark.mesh
 def test_a_trial_on_a_mesh_says_the_same(study, tmp_path: Path) -> None:
     reasons = [
-        trials.run(study, tmp_path / runtime, count=1, runtime=runtime).failed[0][1] for runtime in ("inproc", "mesh")
+        trials.run(study, tmp_path / runtime, count=1, runtime=runtime).facts.failed[0].error
+        for runtime in ("inproc", "mesh")
     ]
     assert reasons[0] == reasons[1]
 
 
 def test_allowed_failures_of_a_trial_count_and_are_not_taken_for_sound_later(study, tmp_path: Path) -> None:
     ended = trials.run(study, tmp_path / "out", count=1, allow_failures=True)
-    assert ended.failed == []
+    assert ended.facts.failed == ()
     again = trials.run(study, tmp_path / "out", count=1, resume=True)
-    assert [trial.configuration for trial, _ in again.failed] == ["first"]
+    assert [failed.configuration for failed in again.facts.failed] == ["first"]
     allowed = trials.run(study, tmp_path / "out", count=1, resume=True, allow_failures=True)
-    assert allowed.failed == []
+    assert allowed.facts.failed == ()
     commands = {each["configuration"]: each["command"] for each in noted(allowed)}
     assert "--allow-failures" in commands["first"]
 
