@@ -90,7 +90,16 @@ class InProcess:
         """A host of a node that is newly made."""
         node, ports = build_node(self._resolved.nodes[name], name), self._wiring.ports(name)
         period_ns = self._resolved.period_ns
-        return Host(name, node, ports, self._resolved.seed, encode=self._encode, period_ns=period_ns, emit=self._sent)
+        return Host(
+            name,
+            node,
+            ports,
+            self._resolved.seed,
+            encode=self._encode,
+            period_ns=period_ns,
+            emit=self._sent,
+            wiring=self._wiring,
+        )
 
     def _peers(self, name: str) -> dict[str, str]:
         return {peer: self._roles[peer] for peer in self.hosts if peer != name}

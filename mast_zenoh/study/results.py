@@ -72,8 +72,8 @@ def values(outcomes: Sequence[Outcome], baseline: str) -> list[Value]:
                 for what, counted in found.get("causes", {}).items():
                     for cause in CAUSES:
                         add(agent, estimator, f"{what} {cause}", counted.get(cause, 0) / max(frames, 1), NAN, frames)
-        for adversary, seconds in outcome.metrics["time_to_first_false_s"].items():
-            add(adversary, "picture", "time_to_first_false_s", seconds)
+        for adversary, achieved in outcome.metrics["achieved"].items():
+            add(adversary, "picture", "first_success_s", achieved["first_success_s_centre"])
         paired = reference.get((trial.scene, trial.seed))
         if paired is not None and trial.configuration != baseline:
             ego = _ego(outcome.metrics["agents"])

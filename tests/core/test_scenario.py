@@ -197,7 +197,8 @@ def test_our_scenarios_resolve(name: str) -> None:
     assert roles.count("agent") == (3 if "n_infrastructure" in inspect.signature(function).parameters else 5)
     for role in ("broker", "command_center", "evaluator"):
         assert roles.count(role) == 1
-    assert found.nodes.keys() == {name for wire in found.wiring["wires"] for name in touched(wire)}, "none left out"
+    wired = {name for wire in found.wiring["wires"] for name in touched(wire)}
+    assert found.nodes.keys() == wired | {end["node"] for end in found.wiring["overhearers"]}, "none left out"
 
 
 def touched(wire: dict[str, Any]) -> set[str]:

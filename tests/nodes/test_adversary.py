@@ -215,8 +215,9 @@ def test_only_the_evaluator_hears_reports_and_the_truth() -> None:
         wiring = Wiring.from_json(tiny(name).wiring)
         for wire, leg in wiring.legs():
             if wire.message in ("attack_report", "truth"):
-                assert [end.node for end in leg.subscribers] == ["evaluator"]
+                assert not leg.subscribers
                 assert not wire.interposers
+        assert [end.node for end in wiring.overhearers] == ["evaluator"]
 
 
 def test_an_adversary_on_both_wires_of_its_agent_holds_back_neither() -> None:

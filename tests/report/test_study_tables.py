@@ -19,7 +19,7 @@ def row(label: str, run: str, n: int | None, fp: float) -> StudyRow:
         "fp_iob": Estimate(fp, 1.25, fp, fp - 0.5, fp + 0.5, 20),
         "fn_iob": Estimate(-0.004, 0.5, -0.004, -0.02, 0.01, 20),
         "fp": Estimate(3.0, 1.0, 3.0, 2.9, 3.1, 20),
-        "fp injected": Estimate(mean=2.0),
+        "fp inserted": Estimate(mean=2.0),
         "fp clutter": Estimate(mean=1.0),
         "fp lag": Estimate(mean=0.0),
     }
@@ -83,7 +83,7 @@ def test_csv_has_all_digits_and_leaves_the_unknown_empty() -> None:
     assert len(found) == 7 * 6
     one = next(f for f in found if f["configuration"] == "uncoordinated-1" and f["metric"] == "fp_iob")
     assert (float(one["mean"]), one["trials"]) == (3.456, "20")
-    assert next(f for f in found if f["metric"] == "fp injected")["low"] == ""
+    assert next(f for f in found if f["metric"] == "fp inserted")["low"] == ""
 
 
 def test_latex_has_as_many_cells_in_every_row_and_no_character_of_its_own() -> None:
@@ -96,7 +96,7 @@ def test_latex_has_as_many_cells_in_every_row_and_no_character_of_its_own() -> N
 
 
 def test_shares_add_up_to_one_over_the_causes_that_occur() -> None:
-    assert shares(ROWS[0], "fp") == {"injected": pytest.approx(2 / 3), "clutter": pytest.approx(1 / 3)}
+    assert shares(ROWS[0], "fp") == {"inserted": pytest.approx(2 / 3), "clutter": pytest.approx(1 / 3)}
     assert shares(ROWS[0], "fn") == {}
 
 

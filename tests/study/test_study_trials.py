@@ -70,8 +70,8 @@ def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row
     cells = set(zip(table["configuration"], table["seed"], strict=True))
     assert cells == {(label, seed) for label in ("baseline", "attacked-1-5.0", "attacked-1-20.0") for seed in (0, 1)}
     found = set(table["metric"])
-    assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp injected"} <= found
-    assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "time_to_first_false_s"} <= found
+    assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp inserted"} <= found
+    assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "first_success_s"} <= found
     frames = parquet.read_table(whole.out / "frames.parquet")
     assert len(frames) == 6 * 8 * 2 * 3, "trials, frames, agents, estimators"
 
