@@ -139,8 +139,15 @@ class Unopened(Mapping[str, NDArray[Any]]):
 
 def decode_unopened(payload: bytes, expected: str) -> Message:
     """As `decode`, but only the header is checked now, and the body when somebody looks at it."""
-    header = _quick_header(payload, expected) or decode_header(payload, expected)
-    return Message(header, Unopened(payload, expected))
+    return Message(decode_header_only(payload, expected), Unopened(payload, expected))
+
+
+def decode_header_only(payload: bytes, expected: str) -> Header:
+    """The header of a message; of its body nothing is checked, not even, where the header is sound, that it is one.
+
+    Raises MessageError where `decode` would because of the header.
+    """
+    return _quick_header(payload, expected) or decode_header(payload, expected)
 
 
 def _quick_header(payload: bytes, expected: str) -> Header | None:

@@ -19,14 +19,14 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from mast_zenoh import codec
+from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import Body, Header, Message
-from mast_zenoh.wiring import Input
+from mast_zenoh.wiring import Input, Wiring
 
 
 class Received(NamedTuple):
@@ -89,20 +89,59 @@ class Unopened(Received):
         return str(self[0])
 
 
-@dataclass(frozen=True, slots=True)
 class Overheard:
     """A message as a node gets it that hears every key (an input port of the type `wiring.ANY`).
 
+    Nothing is decoded before it is asked for, so that a node may pass over what it does not need.
+
     key:     on which it came, tap legs included
-    payload: the bytes as they were sent
-    header:  decoded and checked; None where that was impossible
-    flaw:    what is wrong with the header; "" if nothing is. Nobody has looked at the body.
+    wire:    what is known of that key: subject, message type, the node that publishes the wire
+    step:    frame that the run was at when the message was sent; -1: unknown
     """
 
-    key: str
-    payload: bytes
-    header: Header | None
-    flaw: str = ""
+    __slots__ = ("_content", "_flaw", "_header", "key", "step", "wire")
+
+    def __init__(self, key: str, wire: Input, content: bytes | Message, step: int, flaw: str = "") -> None:
+        """content: the bytes as sent, in one process the message itself; flaw: why a receiver refuses the latter."""
+        self.key, self.wire, self.step = key, wire, step
+        self._content, self._flaw = content, flaw
+        self._header: Header | None = None
+
+    @property
+    def payload(self) -> bytes:
+        """The bytes as they were sent, or as they would have been."""
+        return self._content if isinstance(self._content, bytes) else codec.encode(self._content)
+
+    @property
+    def header(self) -> Header:
+        """The header; raises MessageError where there is none, or it names another node than the wire's publisher."""
+        header = self._header
+        if header is None:
+            content, wire = self._content, self.wire
+            header = content.header if isinstance(content, Message) else codec.decode_header_only(content, wire.message)
+            if header.source != wire.source:
+                raise MessageError(f"{wire.message}: source {header.source[:40]!r}, expected {wire.source!r}")
+            self._header = header
+        return header
+
+    @property
+    def body(self) -> Body:
+        """The columns, decoded at each call; raises MessageError wherever a subscriber of the key would refuse them."""
+        if isinstance(self._content, Message):
+            if self._flaw:
+                raise MessageError(self._flaw)
+            return self._content.body
+        return codec.decode(self._content, self.wire.message).body
+
+    def check(self) -> None:
+        """Raise MessageError wherever a subscriber of the key would refuse the message."""
+        _ = self.header, self.body
+
+    def same_bytes(self, other: Overheard) -> bool:
+        """Whether both are known to be the same bytes. In one process messages are not encoded to find that out: there
+        it is whether both are the same message, passed on without having been made anew."""
+        mine, others = self._content, other._content
+        return mine is others or (isinstance(mine, bytes) and isinstance(others, bytes) and mine == others)
 
 
 class Context(Protocol):
@@ -110,6 +149,7 @@ class Context(Protocol):
 
     now_ns: what time it is, ns since the scene began: `time_ns` in lock-step; in real time it goes on between clocks
     hears:  what it hears, by key
+    wiring: every wire of the run with its legs, as it is now; for nodes that measure what happens on them
     """
 
     name: str
@@ -118,6 +158,7 @@ class Context(Protocol):
     time_ns: int
     log: logging.Logger
     hears: Mapping[str, Input]
+    wiring: Wiring
 
     @property
     def now_ns(self) -> int:
@@ -156,6 +197,10 @@ class Context(Protocol):
         """
         ...
 
+    def ignore(self, keys: Collection[str]) -> None:
+        """For a node that hears every key: have nothing of these keys handed on, until it ignores others instead."""
+        ...
+
     def connected(self, port: str, subject: str | None = None) -> bool:
         """Whether a wire is connected to an output port."""
         ...
@@ -189,6 +234,9 @@ class Node:
 
     def left(self, node: str, role: str, context: Context) -> None:
         """Another node has gone."""
+
+    def rewired(self, context: Context) -> None:
+        """A node has been put on a wire of the running mesh, or taken off one: `context.wiring` is the new wiring."""
 
     def finish(self, context: Context) -> dict[str, Any]:
         """Called once, after the last frame; what it returns is collected by the launcher. It can publish no more."""

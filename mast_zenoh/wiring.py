@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 #: The message type of an input port that hears every key: a node that has one publishes nothing.
@@ -115,6 +116,24 @@ class Ports:
 
 
 @dataclass(frozen=True, slots=True)
+class Passage:
+    """An interposer's way through one wire: it receives messages on one key, and sends them on on another.
+
+    wire, subject, message: of the wire, see `Wire`; port: by which the wire's publisher publishes on it
+    before: the subscriber before which alone it stands; empty: it stands before all of them
+    """
+
+    node: str
+    wire: str
+    subject: str
+    message: str
+    port: str
+    received: str
+    sent: str
+    before: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Wiring:
     """The key of every port of every node.
 
@@ -129,6 +148,15 @@ class Wiring:
         for wire in self.wires:
             for leg in wire.every_leg:
                 yield wire, leg
+
+    def passages(self) -> Iterator[Passage]:
+        """Every interposer's way through every wire that it sits on, in the order of the wires and their legs."""
+        for wire in self.wires:
+            ends = [("", leg) for leg in wire.legs]
+            yield from _passages(wire, ends)
+            for branch in wire.branches:
+                before = branch.subscriber.node
+                yield from _passages(wire, [ends[-1], *((before, leg) for leg in branch.legs)])
 
     def flows(self) -> Iterator[tuple[str, str, str]]:
         """(key, publisher, subscriber) of every leg: listeners and overhearers are subscribers too."""
@@ -200,6 +228,17 @@ class Wiring:
             tuple(_wire_of(wire) for wire in data["wires"]),
             tuple(Endpoint(end["node"], end["port"]) for end in data.get("overhearers", ())),
         )
+
+
+#: A wiring without wires.
+NO_WIRING = Wiring(())
+
+
+def _passages(wire: Wire, legs: Sequence[tuple[str, Leg]]) -> Iterator[Passage]:
+    """Those of consecutive legs, each with the subscriber that it leads to alone."""
+    for (_, into), (before, out) in pairwise(legs):
+        port = wire.legs[0].publisher.port
+        yield Passage(out.publisher.node, wire.key, wire.subject, wire.message, port, into.key, out.key, before)
 
 
 def _wire_of(data: Mapping[str, Any]) -> Wire:

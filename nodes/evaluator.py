@@ -1,205 +1,201 @@
-"""The evaluator: hears the truth and what everyone believes, and scores it when the run is over.
+"""The evaluator: hears every message of the run, the truth included, and scores it when the run is over.
 
-Nothing listens to it, so it can change nothing. What it returns becomes metrics.json and the tables of the run folder.
+Nothing listens to it, so it can change nothing. It takes nobody's word for what happened: estimates are scored as they
+were sent and as they were received, and what adversaries and links did is measured by comparing what they sent with
+what they received. What it returns becomes metrics.json and the tables of the run folder.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections import defaultdict, deque
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from mast_zenoh.attacks import ACTIONS
+from mast_zenoh.effects import Pose
+from mast_zenoh.evaluation import Evaluation, Heard
 from mast_zenoh.geometry import states_to_world
-from mast_zenoh.links import FATES, WIRES
-from mast_zenoh.metrics import (
-    Attribution,
-    Reach,
-    Record,
-    Scorer,
-    cause_counts,
-    down,
-    split,
-    stopped,
-    time_to_first_false,
-)
-from mast_zenoh.metrics.record import PICTURE
-from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.metrics import Driving, Metric, Record, Scorer, Series
+from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Snapshot
+from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.process import main
 from mast_zenoh.states import ObjectStates
+from mast_zenoh.wiring import ANY, Wiring
+
+#: Messages of a wire that are remembered, so that one that is only passed on is recognised.
+REMEMBERED = 8
+
+
+class Route(NamedTuple):
+    """What the messages of a key are to the evaluator.
+
+    take:   name of the method that takes them
+    series: the estimates that they are
+    wire:   key of their wire, if its messages are heard on several keys
+    """
+
+    take: str
+    series: tuple[Series, ...] = ()
+    wire: str = ""
 
 
 class Evaluator(Node):
-    """agents: their names; scorer: how to score; skip_first, skip_last: frames left out of the summary, because
-
-    tracks need some frames to begin with (kept when they would be more than half of the run).
-    """
+    """agents: their names; scorer: how to score; the others: see `metrics.Evaluation`."""
 
     role = "evaluator"
-    inputs = {
-        "clock": "clock",
-        "truth": "truth",
-        "tracks": "tracks",
-        "mission": "tracks",
-        "picture": "picture",
-        "reports": "attack_report",
-        "link_reports": "link_report",
-    }
+    inputs = {"everything": ANY}
 
-    def __init__(self, agents: tuple[str, ...], scorer: Scorer, skip_first: int = 6, skip_last: int = 10) -> None:
-        if skip_first < 0 or skip_last < 0:
-            raise ValueError(f"skip_first, skip_last: found {skip_first}, {skip_last}, expected 0 or more")
-        self.record = Record(agents)
-        self.scorer = scorer
-        self.reach = Reach()
-        self.skip = (skip_first, skip_last)
-        self.reports: dict[tuple[str, int], Received] = {}
-        self.times_ns: dict[int, int] = {}
-        self.pictured: dict[int, int] = {}  # frame of a picture: the step in which it was sent
-        self.links: dict[tuple[str, int, int], Received] = {}
-        self.presence: list[tuple[str, str, int, bool]] = []  # who came or went: node, role, first frame, whether up
-        self.heard: dict[tuple[str, int], int] = {}  # agent and frame of its tracks: the frame in which they came
+    def __init__(
+        self,
+        agents: tuple[str, ...],
+        scorer: Scorer,
+        skip_first: int = 6,
+        skip_last: int = 10,
+        picture_age_s: float = 0.5,
+        driving: Driving | None = None,
+        metrics: tuple[Metric, ...] = (),
+    ) -> None:
+        self.agents = agents
+        self.evaluation = Evaluation(
+            scorer=scorer,
+            skip_first=skip_first,
+            skip_last=skip_last,
+            picture_age_s=picture_age_s,
+            driving=driving or Driving(),
+            metrics=metrics,
+        )
+        self.heard = Heard(Record(agents))
+        self.routes: dict[str, Route] = {}
+        self.recent: dict[str, deque[tuple[Overheard, Snapshot]]] = defaultdict(partial(deque, maxlen=REMEMBERED))
+
+    def start(self, context: Context) -> None:
+        """The keys of the run are known before its first message."""
+        self.follow(context, 0)
+
+    def rewired(self, context: Context) -> None:
+        """A node has been put on a wire, or taken off one: from the next frame on messages take other ways."""
+        self.follow(context, context.frame + 1)
 
     def joined(self, node: str, role: str, context: Context) -> None:
         """A node is there from the next frame on."""
-        self.presence.append((node, role, context.frame + 1, True))
+        self.heard.roles[node] = role
+        self.heard.presence.note(node, role, context.frame + 1, True)
 
     def left(self, node: str, role: str, context: Context) -> None:
         """A node is not there any more."""
-        self.presence.append((node, role, context.frame + 1, False))
+        self.heard.presence.note(node, role, context.frame + 1, False)
 
-    def on_clock(self, received: Received, context: Context) -> None:
-        """Nothing is due: scoring waits for the end, when even the latest message has come."""
-        self.times_ns[received.frame] = received.time_ns
+    def follow(self, context: Context, first_frame: int) -> None:
+        """From a frame on, messages go the ways of the wiring as it is now."""
+        wiring = context.wiring
+        self.heard.meter.follow(wiring, first_frame)
+        self.routes = routes(wiring, self.agents)
+        context.ignore(set(wiring.keys()) - self.routes.keys() - self.heard.meter.keys())
 
-    def on_truth(self, received: Received, context: Context) -> None:
+    def on_everything(self, message: Overheard, context: Context) -> None:
+        """A message on any key. One that its subscribers refuse is no estimate; to the meter it is an effect."""
+        self.heard.meter.add(message)
+        route = self.routes.get(message.key)
+        if route is not None:
+            getattr(self, route.take)(message, route)
+
+    def take_clock(self, message: Overheard, route: Route) -> None:
+        """A frame begins."""
+        message.check()
+        self.heard.times_ns[message.header.frame] = message.header.time_ns
+
+    def take_truth(self, message: Overheard, route: Route) -> None:
         """Where everything really is."""
-        body = received.body
+        body = message.body
         objects = ObjectStates.of(
             body["position"], id=body["id"], size=body["size"], yaw=body["yaw"], velocity=body["velocity"]
         )
-        self.record.add_truth(received.frame, objects, body["points"], body["agent_position"], body["agent_object"])
+        self.heard.record.add_truth(
+            message.header.frame, objects, body["points"], body["agent_position"], body["agent_object"]
+        )
 
-    def on_tracks(self, received: Received, context: Context) -> None:
-        """What an agent's own sensors tell it, as the agent says it: what links do on the way is not in it."""
-        self.heard.setdefault((received.subject, received.frame), context.frame)
-        body = received.body
-        states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
-        self.record.add_tracks(received.frame, received.subject, "local", states)
+    def take_pose(self, message: Overheard, route: Route) -> None:
+        """Where an agent is: what its sensor detects is given relative to that."""
+        pose = Pose(message.body["position"].copy(), message.body["rotation"].copy())
+        self.heard.poses[message.wire.subject, message.header.frame] = pose
 
-    def on_mission(self, received: Received, context: Context) -> None:
-        """What an agent believes with the help of the picture."""
-        self.record.add_tracks(received.frame, received.subject, "mission", ObjectStates.from_columns(received.body))
+    def take_tracks(self, message: Overheard, route: Route) -> None:
+        """An agent's own tracks, where it sends them, where the broker receives them, or both."""
+        header = message.header
+        if route.series[0].estimator == LOCAL and message.step >= 0:
+            self.heard.spoken.setdefault((message.wire.subject, header.frame), message.step)
+        self.keep(message, route)
 
-    def on_picture(self, received: Received, context: Context) -> None:
-        """The common picture, and when it was sent."""
-        self.record.add_picture(received.frame, ObjectStates.from_columns(received.body))
-        self.pictured.setdefault(received.frame, received.step)
+    def take_picture(self, message: Overheard, route: Route) -> None:
+        """The common picture, where it is sent, where an agent receives it, or both."""
+        if route.series[0].estimator == PICTURE:
+            self.heard.pictured.setdefault(message.header.frame, message.step)
+        self.keep(message, route)
 
-    def on_reports(self, received: Received, context: Context) -> None:
-        """What an adversary has changed."""
-        self.reports[received.subject, received.frame] = received
+    def keep(self, message: Overheard, route: Route) -> None:
+        """Keep an estimate. A message that is passed on as it was is kept only once, so that it is scored only once."""
+        objects = None
+        if route.wire:
+            recent = self.recent[route.wire]
+            objects = next((kept for other, kept in recent if other.same_bytes(message)), None)
+        if objects is None:
+            body = message.body
+            states = ObjectStates.from_columns(body)
+            if "origin" in body:
+                states = states_to_world(states, body["origin"], body["rotation"])
+            objects = Snapshot.of(states)
+            if route.wire:
+                recent.append((message, objects))
+        self.heard.record.add(message.header.frame, route.series, objects, message.step)
 
-    def on_link_reports(self, received: Received, context: Context) -> None:
-        """What a link has done to messages in the step before."""
-        self.links[received.subject, received.frame, received.message.header.seq] = received
+    def take_attack_report(self, message: Overheard, route: Route) -> None:
+        """What an adversary says it changed."""
+        header = message.header
+        self.heard.attack_reports.append((header.source, header.frame, header.seq, message.body))
+
+    def take_link_report(self, message: Overheard, route: Route) -> None:
+        """What a link says it did to messages in the step before."""
+        header = message.header
+        self.heard.link_reports.append((header.source, header.frame, header.seq, message.body))
 
     def finish(self, context: Context) -> dict[str, Any]:
         """The metrics and the tables of the run."""
-        scores = self.scorer.score(self.record)
-        frames = len(scores.frames)
-        first, last = self.skip if sum(self.skip) <= frames // 2 else (0, 0)
-        scored = slice(first, frames - last)
-        times = self.times_ns
-        attacks, links = self.attacks(), self.link_reports()
-        period_s = (times[1] - times[0]) * 1e-9 if {0, 1} <= times.keys() else 0.1
-        table = self.record.truth(scores.frames)
-        absent, unheard = self.absence(scores.frames, period_s)
-        silent = absent | stopped(links, self.record.agents, scores.frames)
-        severed = self.reach.severed(
-            scores.objects, table, self.record.agents, scores.frames, period_s, silent, unheard, self.scorer.min_points
-        )
-        truth = table.boxes.in_group(scores.frames[table.boxes.group])
-        objects = dict(scores.objects)
-        objects["cause"], objects["by"] = Attribution().label(objects, attacks, truth, period_s, severed)
-        summary = scores.summary(scored)
-        for agent, causes in cause_counts(objects, list(summary), scores.frames[scored]).items():
-            if PICTURE in summary[agent]:
-                told = {f"{what}_split": split(causes[what], len(scores.frames[scored])) for what in ("fn", "fp")}
-                summary[agent][PICTURE] |= {"causes": causes, **told}
-        latency = [times[step] - times[f] for f, step in sorted(self.pictured.items()) if {f, step} <= times.keys()]
-        return {
-            "metrics": {
-                "frames": frames,
-                "scored_frames": [int(frame) for frame in scores.frames[scored][[0, -1]]] if frames else [],
-                "agents": summary,
-                "time_to_first_false_s": time_to_first_false(objects, attacks, period_s),
-                "latency_ms": {"sim_to_picture": percentiles(np.array(latency) * 1e-6)},
-                "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
-            },
-            "tables": {"metrics": scores.per_frame(), "objects": objects, "attacks": attacks}
-            | ({"links": links} if self.links else {}),
-        }
-
-    def absence(self, frames: np.ndarray, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Of f frames and a agents, (f, a) bool each: who is not there, and whose tracks did not come in time."""
-        agents = self.record.agents
-        columns = zip(*self.presence, strict=True) if self.presence else ((),) * 4
-        kinds = {"node": object, "role": object, "frame": np.int64, "up": bool}
-        presence = {name: np.array(column, kind) for (name, kind), column in zip(kinds.items(), columns, strict=True)}
-        within = self.reach.aged_s / period_s + 1e-6
-        heard = [[self.heard.get((agent, f), np.inf) - f <= within for agent in agents] for f in frames.tolist()]
-        unheard = ~np.array(heard, bool).reshape(len(frames), len(agents))
-        return down(presence, agents, frames), unheard
-
-    def link_reports(self) -> dict[str, np.ndarray]:
-        """All reports of links as one table, a row per message that was not simply delivered."""
-        order = sorted(self.links)
-        bodies = [self.links[key].body for key in order]
-        link = np.repeat(np.array([name for name, _, _ in order], object), [len(body["fate"]) for body in bodies])
-
-        def column(name: str, kind: Any = np.int64) -> np.ndarray:
-            return np.concatenate([np.zeros(0, kind), *(body[name] for body in bodies)]).astype(kind)
-
-        def named(name: str, names: tuple[str, ...]) -> np.ndarray:
-            return np.array([*names, "other"], object)[np.minimum(column(name), len(names))]
-
-        return {
-            "link": link,
-            "agent": np.array([name.removeprefix("link_") for name in link], object),
-            "port": named("port", WIRES),
-            **{name: column(name) for name in ("frame", "seq")},
-            "fate": named("fate", FATES),
-            "rule": column("rule"),
-            "delay_s": column("delay_s", np.float64),
-        }
-
-    def attacks(self) -> dict[str, np.ndarray]:
-        """All reports of adversaries as one table, a row per object changed."""
-        order = sorted(self.reports)
-        bodies = [self.reports[key].body for key in order]
-        counts = [len(body["action"]) for body in bodies]
-
-        def column(name: str, shape: tuple[int, ...] = (0,)) -> np.ndarray:
-            return np.concatenate([np.zeros(shape), *(body[name] for body in bodies)])
-
-        before, after, velocity = (column(n, (0, 3)) for n in ("before_position", "after_position", "velocity"))
-        return {
-            "adversary": np.repeat(np.array([name for name, _ in order], dtype=object), counts),
-            "frame": np.repeat(np.array([frame for _, frame in order], np.int64), counts),
-            "action": np.array(ACTIONS, dtype=object)[column("action").astype(np.int64)],
-            "target": column("target").astype(np.int64),
-            **{f"before_{axis}": before[:, i] for i, axis in enumerate("xyz")},
-            **{f"after_{axis}": after[:, i] for i, axis in enumerate("xyz")},
-            **{f"v{axis}": velocity[:, i] for i, axis in enumerate("xyz")},
-        }
+        return self.evaluation.of(self.heard)
 
 
-def percentiles(latency_ms: np.ndarray) -> dict[str, float | None]:
-    """p50, p95 and p99 of (n,) latencies; None of none."""
-    if len(latency_ms) == 0:
-        return {"p50": None, "p95": None, "p99": None}
-    return {f"p{p}": float(np.percentile(latency_ms, p)) for p in (50, 95, 99)}
+def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
+    """What the messages of each key of a wiring are to the evaluator; keys that it needs no message of are left out.
+
+    Wires are known by the port of the node that publishes them, whatever a map calls their keys.
+    """
+    series: dict[str, list[Series]] = defaultdict(list)
+    takes: dict[str, str] = {}
+    shared: dict[str, str] = {}
+    sensed = {wire.subject for wire in wiring.wires if wire.interposers and wire.message == "detections"}
+    brokers = {wire.legs[0].publisher.node for wire in wiring.wires if wire.message == "collated"}
+    for wire in wiring.wires:
+        source = wire.legs[0]
+        port, agent = source.publisher.port, source.publisher.node
+        ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
+        if len(wire.every_leg) > 1:
+            shared |= dict.fromkeys((leg.key for leg in wire.every_leg), wire.key)
+        if wire.message in ("clock", "truth", "attack_report", "link_report"):
+            takes[source.key] = f"take_{wire.message}"
+        elif wire.message == "pose" and wire.subject in sensed:
+            takes[source.key] = "take_pose"
+        elif wire.message == "tracks" and agent in agents and port in ("tracks", "mission"):
+            series[source.key].append(Series(agent, LOCAL if port == "tracks" else MISSION))
+            received = [ends[broker] for broker in brokers if broker in ends] if port == "tracks" else []
+            for key in received:
+                series[key].append(Series(agent, RECEIVED))
+            takes |= dict.fromkeys((source.key, *received), "take_tracks")
+        elif wire.message == "picture":
+            series[source.key].append(Series("", PICTURE))
+            received = [(key, name) for name, key in ends.items() if name in agents]
+            for key, name in received:
+                series[key].append(Series(name, PICTURE_RECEIVED))
+            takes |= dict.fromkeys((source.key, *(key for key, _ in received)), "take_picture")
+    return {key: Route(take, tuple(series[key]), shared.get(key, "")) for key, take in takes.items()}
 
 
 if __name__ == "__main__":

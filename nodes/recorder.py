@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from mast_zenoh import codec
+from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.process import main
@@ -28,11 +30,15 @@ class Recorder(Node):
         self.log.begin(context.hears)
 
     def on_everything(self, overheard: Overheard, context: Context) -> None:
-        """A message, sound or not."""
-        if overheard.header is None or overheard.flaw:
-            self.log.add_malformed(overheard.key, overheard.payload, max(context.frame, 0), context.time_ns)
+        """A message, sound or not; of its body it is only asked that it is whole."""
+        payload = overheard.payload
+        try:
+            header = overheard.header
+            codec.decode_header(payload, overheard.wire.message)
+        except MessageError:
+            self.log.add_malformed(overheard.key, payload, max(context.frame, 0), context.time_ns)
         else:
-            self.log.add(overheard.key, overheard.payload, overheard.header)
+            self.log.add(overheard.key, payload, header)
 
     def finish(self, context: Context) -> dict[str, Any]:
         """How many there were, and how many could not be written."""

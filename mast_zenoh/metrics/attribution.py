@@ -1,37 +1,36 @@
-"""Why each false track of the picture is there, and why each missed object is missing. Pure; see docs/metrics.md."""
+"""Why each false track is there and each missed object missing, in every estimate. Pure; see docs/metrics.md."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mast_zenoh.metrics.boxes import Boxes
-from mast_zenoh.metrics.lies import SAME_M, Hidden, Places, nearest, shown
-from mast_zenoh.metrics.lookup import find, occurs
-from mast_zenoh.metrics.record import PICTURE
-from mast_zenoh.metrics.scores import Table
+from mast_zenoh.metrics.causes import (
+    ALTERED,
+    CLUTTER,
+    DUPLICATE,
+    FAULT,
+    FUSION,
+    INSERTED,
+    LAG,
+    MOVED,
+    SIGHT,
+    TRACKING,
+    UNKNOWN,
+    Hidden,
+    joined,
+    shown,
+)
+from mast_zenoh.metrics.lookup import find, latest, occurs
+from mast_zenoh.metrics.manipulations import Manipulations
+from mast_zenoh.metrics.places import Places, nearest
+from mast_zenoh.metrics.record import LOCAL, RECEIVED, TruthTable
+from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores, Texts
 from mast_zenoh.metrics.severed import Severed
 from mast_zenoh.states import Bools, Floats, Ints
-
-#: Causes of false (FP) and missed (FN) objects, the adversaries' first.
-CAUSES = (
-    "injected",
-    "removed",
-    "moved",
-    "duplicate",
-    "lag",
-    "occlusion or range",
-    "clutter",
-    "fusion",
-    "link or fault",
-)
-INJECTED, REMOVED, MOVED, DUPLICATE, LAG, SIGHT, CLUTTER, FUSION, FAULT = range(len(CAUSES))
-_UNKNOWN = -1
-#: Who is to blame, and for which causes; what neither is to blame for is natural.
-ATTACK_CAUSES, FAULT_CAUSES = CAUSES[INJECTED : MOVED + 1], CAUSES[FAULT:]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,158 +38,191 @@ class Attribution:
     """How near and how recent a cause must be.
 
     lie_m:     m, from a false track to the object that an adversary shows there
-    hidden_m:  m, from where an object was hidden or displaced to the truth object that it is
+    same_m:    m, two adversaries whose false objects are this near each other show the same object
     object_m:  m, from a false track to the truth object that it is a second track of, or one of an object not evaluated
     astray_m:  m, from a false track to the missed truth object that it is taken to be the inaccurate track of
     coast_s:   s, how long a track may outlive what it was a track of
     begin_s:   s, how long an object that has come into view may go without a track
+    min_points: lidar points with which an agent's own sensor sees an object
     """
 
     lie_m: float = 5.0
-    hidden_m: float = 4.0
+    same_m: float = 0.25
     object_m: float = 3.0
     astray_m: float = 6.0
     coast_s: float = 4.0
     begin_s: float = 1.0
+    min_points: int = 5
 
     def label(
-        self, objects: Table, attacks: Table, truth: Boxes, period_s: float, severed: Severed | None = None
-    ) -> tuple[Texts, Texts]:
-        """`cause` and `by` of each row of `objects`, both (n,) str: empty unless the row is a false track or a missed
-        object of the picture.
+        self,
+        scores: Scores,
+        done: Manipulations,
+        truth: TruthTable,
+        agents: Sequence[str],
+        period_s: float,
+        severed: Severed | None = None,
+    ) -> Labels:
+        """The cause of every false track, missed object and identity switch in every estimate.
 
-        objects:  `Scores.objects`: of all agents, their own tracks (estimator "local") included
-        attacks:  the adversaries' reports, a row per change: adversary, frame, action, target, before_x … after_z, vx …
-        truth:    all objects, evaluated or not, world frame; group = frame
+        done:     what interposers did to objects; its series are those of `scores`
+        truth:    of the frames of `scores`, of which `agents` are the columns
         period_s: s from frame to frame
-        severed:  objects that only agents could have told of whose tracks did not get through; None: all got through
-
-        `by` names the adversaries, joined by "+" where several told the same lie; empty for other causes.
+        severed:  objects that only agents could have reported whose tracks did not get through; None: all got through
         """
-        return _Case(self, objects, attacks, truth, period_s, severed or Severed.nothing()).labels()
+        return _Case(self, scores, done, truth, agents, period_s, severed or Severed.nothing()).labels()
 
 
-Texts = NDArray[np.str_]
+class Labels(NamedTuple):
+    """What the errors of a run are due to.
+
+    cause: (n,) of each row of `Scores.judged`, an index into CAUSES; UNKNOWN: it is no error
+    by:    (n,) str, the adversaries, joined by "+" where several showed the same object; empty where it is no attack
+    switch_cause, switch_by: (k,) the same of each of `Scores.switches`
+    """
+
+    cause: Ints
+    by: Texts
+    switch_cause: Ints
+    switch_by: Texts
 
 
 class _Rows(NamedTuple):
-    """Rows of the picture of one kind, sorted by agent, id and frame."""
+    """Rows of `Scores.judged` of one kind, by series, id and frame; those of an id that is never wrong are left out."""
 
-    row: Ints  #: in `objects`
-    agent: Ints
+    row: Ints  #: of `Scores.judged`
+    series: Ints
     frame: Ints
     id: Ints
     match: Ints
-    outcome: Texts
+    outcome: Ints
     position: Floats
+    group: Ints  #: of series and frame
 
-    def places(self, mask: Bools | Ints) -> Places:
-        return Places(self.frame[mask], self.position[mask])
+    def places(self, rows: Bools | Ints) -> Places:
+        return Places(self.group[rows], self.position[rows])
 
 
 class _Case:
     """One run under investigation."""
 
     def __init__(
-        self, how: Attribution, objects: Table, attacks: Table, truth: Boxes, period_s: float, severed: Severed
+        self,
+        how: Attribution,
+        scores: Scores,
+        done: Manipulations,
+        truth: TruthTable,
+        agents: Sequence[str],
+        period_s: float,
+        severed: Severed,
     ) -> None:
-        self.how, self.objects, self.truth, self.period_s = how, objects, truth, period_s
-        self.severed = severed
+        self.how, self.scores, self.done, self.truth = how, scores, done, truth
+        self.period_s, self.severed = period_s, severed
         self.coast = round(how.coast_s / period_s)
-        self.names, self.adversary = np.unique(np.asarray(attacks["adversary"], str), return_inverse=True)
-        self.action = np.asarray(attacks["action"], str)
-        picture = np.flatnonzero(objects["estimator"] == PICTURE)
-        agent, is_track = _numbered(objects["agent"][picture]), objects["kind"][picture] == "track"
-        self.tracks = self._rows(picture[is_track], agent[is_track])
-        self.truths = self._rows(picture[~is_track], agent[~is_track])
-        self.attacks = attacks
-        self.hidden = [
-            (code, adversary, Hidden.of(attacks, self._reports(adversary, action), truth, how.hidden_m))
-            for action, code in (("removed", REMOVED), ("moved", MOVED))
-            for adversary in range(len(self.names))
-        ]
+        self.span = int(scores.frames.max(initial=0)) + 1
+        self.tracks = self._every(FALSE, tracks=True)
+        self.truths = self._every(MISSED, tracks=False)
+        #: what is made from an agent's own sensor alone
+        own = [estimator in (LOCAL, RECEIVED) for _, estimator in scores.series]
+        self.own = np.array(own, bool)
+        self.column = np.array([agents.index(agent) for agent, _ in scores.series], np.int64)
+        self.truth_frame = scores.frames[truth.boxes.group]
 
-    def _rows(self, rows: Ints, agent: Ints) -> _Rows:
-        table = {name: self.objects[name][rows] for name in ("frame", "id", "match_id", "outcome", "x", "y", "z")}
-        order = np.lexsort((table["frame"], table["id"], agent))
-        position = np.column_stack([table[axis] for axis in "xyz"])[order]
-        frame, id_, match, outcome = (table[name][order] for name in ("frame", "id", "match_id", "outcome"))
-        return _Rows(rows[order], agent[order], frame, id_, match, outcome, position)
+    def _every(self, wrong: int, *, tracks: bool) -> _Rows:
+        """The rows of every track, or truth object, that is wrong in any frame."""
+        judged = self.scores.judged
+        key = judged.series * (int(judged.id.max(initial=0)) + 1) + judged.id
+        rows = np.flatnonzero(judged.is_track == tracks)
+        mine = key[rows]
+        rows = rows[np.isin(mine, mine[judged.outcome[rows] == wrong])]
+        return self._rows(rows[np.lexsort((judged.frame[rows], key[rows]))])
 
-    def labels(self) -> tuple[Texts, Texts]:
-        n = len(self.objects["frame"])
-        cause, by = np.full(n, _UNKNOWN), np.zeros((n, len(self.names)), bool)
-        false, missed = self.tracks.outcome == "false", self.truths.outcome == "missed"
-        track_cause, track_by = self._lies(false)
-        self._honest_tracks(false, track_cause)
+    def _rows(self, rows: Ints) -> _Rows:
+        judged = self.scores.judged
+        series, frame = judged.series[rows], judged.frame[rows]
+        id_, position = judged.id[rows], judged.boxes.position[rows]
+        group = series * self.span + frame
+        return _Rows(rows, series, frame, id_, judged.match_id[rows], judged.outcome[rows], position, group)
+
+    def labels(self) -> Labels:
+        n = len(self.scores.judged.frame)
+        cause, by = np.full(n, UNKNOWN), np.zeros((n, len(self.done.culprits)), bool)
+        false, missed = self.tracks.outcome == FALSE, self.truths.outcome == MISSED
+        self.hidden = Hidden.of(self.done)
+        track_cause, track_by = self._shown(false)
+        self._natural_tracks(false, track_cause)
         cause[self.tracks.row], by[self.tracks.row] = track_cause, track_by
         truth_cause, truth_by = self._missed(missed, track_cause, track_by)
         cause[self.truths.row], by[self.truths.row] = truth_cause, truth_by
-        words = np.array(CAUSES)
-        named = np.zeros(n, words.dtype)
-        known = np.flatnonzero(cause >= 0)
-        named[known] = words[cause[known]]
-        return named, self._joined(by)
+        switch_cause, switch_by = self._switches(track_cause, track_by)
+        names = self.done.culprits
+        return Labels(cause, joined(names, by), switch_cause, joined(names, switch_by))
 
-    def _joined(self, by: Bools) -> Texts:
-        """(n,) the names in each row of (n, a)."""
-        some = np.flatnonzero(by.any(axis=1))
-        kind = np.zeros(len(some), np.int64)
-        for column in by[some].T:
-            _, first, kind = np.unique(2 * kind + column, return_index=True, return_inverse=True)
-        words = ["+".join(self.names[each]) for each in by[some[first]]] if len(some) else []
-        result = np.zeros(len(by), dtype=f"<U{max(map(len, words), default=1)}")
-        result[some] = np.array(words or [""])[kind]
-        return result
+    def _switches(self, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
+        """Causes of the identity switches: the object was hidden lately, or one of its two tracks was shown; else it is
+        the tracking's own."""
+        t, switches = self.tracks, self.scores.switches
+        frame = self.scores.frames[switches.frame]
+        cause, by = np.full(len(frame), UNKNOWN), np.zeros((len(frame), len(self.done.culprits)), bool)
+        rows = np.arange(len(frame))
+        self._blame_hiding(switches.truth_id, frame, switches.series, rows, cause, by)
+        blamed = np.isin(track_cause, (INSERTED, MOVED, FAULT)).nonzero()[0]
+        for id_ in (switches.before, switches.after):
+            last = latest((switches.series, id_), frame, (t.series[blamed], t.id[blamed]), t.frame[blamed])
+            recent = (last >= 0) & (frame - np.append(t.frame[blamed], 0)[last] <= self.coast)
+            recent &= cause == UNKNOWN
+            cause[recent], by[recent] = track_cause[blamed[last[recent]]], track_by[blamed[last[recent]]]
+        return np.where(cause == UNKNOWN, TRACKING, cause), by
 
-    def _reports(self, adversary: int, action: str) -> Bools:
-        return np.asarray((self.adversary == adversary) & (self.action == action))
-
-    def _lies(self, false: Bools) -> tuple[Ints, Bools]:
-        """Of each track row, cause and adversaries if it is the track of a lie; else unknown."""
-        t, how = self.tracks, self.how
-        cause, by = np.full(len(t.row), _UNKNOWN), np.zeros((len(t.row), len(self.names)), bool)
-        if not len(self.names):
+    def _shown(self, false: Bools) -> tuple[Ints, Bools]:
+        """Of each track row, cause and culprits if it is the track of an object that somebody shows; else unknown."""
+        t, done = self.tracks, self.done
+        cause, by = np.full(len(t.row), UNKNOWN), np.zeros((len(t.row), len(done.culprits)), bool)
+        if not len(done):
             return cause, by
-        at = np.flatnonzero(false)
+        at = false.nonzero()[0]
         places = t.places(at)
-        columns = [(action, a) for action in ("added", "moved") for a in range(len(self.names))]
-        distance = np.column_stack(
-            [
-                nearest(places, shown(self.attacks, self._reports(a, action), self.period_s, how.coast_s), how.lie_m)[1]
-                for action, a in columns
-            ]
-        )
-        best = distance.argmin(axis=1)
-        least = distance[np.arange(len(at)), best]
-        told = np.isfinite(least)
-        moved = best >= len(self.names)
-        cause[at[told]] = np.where(moved, MOVED, INJECTED)[told]
-        same = (distance <= least[:, None] + SAME_M) & told[:, None]
-        half = len(self.names)
-        by[at] = np.where(moved[:, None], same[:, half:], same[:, :half])
-        # A track of a lie stays one while it coasts, and was one when it began, until it meets a real object.
+        best, whose = np.full(len(at), np.inf), np.full(len(at), UNKNOWN)
+        near: list[tuple[int, int, Floats]] = []
+        for kind in (INSERTED, MOVED):
+            for culprit in range(-1, len(done.culprits)):
+                rows = ((done.kind == kind) & (done.culprit == culprit)).nonzero()[0]
+                if not len(rows):
+                    continue
+                lies = shown(done.select(rows), self.period_s, self.coast, self.span)
+                _, distance = nearest(places, lies, self.how.lie_m)
+                near.append((kind, culprit, distance))
+                closer = distance < best
+                best[closer], whose[closer] = distance[closer], kind if culprit >= 0 else FAULT
+        hit = np.isfinite(best)
+        cause[at[hit]] = whose[hit]
+        for kind, culprit, distance in near:
+            if culprit >= 0:
+                by[at[hit & (whose == kind) & (distance <= best + self.how.same_m)], culprit] = True
+        # Such a track stays one while it coasts, and was one when it began, until it meets a real object.
         for backwards in (False, True):
-            found = self._carried(t, cause >= 0, (cause >= 0) | (t.outcome == "matched"), backwards)
-            filled = np.flatnonzero(false & (cause < 0) & (found >= 0))
+            found = self._carried(t, cause >= 0, (cause >= 0) | (t.outcome == MATCHED), backwards)
+            filled = (false & (cause < 0) & (found >= 0)).nonzero()[0]
             cause[filled], by[filled] = cause[found[filled]], by[found[filled]]
-        # A track of a real object that is being hidden or displaced goes astray.
-        lone = np.flatnonzero(false & (cause < 0))
-        matched = t.outcome == "matched"
+        # A track of a real object that is being hidden, moved or altered goes astray.
+        matched = t.outcome == MATCHED
+        lone = (false & (cause < 0)).nonzero()[0]
         last = self._carried(t, matched, matched)[lone]
         lone, last = lone[last >= 0], last[last >= 0]
-        self._blame_hiding(t.match[last], t.frame[lone], lone, cause, by)
+        self._blame_hiding(t.match[last], t.frame[lone], t.series[lone], lone, cause, by)
         return cause, by
 
-    def _blame_hiding(self, truth_id: Ints, frame: Ints, rows: Ints, cause: Ints, by: Bools) -> None:
-        """Set cause and adversaries of `rows`, which are about these objects, where these were hidden lately."""
-        for code, adversary, hidden in self.hidden:
-            guilty = rows[hidden.lately(truth_id, frame, self.coast)]
-            guilty = guilty[(cause[guilty] < 0) | (cause[guilty] == code)]
-            cause[guilty], by[guilty, adversary] = code, True
+    def _blame_hiding(self, truth_id: Ints, frame: Ints, series: Ints, rows: Ints, cause: Ints, by: Bools) -> None:
+        """Set cause and culprits of `rows`, which are about these objects, where these were hidden lately."""
+        for code, culprit, guilty in self.hidden.lately(truth_id, frame, series):
+            mine = rows[guilty]
+            mine = mine[(cause[mine] < 0) | (cause[mine] == code)]
+            cause[mine] = code
+            if culprit >= 0:
+                by[mine, culprit] = True
 
     def _carried(self, rows: _Rows, valid: Bools, stops: Bools, backwards: bool = False) -> Ints:
-        """(n,) of each row the last row of the same agent and id that `stops`, -1 unless it is `valid` and recent.
+        """(n,) of each row the last row of the same series and id that `stops`, -1 unless it is `valid` and recent.
 
         backwards: the next one instead.
         """
@@ -200,81 +232,91 @@ class _Case:
         last = place[turn]
         known = last >= 0
         last = np.where(known & backwards, n - 1 - last, last)
-        same = known & (rows.agent[last] == rows.agent) & (rows.id[last] == rows.id) & valid[last]
+        same = known & (rows.series[last] == rows.series) & (rows.id[last] == rows.id) & valid[last]
         same &= np.abs(rows.frame[last] - rows.frame) <= self.coast
         return np.where(same, last, -1)
 
-    def _honest_tracks(self, false: Bools, cause: Ints) -> None:
-        """Causes of the false tracks that no adversary is to blame for."""
-        t, u, how = self.tracks, self.truths, self.how
-        matched = t.outcome == "matched"
-        last = self._carried(t, matched, matched)
-        seen = u.outcome != "unevaluated"
-        for agent in range(int(t.agent.max(initial=-1)) + 1):
-            lone = np.flatnonzero(false & (cause < 0) & (t.agent == agent))
-            mine = np.flatnonzero(u.agent == agent)
-            places = t.places(lone)
-            everything = Places(self.truth.group, self.truth.position)
-            real, _ = nearest(places, everything, how.object_m)
-            double, _ = nearest(places, u.places(mine[u.outcome[mine] == "matched"]), how.object_m)
-            astray, _ = nearest(places, u.places(mine[u.outcome[mine] == "missed"]), how.astray_m)
-            # Whether the object that the track was of is still evaluated for this agent in this frame.
-            there = occurs((t.match[last[lone]], t.frame[lone]), (u.id[mine[seen[mine]]], u.frame[mine[seen[mine]]]))
-            exists = occurs((t.match[last[lone]], t.frame[lone]), (self.truth.id, self.truth.group))
-            coasting = last[lone] >= 0
-            cause[lone] = np.select(
-                [astray >= 0, double >= 0, real >= 0, coasting & exists & ~there, coasting],
-                [LAG, DUPLICATE, SIGHT, SIGHT, LAG],
-                CLUTTER,
-            )
-            # What no message can correct: the track of an object that only those can tell of who are cut off.
-            missed = np.append(u.id[mine[u.outcome[mine] == "missed"]], -1)
-            of = np.where(astray >= 0, missed[astray], np.where(coasting, t.match[last[lone]], -1))
-            cut = np.isin(cause[lone], (LAG, DUPLICATE)) & self.severed.has(of, t.frame[lone])
-            cause[lone[cut]] = FAULT
+    def _natural_tracks(self, false: Bools, cause: Ints) -> None:
+        """Causes of the false tracks that nobody shows."""
+        t, u, how = self.tracks, self._all_truths(), self.how
+        matched = t.outcome == MATCHED
+        lone = (false & (cause < 0)).nonzero()[0]
+        if not len(lone):
+            return
+        last = self._carried(t, matched, matched)[lone]
+        places = t.places(lone)
+        everything = Places(self.truth_frame, self.truth.boxes.position)
+        real, _ = nearest(Places(t.frame[lone], t.position[lone]), everything, how.object_m)
+        double, _ = nearest(places, u.places(u.outcome == MATCHED), how.object_m)
+        missed = (u.outcome == MISSED).nonzero()[0]
+        astray, _ = nearest(places, u.places(missed), how.astray_m)
+        # Whether the object that the track was of is still evaluated in this series and frame.
+        seen = (u.outcome != UNEVALUATED).nonzero()[0]
+        wanted = t.match[last], t.frame[lone]
+        there = occurs((t.series[lone], *wanted), (u.series[seen], u.id[seen], u.frame[seen]))
+        exists = occurs(wanted, (self.truth.boxes.id, self.truth_frame))
+        coasting = last >= 0
+        cause[lone] = np.select(
+            [astray >= 0, double >= 0, real >= 0, coasting & exists & ~there, coasting],
+            [LAG, DUPLICATE, SIGHT, SIGHT, LAG],
+            CLUTTER,
+        )
+        # What no message can correct: the track of an object that only disconnected agents can report.
+        of = np.where(astray >= 0, np.append(u.id[missed], -1)[astray], np.where(coasting, t.match[last], -1))
+        cut = np.isin(cause[lone], (LAG, DUPLICATE)) & ~self.own[t.series[lone]] & self.severed.has(of, t.frame[lone])
+        cause[lone[cut]] = FAULT
+
+    def _all_truths(self) -> _Rows:
+        """The truth rows of all series in which there is a false track, in no particular order."""
+        judged = self.scores.judged
+        involved = np.zeros(len(self.scores.series), bool)
+        involved[self.tracks.series] = True
+        return self._rows(np.flatnonzero(~judged.is_track & involved[judged.series]))
 
     def _missed(self, missed: Bools, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the missed objects."""
         t, u = self.tracks, self.truths
-        cause, by = np.full(len(u.row), _UNKNOWN), np.zeros((len(u.row), len(self.names)), bool)
-        rows = np.flatnonzero(missed)
-        self._blame_hiding(u.id[rows], u.frame[rows], rows, cause, by)
-        # The track that it had follows a lie now.
-        matched = u.outcome == "matched"
+        cause, by = np.full(len(u.row), UNKNOWN), np.zeros((len(u.row), len(self.done.culprits)), bool)
+        rows = missed.nonzero()[0]
+        self._blame_hiding(u.id[rows], u.frame[rows], u.series[rows], rows, cause, by)
+        # The track that it had follows something that somebody shows now.
+        matched = u.outcome == MATCHED
         last = self._carried(u, matched, matched)
         lone = rows[(cause[rows] < 0) & (last[rows] >= 0)]
-        lured = np.flatnonzero((track_cause >= 0) & (track_cause <= MOVED))
-        at = find((u.agent[lone], u.match[last[lone]], u.frame[lone]), (t.agent[lured], t.id[lured], t.frame[lured]))
+        lured = ((track_cause >= INSERTED) & (track_cause <= ALTERED)).nonzero()[0]
+        wanted = u.series[lone], u.match[last[lone]], u.frame[lone]
+        at = find(wanted, (t.series[lured], t.id[lured], t.frame[lured]))
         lone, at = lone[at >= 0], lured[at[at >= 0]]
         cause[lone], by[lone] = track_cause[at], track_by[at]
         lone = rows[cause[rows] < 0]
-        own = np.flatnonzero((self.objects["estimator"] == "local") & (self.objects["outcome"] == "matched"))
-        own = own[self.objects["kind"][own] == "truth"]
-        tracked = occurs((u.id[lone], u.frame[lone]), (self.objects["id"][own], self.objects["frame"][own]))
+        tracked = self._tracked(u, lone)
         fresh = u.frame[lone] - self._begun(u)[lone] < round(self.how.begin_s / self.period_s)
-        cut = self.severed.has(u.id[lone], u.frame[lone], tracked=fresh)
-        off = np.zeros(len(lone), bool)
-        for agent in range(int(u.agent.max(initial=-1)) + 1):
-            here = u.agent[lone] == agent
-            stray = np.flatnonzero((t.agent == agent) & (t.outcome == "false") & np.isin(track_cause, (LAG, FAULT)))
-            off[here] = nearest(u.places(lone[here]), t.places(stray), self.how.astray_m)[0] >= 0
-        cause[lone] = np.select([cut, fresh, off, ~tracked], [FAULT, LAG, LAG, SIGHT], FUSION)
+        own = self.own[u.series[lone]]
+        cut = ~own & self.severed.has(u.id[lone], u.frame[lone], tracked=fresh)
+        stray = (t.outcome == FALSE) & np.isin(track_cause, (LAG, FAULT))
+        off = nearest(u.places(lone), t.places(stray), self.how.astray_m)[0] >= 0
+        cause[lone] = np.select([cut, fresh, off, ~tracked, own], [FAULT, LAG, LAG, SIGHT, TRACKING], FUSION)
         return cause, by
+
+    def _tracked(self, rows: _Rows, lone: Ints) -> Bools:
+        """Whether the estimate of each row could have known of its object: what it is made from holds the object.
+
+        Of an agent's own tracks that is its sensor, of all others the own tracks of any agent.
+        """
+        judged = self.scores.judged
+        own = [row for (_, estimator), row in self.scores.every_series.items() if estimator == LOCAL]
+        local = np.flatnonzero(np.isin(judged.series, own) & ~judged.is_track & (judged.outcome == MATCHED))
+        by_any = occurs((rows.id[lone], rows.frame[lone]), (judged.id[local], judged.frame[local]))
+        at = find((rows.id[lone], rows.frame[lone]), (self.truth.boxes.id, self.truth_frame))
+        points = self.truth.points[at, self.column[rows.series[lone]]]
+        by_itself = (at >= 0) & (points >= self.how.min_points)
+        return np.where(self.own[rows.series[lone]], by_itself, by_any)
 
     def _begun(self, rows: _Rows) -> Ints:
         """(n,) frame in which the object of each row came into view: since then it has been evaluated throughout."""
-        seen = rows.outcome != "unevaluated"
+        seen = rows.outcome != UNEVALUATED
         first = np.ones(len(rows.row), bool)
-        first[1:] = (np.diff(rows.agent) != 0) | (np.diff(rows.id) != 0) | (np.diff(rows.frame) != 1)
+        first[1:] = (np.diff(rows.series) != 0) | (np.diff(rows.id) != 0) | (np.diff(rows.frame) != 1)
         first[1:] |= seen[1:] != seen[:-1]
         start = np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)) if len(first) else first.astype(int)
         return np.asarray(rows.frame[start])
-
-
-def _numbered(names: Texts) -> Ints:
-    """(n,) the number of each name among the different ones; quick where equal ones are next to each other."""
-    first = np.ones(len(names), bool)
-    first[1:] = names[1:] != names[:-1]
-    heads = first.nonzero()[0]
-    _, number = np.unique(names[heads], return_inverse=True)
-    return np.repeat(number, np.diff(heads, append=len(names)))

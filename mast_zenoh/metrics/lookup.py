@@ -40,3 +40,19 @@ def _codes(columns: Sequence[Ints]) -> Ints:
 def occurs(wanted: tuple[Ints, ...], among: tuple[Ints, ...]) -> Bools:
     """(n,) whether each row of `wanted` columns is a row of `among`."""
     return np.asarray(find(wanted, among) >= 0)
+
+
+def latest(wanted: tuple[Ints, ...], until: Ints, among: tuple[Ints, ...], when: Ints) -> Ints:
+    """(n,) for each row of `wanted` columns the row of `among` that equals it and of which `when` is the latest up to
+    `until` (n,), -1: none."""
+    n = len(wanted[0])
+    if n == 0 or len(among[0]) == 0:
+        return np.full(n, -1, np.int64)
+    codes = _codes([np.concatenate(both) for both in zip((*wanted, until), (*among, when), strict=True)])
+    ours, theirs = codes[:n], codes[n:]
+    order = theirs.argsort(kind="stable")
+    row = order[np.maximum(np.searchsorted(theirs[order], ours, side="right") - 1, 0)]
+    same = when[row] <= until
+    for mine, others in zip(wanted, among, strict=True):
+        same &= others[row] == mine
+    return np.where(same, row, -1)

@@ -12,12 +12,24 @@ import numpy as np
 from mast_zenoh.metrics.boxes import Boxes
 from mast_zenoh.states import Floats, Ints, ObjectStates
 
-#: The estimator that all agents share: the command centre's picture.
-PICTURE = "picture"
+#: What an agent believes from its own sensors alone, as it computed it, and as the broker received it.
+LOCAL, RECEIVED = "local", "received"
+#: The command centre's picture: as it was computed, by the frame that it is about, which all agents share; as an agent
+#: received it; and the newest one that the agent held in each frame, which may be about an earlier frame.
+PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL = "picture", "picture_received", "picture_on_arrival"
+#: What an agent believes from its own sensors and the picture together.
+MISSION = "mission"
+#: In the order in which an estimate is made from those before it.
+ESTIMATORS = (LOCAL, RECEIVED, PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
+
+
+def place_of(estimator: str) -> int:
+    """Where an estimator stands among ESTIMATORS; others come last."""
+    return ESTIMATORS.index(estimator) if estimator in ESTIMATORS else len(ESTIMATORS)
 
 
 class Series(NamedTuple):
-    """Who estimates: an agent's name, empty for what all agents share, and the estimator's name."""
+    """One estimate over time: an agent's name, empty for what all agents share, and the estimator's name."""
 
     agent: str
     estimator: str
@@ -28,12 +40,14 @@ class TruthTable:
     """n rows of truth in f frames with a agents.
 
     boxes:          n boxes, group = row of the frame
+    velocity:       (n, 3) m/s, world frame
     points:         (n, a) int32, lidar points of each agent on the object
     agent_position: (f, a, 3) m
     agent_object:   (f, a) int64, id of the object that the agent is, -1: none
     """
 
     boxes: Boxes
+    velocity: Floats
     points: Ints
     agent_position: Floats
     agent_object: Ints
@@ -46,40 +60,48 @@ class TruthTable:
 
 @dataclass(frozen=True, slots=True)
 class TrackTable:
-    """n rows of tracks: boxes with group = row of the frame, and score (n,)."""
+    """n rows of tracks: boxes with group = row of the frame, velocity (n, 3) m/s, world frame, and score (n,)."""
 
     boxes: Boxes
+    velocity: Floats
     score: Floats
 
 
-class _Snapshot(NamedTuple):
-    """What metrics need of the objects of one message: copies, for the arrays of a message keep all of it alive."""
+class Snapshot(NamedTuple):
+    """What metrics need of the objects of one message: copies, for the arrays of a message keep all of it alive.
+
+    id (n,) int64, position (n, 3) m, size (n, 3) m, yaw (n,) rad, velocity (n, 3) m/s, score (n,); world frame
+    """
 
     id: Ints
     position: Floats
     size: Floats
     yaw: Floats
+    velocity: Floats
     score: Floats
 
     @classmethod
-    def of(cls, states: ObjectStates) -> _Snapshot:
+    def of(cls, states: ObjectStates) -> Snapshot:
+        """The snapshot of states."""
         return cls(*[column.copy() for column in _columns_kept(states)])
 
 
-_columns_kept = attrgetter(*_Snapshot._fields)
-_NOTHING = _Snapshot.of(ObjectStates.empty())
+_columns_kept = attrgetter(*Snapshot._fields)
+_NOTHING = Snapshot.of(ObjectStates.empty())
 
 
 class Record:
-    """Collects a run frame by frame; a second message for the same frame and series replaces the first.
+    """Collects a run frame by frame. Of several messages about one frame in one series the first counts, as it does
+    for the nodes that receive them.
 
     agents: names, in the order of the columns of `points` and `agent_position`
     """
 
     def __init__(self, agents: Sequence[str]) -> None:
         self.agents = tuple(agents)
-        self._truth: dict[int, tuple[_Snapshot, Ints, Floats, Ints]] = {}
-        self._tracks: dict[Series, dict[int, _Snapshot]] = {}
+        self._truth: dict[int, tuple[Snapshot, Ints, Floats, Ints]] = {}
+        self._tracks: dict[Series, dict[int, Snapshot]] = {}
+        self._arrivals: dict[str, list[tuple[int, int, Snapshot]]] = {}  # by agent: step, frame, picture
 
     def add_truth(
         self, frame: int, objects: ObjectStates, points: Ints, agent_position: Floats, agent_object: Ints
@@ -97,27 +119,44 @@ class Record:
         ):
             if array.shape != expected:
                 raise ValueError(f"truth of frame {frame}, {name}: found shape {array.shape}, expected {expected}")
-        self._truth[frame] = (_Snapshot.of(objects), points.copy(), agent_position.copy(), agent_object.copy())
+        self._truth[frame] = (Snapshot.of(objects), points.copy(), agent_position.copy(), agent_object.copy())
 
-    def add_tracks(self, frame: int, agent: str, estimator: str, states: ObjectStates) -> None:
-        """What an agent's estimator believes in one frame, world frame. Raises ValueError for an unknown agent."""
-        if agent not in self.agents:
-            raise ValueError(f"tracks of frame {frame}: found agent {agent!r}, expected one of {self.agents}")
-        self._add(frame, Series(agent, estimator), states)
+    def add(self, frame: int, series: Sequence[Series], objects: Snapshot, step: int | None = None) -> None:
+        """An estimate of a frame, which belongs to several series: it is scored only once.
 
-    def add_picture(self, frame: int, states: ObjectStates) -> None:
-        """The command centre's picture of one frame, world frame; every agent is scored on it."""
-        self._add(frame, Series("", PICTURE), states)
+        step: frame of the run in which it was sent, None: the one that it is about
+        Raises ValueError for an unknown agent.
+        """
+        for each in series:
+            if each.agent and each.agent not in self.agents:
+                raise ValueError(f"frame {frame}: found agent {each.agent!r}, expected one of {self.agents}")
+            self._tracks.setdefault(each, {}).setdefault(frame, objects)
+            if each.estimator == PICTURE_RECEIVED:
+                arrival = frame if step is None else step, frame, objects
+                self._arrivals.setdefault(each.agent, []).append(arrival)
 
-    def _add(self, frame: int, series: Series, states: ObjectStates) -> None:
-        self._tracks.setdefault(series, {})[frame] = _Snapshot.of(states)
+    def hold_pictures(self, most_frames: int) -> None:
+        """Make the series PICTURE_ON_ARRIVAL from the pictures received: in each frame the one about the latest frame
+        that has arrived, unless that is more than `most_frames` ago."""
+        frames = self.frames().tolist()
+        for agent, arrivals in self._arrivals.items():
+            waiting = sorted(arrivals, key=lambda arrival: arrival[:2], reverse=True)
+            newest: tuple[int, Snapshot] | None = None
+            held = self._tracks.setdefault(Series(agent, PICTURE_ON_ARRIVAL), {})
+            for now in frames:
+                while waiting and waiting[-1][0] <= now:
+                    _, about, snapshot = waiting.pop()
+                    if newest is None or about > newest[0]:
+                        newest = about, snapshot
+                if newest is not None and now - newest[0] <= most_frames:
+                    held[now] = newest[1]
 
     def frames(self) -> Ints:
         """(f,) int64, ascending: the frames of which the truth is known."""
         return np.array(sorted(self._truth), np.int64)
 
     def series(self) -> list[Series]:
-        """Who has estimated anything, in the order of the agents, then by the estimator's name."""
+        """The series of which anything is known, in the order of the agents, then by the estimator's name."""
         place = {name: k for k, name in enumerate(("", *self.agents))}
         return sorted(self._tracks, key=lambda series: (place[series.agent], series.estimator))
 
@@ -125,12 +164,19 @@ class Record:
         """The truth of (f,) frames."""
         a = len(self.agents)
         parts = [self._truth[int(frame)] for frame in frames]
+        boxes, velocity, _ = _joined([part[0] for part in parts])
         return TruthTable(
-            boxes=_joined([part[0] for part in parts])[0],
+            boxes=boxes,
+            velocity=velocity,
             points=np.concatenate([np.zeros((0, a), np.int32), *(part[1] for part in parts)]),
             agent_position=np.array([part[2] for part in parts]).reshape(len(parts), a, 3),
             agent_object=np.array([part[3] for part in parts], np.int64).reshape(len(parts), a),
         )
+
+    def same(self, one: Series, other: Series, frames: Ints) -> bool:
+        """Whether two series are the same messages in all of (f,) frames."""
+        mine, others = self._tracks[one], self._tracks[other]
+        return all(mine.get(frame) is others.get(frame) for frame in frames.tolist())
 
     def tracks(self, series: Series, frames: Ints) -> TrackTable:
         """The tracks of one series in (f,) frames; none where there was no message."""
@@ -139,8 +185,8 @@ class Record:
         return TrackTable(*_joined(parts))
 
 
-def _joined(parts: list[_Snapshot]) -> tuple[Boxes, Floats]:
-    """The boxes of all parts, group = number of the part; and their scores."""
+def _joined(parts: list[Snapshot]) -> tuple[Boxes, Floats, Floats]:
+    """The boxes of all parts, group = number of the part; their velocities and scores."""
     group = np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.id) for part in parts])
-    *columns, score = (np.concatenate(column) for column in zip(_NOTHING, *parts, strict=True))
-    return Boxes(group, *columns), score
+    *columns, velocity, score = (np.concatenate(column) for column in zip(_NOTHING, *parts, strict=True))
+    return Boxes(group, *columns), velocity, score

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.metrics.boxes import Boxes
+from mast_zenoh.metrics.record import place_of
 from mast_zenoh.states import Bools, Floats, Ints
 
 #: A table: one array per column, all of one length.
 Table = dict[str, NDArray[Any]]
+Texts = NDArray[np.str_]
+
+#: The columns of the table per frame, and what else a summary holds of an estimate.
+COLUMNS = (
+    *("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"),
+    *("completeness", "causes", "fn_split", "fp_split", "id_switches_split"),
+)
 
 #: What became of a box, by the code used in `scoring`.
 OUTCOMES = ("matched", "missed", "false", "unevaluated")
@@ -48,6 +58,48 @@ class Seen:
         ]
 
 
+class Judged(NamedTuple):
+    """n boxes and what became of each: truth objects in range and tracks, by series, frame, kind, outcome and id.
+
+    series:   (n,) row of `Scores.series`;  frame: (n,) number of the frame
+    is_track: (n,) bool, a track, or else a truth object
+    outcome:  (n,) index into OUTCOMES
+    boxes:    n boxes, world frame;  match_id: (n,) id of the box that it is matched with, -1: none
+    score:    (n,) of tracks, NaN of truth objects
+    """
+
+    series: Ints
+    frame: Ints
+    is_track: Bools
+    outcome: Ints
+    boxes: Boxes
+    match_id: Ints
+    score: Floats
+
+    @property
+    def id(self) -> Ints:
+        """(n,) of the boxes."""
+        return self.boxes.id
+
+    def rows(self, outcome: int, *, tracks: bool) -> Ints:
+        """The rows of tracks, or of truth objects, with an outcome."""
+        return np.flatnonzero((self.outcome == outcome) & (self.is_track == tracks))
+
+
+class Switches(NamedTuple):
+    """k identity switches: a truth object is matched by another track than the one that matched it last.
+
+    series, frame: (k,) rows of `Scores.series` and `Scores.frames`; truth_id: (k,) of the object
+    before, after: (k,) ids of the tracks
+    """
+
+    series: Ints
+    frame: Ints
+    truth_id: Ints
+    before: Ints
+    after: Ints
+
+
 @dataclass(frozen=True, slots=True)
 class Scores:
     """Counts of s series (an agent and one of its estimators) in f frames.
@@ -59,9 +111,10 @@ class Scores:
     id_switches:   (s, f) int64
     ospa_m, gospa_m: (s, f) m, distances between the sets of truth objects and tracks
     seen:          a row per series, frame and truth object evaluated in it
-    objects:       a row per box and series, columns frame, agent, estimator, kind ("truth" | "track"), outcome
-                   ("matched" | "missed" | "false" | "unevaluated"), id, match_id (-1: none), x, y, z, l, w, h, yaw
-                   and score (NaN for truth): what the figures show, objects in range that are not evaluated included
+    switches:      a row per identity switch
+    judged:        every box of every series
+    same_as:       further series, each with that of `series` whose messages, and so whose scores, are its own; they are
+                   in the table per frame and in the summary, but have no boxes of their own
     """
 
     series: tuple[tuple[str, str], ...]
@@ -74,26 +127,59 @@ class Scores:
     ospa_m: Floats
     gospa_m: Floats
     seen: Seen
-    objects: Table
+    switches: Switches
+    judged: Judged
+    same_as: Mapping[tuple[str, str], tuple[str, str]]
+
+    @property
+    def every_series(self) -> dict[tuple[str, str], int]:
+        """All series, by agent and estimator, those that are the same as another one included: rows of `series`."""
+        row = {each: k for k, each in enumerate(self.series)}
+        every = row | {each: row[other] for each, other in self.same_as.items()}
+        agents = {agent: k for k, agent in enumerate(dict.fromkeys(agent for agent, _ in self.series))}
+        return dict(sorted(every.items(), key=lambda item: (agents[item[0][0]], place_of(item[0][1]), item[0][1])))
+
+    def objects(self) -> Table:
+        """A row per box and series: frame, agent, estimator, kind ("truth" | "track"), outcome ("matched" | "missed" |
+        "false" | "unevaluated"), id, match_id (-1: none), x, y, z, l, w, h, yaw, score (NaN for truth)."""
+        judged, boxes = self.judged, self.judged.boxes
+        names = np.array(self.series, str).reshape(-1, 2)
+        return {
+            "frame": judged.frame,
+            "agent": names[:, 0].take(judged.series),
+            "estimator": names[:, 1].take(judged.series),
+            "kind": np.array(["truth", "track"]).take(judged.is_track),
+            "outcome": np.array(OUTCOMES).take(judged.outcome),
+            "id": boxes.id,
+            "match_id": judged.match_id,
+            **{name: boxes.position[:, axis] for axis, name in enumerate("xyz")},
+            **{name: boxes.size[:, axis] for axis, name in enumerate("lwh")},
+            "yaw": boxes.yaw,
+            "score": judged.score,
+        }
 
     def per_frame(self) -> Table:
         """A row per series and frame: frame, agent, estimator, fn, fp, tp, rmse_m (NaN without a pair), id_switches,
 
         ospa_m, gospa_m.
         """
-        s, f = len(self.series), len(self.frames)
-        error = np.divide(self.squared_error, self.tp, out=np.full((s, f), np.nan), where=self.tp > 0)
+        f, every = len(self.frames), self.every_series
+        rows = np.array(list(every.values()), np.int64)
+        error = np.divide(self.squared_error, self.tp, out=np.full(self.tp.shape, np.nan), where=self.tp > 0)
+        values = {
+            "fn": self.fn,
+            "fp": self.fp,
+            "tp": self.tp,
+            "rmse_m": np.sqrt(error),
+            "id_switches": self.id_switches,
+            "ospa_m": self.ospa_m,
+            "gospa_m": self.gospa_m,
+        }
         return {
-            "frame": np.tile(self.frames, s),
-            "agent": np.repeat(np.array([agent for agent, _ in self.series], str), f),
-            "estimator": np.repeat(np.array([estimator for _, estimator in self.series], str), f),
-            "fn": self.fn.ravel(),
-            "fp": self.fp.ravel(),
-            "tp": self.tp.ravel(),
-            "rmse_m": np.sqrt(error).ravel(),
-            "id_switches": self.id_switches.ravel(),
-            "ospa_m": self.ospa_m.ravel(),
-            "gospa_m": self.gospa_m.ravel(),
+            "frame": np.tile(self.frames, len(rows)),
+            "agent": np.repeat(np.array([agent for agent, _ in every], str), f),
+            "estimator": np.repeat(np.array([estimator for _, estimator in every], str), f),
+            **{name: value[rows].ravel() for name, value in values.items()},
         }
 
     def summary(self, scored: slice = slice(None)) -> dict[str, dict[str, dict[str, Any]]]:
@@ -110,7 +196,7 @@ class Scores:
         complete = self.seen.completeness(len(self.series), np.arange(len(self.frames))[scored])
         names = ("fn", "fp", "tp", "ospa_m", "gospa_m")
         spread = {name: means_and_stds(getattr(self, name)[:, scored]) for name in names}
-        for k, (agent, estimator) in enumerate(self.series):
+        for (agent, estimator), k in self.every_series.items():
             pairs = int(self.tp[k, scored].sum())
             result.setdefault(agent, {})[estimator] = {
                 **{name: spread[name][k] for name in names},

@@ -10,8 +10,8 @@ import numpy as np
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, order_by
 from mast_zenoh.metrics.ospa import SetDistance
-from mast_zenoh.metrics.record import Record, TruthTable
-from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUATED, Scores, Seen, Table
+from mast_zenoh.metrics.record import Record, Series, TruthTable
+from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUATED, Judged, Scores, Seen, Switches
 from mast_zenoh.states import Bools, Floats, Ints
 
 
@@ -30,8 +30,6 @@ class Scorer:
                    either: it goes unevaluated
     ignore_unseen: whether tracks of objects that are not evaluated (nobody sees them, or they are out of range) go
                    unevaluated as well; by default they are false
-    skip_first, skip_last: frames left out at the beginning and at the end of the run
-
     Raises ValueError for values that make no sense.
     """
 
@@ -44,32 +42,25 @@ class Scorer:
         min_points: int = 5,
         include_self: bool = True,
         ignore_unseen: bool = False,
-        skip_first: int = 0,
-        skip_last: int = 0,
     ) -> None:
         if not range_m > 0.0:
             raise ValueError(f"range_m: found {range_m}, expected more than 0")
-        if skip_first < 0 or skip_last < 0:
-            raise ValueError(f"skip_first, skip_last: found {skip_first}, {skip_last}, expected 0 or more")
         self.assigner = assigner or CenterDistanceAssigner()
         self.distance = distance or SetDistance()
         self.range_m = range_m
         self.min_points = min_points
         self.include_self = include_self
         self.ignore_unseen = ignore_unseen
-        self.skip_first = skip_first
-        self.skip_last = skip_last
 
     def score(self, record: Record) -> Scores:
-        """The scores of all frames of which the truth is known, less the skipped ones.
+        """The scores of all frames of which the truth is known.
 
         A frame without a message of an estimator counts as one in which it believed nothing. The order of rows, and
-        the order in which messages came, do not matter.
+        the order in which messages came, do not matter. Estimates that are the same messages are scored once.
         """
         frames = record.frames()
-        frames = frames[self.skip_first : max(len(frames) - self.skip_last, self.skip_first)]
         table = record.truth(frames)
-        series = record.series()
+        series, same_as = _distinct(record, frames)
         tables = [record.tracks(each, frames) for each in series]
         tracks = Boxes.join([mine.boxes for mine in tables])
         start = np.cumsum([0, *(len(mine.score) for mine in tables)])
@@ -96,7 +87,7 @@ class Scorer:
             tracks=laid_out,
             score=score[_together(believed)[order]],
         )
-        return _compare(self.assigner, self.distance, layout)
+        return _compare(self.assigner, self.distance, layout, same_as)
 
     def _split(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
         """Of the truth's rows: those near an agent, those it is measured by, those whose tracks are excused."""
@@ -111,6 +102,21 @@ class Scorer:
     def _near(self, boxes: Boxes, agent_position: Floats) -> Bools:
         """(n,) boxes in range of an agent that is at (f, 3); the group is the frame."""
         return centre_distance(boxes.position, agent_position[boxes.group]) <= self.range_m
+
+
+def _distinct(record: Record, frames: Ints) -> tuple[list[Series], dict[tuple[str, str], tuple[str, str]]]:
+    """The series that differ, and of each other one, as (agent, estimator), that which it is the same as."""
+    series = record.series()
+    same_as: dict[tuple[str, str], tuple[str, str]] = {}
+    distinct: list[Series] = []
+    for each in series:
+        candidates = [other for other in distinct if other.agent in ("", each.agent)] if each.agent else []
+        twin = next((other for other in candidates if record.same(each, other, frames)), None)
+        if twin is None:
+            distinct.append(each)
+        else:
+            same_as[each] = each.agent, twin.estimator
+    return distinct, same_as
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +150,9 @@ def _together(rows: Sequence[Ints]) -> Ints:
     return np.concatenate([np.zeros(0, np.int64), *rows])
 
 
-def _compare(assigner: Assigner, distance: SetDistance, layout: _Layout) -> Scores:
+def _compare(
+    assigner: Assigner, distance: SetDistance, layout: _Layout, same_as: dict[tuple[str, str], tuple[str, str]]
+) -> Scores:
     truth, tracks, excused = layout.truth, layout.tracks, layout.excused
     pairs = assigner.assign(truth, tracks)
     # Sums of fractions depend on the order of their terms: that of the ids, not that in which the messages came.
@@ -171,7 +179,7 @@ def _compare(assigner: Assigner, distance: SetDistance, layout: _Layout) -> Scor
     apart = centre_distance(truth.position[pairs[:, 0]], tracks.position[pairs[:, 1]])
     squared_error: Floats = np.bincount(group, apart**2, minlength=shape[0] * shape[1]).astype(np.float64)
     ospa, gospa = distance.of(truth, tracks.select(track_outcome != UNEVALUATED), shape[0] * shape[1])
-    switched = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])
+    switched, before = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])
     return Scores(
         series=layout.series,
         frames=layout.frames,
@@ -183,22 +191,29 @@ def _compare(assigner: Assigner, distance: SetDistance, layout: _Layout) -> Scor
         ospa_m=ospa.reshape(shape),
         gospa_m=gospa.reshape(shape),
         seen=Seen(*np.divmod(truth.group, max(shape[1], 1)), truth.id, truth_outcome == MATCHED),
-        objects=_object_table(layout, (truth_outcome, of_truth), (track_outcome, of_track)),
+        switches=Switches(
+            *np.divmod(group[switched], max(shape[1], 1)),
+            truth.id[pairs[switched, 0]],
+            before,
+            tracks.id[pairs[switched, 1]],
+        ),
+        judged=_judged(layout, (truth_outcome, of_truth), (track_outcome, of_track)),
+        same_as=same_as,
     )
 
 
-def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> Bools:
-    """(m,) pairs whose object was matched last, in the same series, by a track of another id."""
-    switched = np.zeros(len(group), bool)
+def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> tuple[Ints, Ints]:
+    """The pairs whose object was matched last, in the same series, by a track of another id, and that other id."""
     series = group // max(n_frames, 1)
     order = np.lexsort((group, truth_id, series))
     same = (np.diff(series[order]) == 0) & (np.diff(truth_id[order]) == 0)
-    switched[order[1:]] = same & (np.diff(track_id[order]) != 0)
-    return switched
+    at = (same & (np.diff(track_id[order]) != 0)).nonzero()[0]
+    by_pair = np.argsort(order[at + 1])
+    return order[at + 1][by_pair], track_id[order[at]][by_pair]
 
 
-def _object_table(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints]) -> Table:
-    """The table `Scores.objects`, by series, frame, kind, outcome and id; truth and track: outcome and matched id."""
+def _judged(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints]) -> Judged:
+    """All boxes in the order of `Judged`; truth, track: outcome and matched id."""
     parts = [layout.truth, layout.unevaluated, layout.tracks]
     count = [len(part) for part in parts]
     boxes = Boxes.join(parts)
@@ -206,22 +221,9 @@ def _object_table(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, 
     outcome = np.concatenate([truth[0], np.full(count[1], UNEVALUATED), track[0]])
     match = np.concatenate([truth[1], np.full(count[1], -1), track[1]])
     score = np.concatenate([np.full(count[0] + count[1], np.nan), layout.score])
-
     place = (boxes.group * 2 + is_track) * len(OUTCOMES) + outcome
     order = order_by(boxes.id, place, ties=tuple(boxes.position.T[::-1]))
     boxes = boxes.select(order)
     series, frame = np.divmod(boxes.group, max(len(layout.frames), 1))
-    names = np.array(layout.series, str).reshape(-1, 2)
-    return {
-        "frame": layout.frames[frame],
-        "agent": names[:, 0].take(series),
-        "estimator": names[:, 1].take(series),
-        "kind": np.array(["truth", "track"]).take(is_track.take(order)),
-        "outcome": np.array(OUTCOMES).take(outcome.take(order)),
-        "id": boxes.id,
-        "match_id": match[order],
-        **{name: boxes.position[:, axis] for axis, name in enumerate("xyz")},
-        **{name: boxes.size[:, axis] for axis, name in enumerate("lwh")},
-        "yaw": boxes.yaw,
-        "score": score[order],
-    }
+    at = layout.frames[frame] if len(frame) else frame
+    return Judged(series, at, is_track.take(order), outcome.take(order), boxes, match[order], score[order])

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.metrics.lookup import find, occurs
-from mast_zenoh.metrics.record import TruthTable
-from mast_zenoh.metrics.scores import Table
+from mast_zenoh.metrics.record import LOCAL, TruthTable
+from mast_zenoh.metrics.scores import MATCHED, Scores
 from mast_zenoh.states import Bools, Ints
 
 #: Roles without which no agent's tracks become a picture.
@@ -52,7 +52,7 @@ class Reach:
 
     def severed(
         self,
-        objects: Table,
+        scores: Scores,
         truth: TruthTable,
         agents: Sequence[str],
         frames: Ints,
@@ -66,7 +66,7 @@ class Reach:
         What an agent knows of are the objects in its own tracks. Of one that nobody hears, and in the second after it,
         these are not known: there it is what its sensor sees.
 
-        objects:    `Scores.objects`: of it the agents' own tracks
+        scores:     of it the agents' own tracks
         truth:      of (f,) `frames`, ascending
         period_s:   s from frame to frame
         silent:     (f, a) of a agents: its tracks did not reach the broker, or not in time
@@ -77,12 +77,12 @@ class Reach:
         if not missing.any():
             return Severed.nothing()
         ids, row = truth.boxes.id, truth.boxes.group
-        own: Bools = (objects["estimator"] == "local") & (objects["kind"] == "truth")
-        own &= objects["outcome"] == "matched"
+        judged = scores.judged
         tracked = np.zeros((len(ids), len(agents)), bool)
         for k, agent in enumerate(agents):
-            mine = own & (objects["agent"] == agent)
-            tracked[:, k] = occurs((ids, frames[row]), (objects["id"][mine], objects["frame"][mine]))
+            series = scores.every_series.get((agent, LOCAL), -1)
+            own = (judged.series == series) & ~judged.is_track & (judged.outcome == MATCHED)
+            tracked[:, k] = occurs((ids, frames[row]), (judged.id[own], judged.frame[own]))
         gone, mute = missing[row], self._again(unheard, period_s)[row]
         tells = np.asarray((gone & tracked).any(axis=1))
         sees = (gone & mute & (truth.points >= min_points)).any(axis=1)
@@ -119,33 +119,34 @@ def _runs(mask: Bools) -> Ints:
     return result
 
 
-def down(presence: Table, agents: Sequence[str], frames: Ints) -> Bools:
-    """(f, a) bool: the agent's process is not there in these frames, or that of the broker or the command centre.
+class Presence:
+    """Which nodes came and went while a run went on; one that came after its beginning was not there before."""
 
-    presence: a row for each node that came or went, in that order: node, role, frame (the first of which it holds), up.
-              A node that first came after the run had begun was not there before.
-    """
-    result = np.zeros((len(frames), len(agents)), bool)
-    for node in np.unique(presence["node"].astype(str)):
-        rows = np.flatnonzero(presence["node"] == node)
-        there = np.full(len(frames), not presence["up"][rows[0]])
-        for frame, up in zip(presence["frame"][rows], presence["up"][rows], strict=True):
-            there[frames >= frame] = up
-        if presence["role"][rows[0]] in CENTRE:
-            result |= ~there[:, None]
-        elif node in agents:
-            result[:, list(agents).index(node)] |= ~there
-    return result
+    def __init__(self) -> None:
+        self._changes: dict[str, list[tuple[int, bool]]] = {}
+        self._roles: dict[str, str] = {}
 
+    def note(self, node: str, role: str, frame: int, there: bool) -> None:
+        """From a frame on a node is there, or is not."""
+        self._changes.setdefault(node, []).append((frame, there))
+        self._roles[node] = role
 
-def stopped(links: Table, agents: Sequence[str], frames: Ints) -> Bools:
-    """(f, a) bool: a link dropped, spoilt or held up the agent's tracks of these frames, or the batch with all of them.
+    def idle(self, frames: Ints) -> dict[str, Bools]:
+        """By node, (f,) bool: in which of (f,) frames it was not there."""
+        result = {}
+        for node, changes in self._changes.items():
+            away = np.full(len(frames), changes[0][1])
+            for frame, there in changes:
+                away[frames >= frame] = not there
+            result[node] = away
+        return result
 
-    links: the links' reports, a row per message: agent, port, frame, fate
-    """
-    result = np.zeros((len(frames), len(agents)), bool)
-    lost = np.isin(links["fate"].astype(str), ("dropped", "delayed", "corrupted"))
-    for k, agent in enumerate(agents):
-        mine = ((links["port"] == "tracks") & (links["agent"] == agent)) | (links["port"] == "collated")
-        result[:, k] = np.isin(frames, links["frame"][lost & mine])
-    return result
+    def absent(self, agents: Sequence[str], frames: Ints) -> Bools:
+        """(f, a) bool: the agent's process is not there in these frames, or that of the broker or the centre."""
+        result = np.zeros((len(frames), len(agents)), bool)
+        for node, away in self.idle(frames).items():
+            if self._roles[node] in CENTRE:
+                result |= away[:, None]
+            elif node in agents:
+                result[:, list(agents).index(node)] |= away
+        return result

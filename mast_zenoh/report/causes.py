@@ -18,8 +18,8 @@ from mast_zenoh.report.timeaxis import padded, rows_over_time
 _ROWS = (("truth", "missed", "missed objects"), ("track", "false", "false objects"))
 #: From the bottom up: what happens anyway in greys, then links and faults, then attacks.
 _NATURAL = tuple(cause for cause in CAUSES if cause not in (*FAULT_CAUSES, *ATTACK_CAUSES))
-_GREYS = ("#5b6470", "#87909c", "#aeb5be", "#cdd2d9", "#e4e7eb")
-_HOSTILE = (ADVERSARY_ON_LIGHT, "#d35fbb", "#eab4de")
+_GREYS = ("#4b535d", "#6f7883", "#939ba6", "#b4bac3", "#d0d5db", "#e6e9ec")
+_HOSTILE = (ADVERSARY_ON_LIGHT, "#d35fbb", "#e391cf", "#f0c4e5")
 _LOOKS = {
     **dict(zip(_NATURAL, _GREYS, strict=True)),
     **dict.fromkeys(FAULT_CAUSES, "#d9b25c"),

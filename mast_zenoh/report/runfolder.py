@@ -24,7 +24,10 @@ Table = dict[str, NDArray[Any]]
 
 _COUNTS = ("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches")
 _OBJECTS = ("frame", "agent", "estimator", "kind", "outcome", "id", "x", "y", "z", "l", "w", "h", "yaw")
-_ATTACKS = ("adversary", "frame", "action", "before_x", "before_y", "before_z", "after_x", "after_y", "after_z")
+_ATTACKS = (
+    *("interposer", "role", "frame", "effect"),
+    *("before_x", "before_y", "before_z", "after_x", "after_y", "after_z"),
+)
 
 
 def rows(table: Table, mask: Bools) -> Table:
@@ -43,7 +46,7 @@ class RunFolder:
     metrics:   metrics.json
     counts:    metrics.parquet: a row per frame, agent and estimator
     objects:   objects.parquet: a row per box; only those of the ego. `cause` where the run has told causes
-    attacks:   attacks.parquet: a row per change that an adversary made
+    attacks:   attacks.parquet: a row per measured effect of an interposer that is no link
     recording: scene.npz
     checks:    checks.json, of runs with links or faults
     missing:   one sentence for each file that is absent or unreadable, saying what the report lacks for it
@@ -92,7 +95,7 @@ class RunFolder:
         )
         attacks = None
         if (path / "attacks.parquet").is_file():
-            attacks = read("attacks.parquet", _table(_ATTACKS), "what the adversaries changed is not marked", None)
+            attacks = read("attacks.parquet", _effects, "what the adversaries changed is not marked", None)
         elif any(_role(run, wiring, name) == "adversary" for name in _interposers(wiring)):
             missing.append("attacks.parquet is absent: what the adversaries changed is not marked.")
         checks: dict[str, Any] = {}
@@ -182,6 +185,11 @@ def _table(columns: tuple[str, ...], filters: Any = None, *, optional: tuple[str
         return {name: table.column(name).to_numpy() for name in there}
 
     return read
+
+
+def _effects(path: Path) -> Table:
+    table = _table(_ATTACKS)(path)
+    return rows(table, (table["role"] != "link") & (table["effect"] != "unsettled") & (table["frame"] >= 0))
 
 
 def _role(run: dict[str, Any], wiring: dict[str, Any], node: str) -> str:

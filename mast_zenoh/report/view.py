@@ -73,14 +73,14 @@ def frame_view(run: RunFolder, frame: int) -> FrameView | None:
             )
     attacks = run.attacks
 
-    def places(action: str, when: str) -> Floats:
+    def places(effect: str, when: str) -> Floats:
         if attacks is None:
             return np.zeros((0, 3))
-        some = rows(attacks, (attacks["frame"] == frame) & (attacks["action"] == action))
+        some = rows(attacks, (attacks["frame"] == frame) & (attacks["effect"] == effect))
         return np.stack([some[f"{when}_{axis}"] for axis in "xyz"], axis=1).astype(np.float64)
 
     moved = np.stack([places("moved", "before"), places("moved", "after")], axis=1)
-    return FrameView(run, frame, boxes, places("added", "after"), places("removed", "before"), moved)
+    return FrameView(run, frame, boxes, places("inserted", "after"), places("removed", "before"), moved)
 
 
 def ego_position(run: RunFolder, frame: int) -> Floats | None:

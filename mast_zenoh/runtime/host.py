@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from mast_zenoh.runtime import results
 from mast_zenoh.runtime.delayed import Delayed
 from mast_zenoh.runtime.failures import Failure
 from mast_zenoh.streams import stream
-from mast_zenoh.wiring import ANY, Input, Ports
+from mast_zenoh.wiring import ANY, NO_WIRING, Input, Ports, Wiring
 
 MAX_HELD = 10_000  #: messages held back for a clock that has not come; more are dropped and counted
 MAX_DELAYED = 10_000  #: messages that are to leave later; more are refused
@@ -47,6 +48,7 @@ class Host:
     """One node with its ports connected; see the module's docstring.
 
     period_ns: of the scene's frames: in lock-step a delay is counted in them
+    wiring: of the whole run, for nodes that measure what happens on it
     now:  a monotonic clock, ns, for real time; without it time goes by frames, as in lock-step
     emit: called at once with every message that the node publishes
     frame, time_ns: of the newest clock; observe: called with the key and header of every sound message;
@@ -66,9 +68,11 @@ class Host:
         emit: Callable[[Outgoing], None],
         period_ns: int = Source.period_ns,
         now: Callable[[], int] | None = None,
+        wiring: Wiring = NO_WIRING,
     ) -> None:
         self.name = name
         self.node = node
+        self.wiring = wiring
         self.frame = -1
         self.time_ns = 0
         self.log = logging.getLogger(f"mast.{name}")
@@ -97,9 +101,12 @@ class Host:
         for (port, _), key in ports.outputs.items():
             self._keys_of_port.setdefault(port, []).append(key)
         self._overhears = ANY in node.inputs.values()
+        self._ignored: frozenset[str] = frozenset()
         self._clocked = any(hears.message == "clock" for hears in ports.inputs.values())
         self._step = -1  # that what is sent now is sent in
         self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
+        if self._overhears:
+            self._handlers = {port: self._or_rejected(handler) for port, handler in self._handlers.items()}
 
     # -- what the runtime calls ----------------------------------------------------------------------------------
 
@@ -121,6 +128,11 @@ class Host:
         """Another node has gone."""
         self._guard("left", self.node.left, peer, role, self)
 
+    def rewired(self, wiring: Wiring) -> None:
+        """From now on messages take the ways of another wiring."""
+        self.wiring = wiring
+        self._guard("rewired", self.node.rewired, self)
+
     def finish(self) -> dict[str, Any]:
         """End: the node's results; none if `finish` fails. What the node publishes now goes nowhere."""
         self._emit = lambda out: None
@@ -139,7 +151,7 @@ class Host:
         if hears is None:
             return
         if self._overhears:
-            self._overhear(key, hears, payload, counted)
+            self._overhear(key, hears, payload, step, counted, flaw)
             return
         if hears.port in self.node.unopened:
             if flaw and isinstance(payload, Message):
@@ -253,6 +265,10 @@ class Host:
         else:
             self._out(key, received.encoded if self._encode else received.payload or received.message, after_s=after_s)
 
+    def ignore(self, keys: Collection[str]) -> None:
+        """See node.Context."""
+        self._ignored = frozenset(keys)
+
     def connected(self, port: str, subject: str | None = None) -> bool:
         """See node.Context."""
         self._output(port)
@@ -335,22 +351,34 @@ class Host:
                 self._n_held -= 1
                 self._handle(held_key, held_hears, held, held_counted)
 
-    def _overhear(self, key: str, hears: Input, payload: bytes | Message, counted: bool) -> None:
-        """Hand on the bytes at once, sound or not: who publishes nothing cannot act too early."""
-        if isinstance(payload, Message):
-            payload = codec.encode(payload)
-        header, flaw = None, ""
-        try:
-            header = codec.decode_header(payload, hears.message)
-            if header.source != hears.source:
-                flaw = f"{hears.message}: source {header.source[:40]!r}, expected {hears.source!r}"
-            elif hears.message == "clock" and header.frame > self.frame:
-                self.frame, self.time_ns = header.frame, header.time_ns
-        except MessageError as error:
-            flaw = str(error)
-        self._guard(hears.port, self._handlers[hears.port], Overheard(key, payload, header, flaw), self)
+    def _overhear(self, key: str, hears: Input, content: bytes | Message, step: int, counted: bool, flaw: str) -> None:
+        """Hand a message on at once, sound or not: a node that publishes nothing cannot act too early."""
         if counted:
             self.handled[key] += 1
+        if key in self._ignored:
+            return
+        overheard = Overheard(key, hears, content, step, flaw)
+        if hears.message == "clock":
+            with suppress(MessageError):
+                overheard.check()
+                header = overheard.header
+                if header.frame > self.frame:
+                    self.frame, self.time_ns = header.frame, header.time_ns
+        if self.observe:
+            with suppress(MessageError):
+                self.observe(key, overheard.header)
+        self._guard(hears.port, self._handlers[hears.port], overheard, self)
+
+    def _or_rejected(self, handler: Any) -> Any:
+        """The handler of a node that hears every key: a message is rejected when the node finds it malformed."""
+
+        def take(overheard: Overheard, context: Any) -> None:
+            try:
+                handler(overheard, context)
+            except MessageError as error:
+                self._reject(overheard.key, str(error), counted=False)
+
+        return take
 
     def _take(self, key: str, hears: Input, received: Received, counted: bool) -> None:
         """Handle a message, or hold it until the clock of its step comes."""
@@ -405,7 +433,7 @@ class Host:
     def _frame_of(self, message: Any) -> int:
         """The frame in which a handler got a message: the clock's, or for a node without one, the message's."""
         if isinstance(message, Overheard):
-            return self.frame if message.header is None else message.header.frame
+            return message.step if message.step >= 0 else self.frame
         if isinstance(message, Received) and not self._clocked and message.step >= 0:
             return message.step
         return self.frame

@@ -119,7 +119,16 @@ class InProcess:
         """A host of a node that is newly made."""
         node, ports = build_node(self._resolved.nodes[name], name), self._wiring.ports(name)
         period_ns = self._resolved.period_ns
-        host = Host(name, node, ports, self._resolved.seed, encode=self._encode, period_ns=period_ns, emit=self._sent)
+        host = Host(
+            name,
+            node,
+            ports,
+            self._resolved.seed,
+            encode=self._encode,
+            period_ns=period_ns,
+            emit=self._sent,
+            wiring=self._wiring,
+        )
         self._made.append(host)
         return host
 

@@ -81,7 +81,9 @@ class MeshNode:
         self.without = frozenset(without)
         self.ports = wiring.ports(name)
         now = None if lockstep else time.monotonic_ns
-        self.host = Host(name, node, self.ports, seed, encode=True, period_ns=period_ns, now=now, emit=self._put)
+        self.host = Host(
+            name, node, self.ports, seed, encode=True, period_ns=period_ns, now=now, emit=self._put, wiring=wiring
+        )
         self.session = session
         self.inbox: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
         self.members: dict[str, str] = {}
@@ -261,7 +263,10 @@ class MeshNode:
             for name in sorted(members.keys() - before.keys()):
                 self.host.joined(name, members[name])
         if told is not None:
-            self.rewiring.follow(Told.of(told))
+            change = Told.of(told)
+            self.rewiring.follow(change)
+            if change.speak and change.wiring != self.host.wiring:
+                self.host.rewired(change.wiring)
         early, self._early = self._early, []
         for key, payload, its_epoch, step in early:
             self._sample(key, payload, ATTACHMENT.pack(MARK, its_epoch, step))

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh import bundle, endpoints, keyexpr, loading, registry, scenes
-from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.errors import ConfigurationError, WiringError, nearest
 from mast_zenoh.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.scenario.nodes import nodes_of
 from mast_zenoh.scenario.reading import choose_scene
 from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, spelt
 from mast_zenoh.scenario.timeline import REWRITE, timeline_of
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring import ANY, Wiring
 
 
 def resolve(
@@ -89,7 +89,15 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
         cls = loading.node_class(Path(spec.file), spec.type)
         bound = {key: value for key, value in spec.config.items() if isinstance(value, str)}
         views[name] = endpoints.NodeOptions(spec.role, bound, cls.inputs, cls.outputs)
-    return keyexpr.resolve(sources, views, _usual_ports())
+    wiring = keyexpr.resolve(sources, views, _usual_ports())
+    hearing = {name for _, _, name in wiring.flows()}
+    for name, view in views.items():
+        if view.inputs and name not in hearing:
+            raise WiringError(
+                f"{path}: {name} would hear nothing: no wire leads to its input ports ({', '.join(view.inputs)}); "
+                f"name them in a map, or hear every key on one port of the type {ANY!r}"
+            )
+    return wiring
 
 
 def _usual_ports() -> dict[str, set[str]]:

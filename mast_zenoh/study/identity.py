@@ -33,7 +33,7 @@ def environment() -> dict[str, str]:
 
 
 def scene_key(scene: scenes.Scene) -> str:
-    """The same for scenes that are the same recording, whether their defaults are spelt out or not; without the seed."""
+    """The same for scenes that make the same recording, whether defaults are spelt out or not; without the seed."""
     told = json.dumps([type(scene).__qualname__, vars(scene)], sort_keys=True, default=repr)
     return re.sub(r" at 0x[0-9a-f]+", "", told)  # two objects of one kind are told apart by what can be seen of them
 

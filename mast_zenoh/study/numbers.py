@@ -35,7 +35,7 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
     """The numbers of `agents`, `driving` and `achieved` in what metrics.json holds, in its order.
 
     `null` becomes NaN, true and false become 1 and 0, and what is not a number is left out. Of `causes` every cause has
-    a number of objects per frame, "fp injected", also where it does not occur. Numbers of the wall clock are in none
+    a number of objects per frame, "fp inserted", also where it does not occur. Numbers of the wall clock are in none
     of these blocks, so all depend on scenario and seed alone.
     """
     first, last = metrics.get("scored_frames") or (0, -1)

@@ -514,38 +514,72 @@ def ear(*, encode: bool = True) -> Host:
     return Host("ear", Ear(), Ports(heard, {}), seed=7, encode=encode, emit=[].append)
 
 
-def test_who_hears_every_key_gets_the_bytes_and_the_header_at_once() -> None:
+def test_a_node_that_hears_every_key_gets_the_bytes_and_the_header_at_once() -> None:
     host = ear()
     host.deliver("agent/a/tracks", said_by("a", 3), 3)
     host.deliver("clock", clock(2), 2)
-    assert [(o.key, o.payload, o.header and o.header.frame, o.flaw) for o in host.node.heard] == [
-        ("agent/a/tracks", said_by("a", 3), 3, ""),
-        ("clock", clock(2), 2, ""),
+    assert [(o.key, o.payload, o.header.frame, o.step) for o in host.node.heard] == [
+        ("agent/a/tracks", said_by("a", 3), 3, 3),
+        ("clock", clock(2), 2, 2),
     ]
     assert host.handled == {"agent/a/tracks": 1, "clock": 1}
     assert (host.frame, host.time_ns) == (2, 2 * 10**8), "it knows how far the run is"
     assert dict(host.hears) == host._ports.inputs
 
 
-def test_who_hears_every_key_gets_what_is_malformed_with_what_is_wrong() -> None:
+def test_it_gets_what_is_malformed_and_is_told_what_is_wrong_when_it_looks() -> None:
     host = ear()
     for payload in (b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]):
         host.deliver("agent/a/tracks", payload, -1, counted=False)
     assert [o.payload for o in host.node.heard] == [b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]]
-    assert all(o.flaw for o in host.node.heard)
-    assert "source 'mallory', expected 'a'" in host.node.heard[1].flaw
+    for overheard, words in zip(
+        host.node.heard, ("not MessagePack", "expected 'a'", "found clock", "not MessagePack"), strict=True
+    ):
+        with pytest.raises(MessageError, match=words):
+            _ = (overheard.header, overheard.body)
     assert not host.rejected, "nothing was dropped"
     assert not host.handled
 
 
-def test_bodies_are_not_looked_at_for_who_hears_every_key() -> None:
+def test_bodies_are_decoded_only_when_the_node_looks_at_them() -> None:
     host = ear()
     broken = message("tracks", "a", 0, tracks(position=np.full((1, 3), np.nan)))
     host.deliver("agent/a/tracks", broken, 0)
-    assert (host.node.heard[0].payload, host.node.heard[0].flaw) == (broken, "")
+    (overheard,) = host.node.heard
+    assert (overheard.payload, overheard.header.frame) == (broken, 0)
+    with pytest.raises(MessageError, match="not finite"):
+        _ = overheard.body
 
 
-def test_messages_themselves_are_encoded_for_who_hears_every_key() -> None:
+def test_in_one_process_messages_are_encoded_only_for_a_node_that_asks_for_bytes() -> None:
     host, payload = ear(encode=False), said_by("a", 1)
-    host.deliver("agent/a/tracks", codec.decode(payload, "tracks"), 1)
-    assert host.node.heard[0].payload == payload
+    sent = codec.decode(payload, "tracks")
+    host.deliver("agent/a/tracks", sent, 1)
+    host.deliver("agent/a/tracks", sent, 1, flaw="a value is not finite")
+    sound, flawed = host.node.heard
+    assert sound.payload == payload
+    assert sound.body is sent.body
+    assert sound.same_bytes(flawed)
+    with pytest.raises(MessageError, match="not finite"):
+        _ = flawed.body
+
+
+def test_a_node_that_hears_every_key_is_spared_those_that_it_ignores_and_they_count_as_handled() -> None:
+    host = ear()
+    host.ignore({"agent/a/tracks"})
+    host.deliver("agent/a/tracks", said_by("a", 0), 0)
+    host.deliver("clock", clock(0), 0)
+    assert [o.key for o in host.node.heard] == ["clock"]
+    assert host.handled == {"agent/a/tracks": 1, "clock": 1}
+    host.ignore(())
+    host.deliver("agent/a/tracks", said_by("a", 1), 0)
+    assert len(host.node.heard) == 2
+
+
+def test_messages_of_two_legs_are_compared_by_their_bytes() -> None:
+    host = ear()
+    for payload in (said_by("a", 0), bytes(bytearray(said_by("a", 0))), said_by("a", 1)):
+        host.deliver("agent/a/tracks", payload, 0)
+    one, same, other = host.node.heard
+    assert one.same_bytes(same)
+    assert not one.same_bytes(other)

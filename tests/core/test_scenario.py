@@ -197,7 +197,8 @@ def test_our_scenarios_resolve(name: str) -> None:
     assert roles.count("agent") == (3 if "n_infrastructure" in inspect.signature(function).parameters else 5)
     for role in ("broker", "command_center", "evaluator"):
         assert roles.count(role) == 1
-    assert found.nodes.keys() == {name for wire in found.wiring["wires"] for name in touched(wire)}, "none left out"
+    wired = {name for wire in found.wiring["wires"] for name in touched(wire)}
+    assert found.nodes.keys() == wired | {end["node"] for end in found.wiring["overhearers"]}, "none left out"
 
 
 def touched(wire: dict[str, Any]) -> set[str]:
@@ -584,3 +585,18 @@ def test_every_node_is_built_anew_each_time() -> None:
     assert first.attack is not second.attack
     pipelines = [build_node(found.nodes[name], name).pipeline for name in ("infra_1", "infra_2")]
     assert pipelines[0].tracker is not pipelines[1].tracker, "agents of one configuration share nothing"
+
+
+def test_a_node_to_which_no_wire_leads_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "judge.py").write_text(
+        "from mast_zenoh.node import Node\n\n\nclass Judge(Node):\n    role = 'evaluator'\n"
+        "    inputs = {'picture': 'picture'}\n\n    def __init__(self, agents: tuple[str, ...]): ...\n\n"
+        "    def on_picture(self, received, context): ...\n"
+    )
+    file = str(tmp_path / "own.py")
+    Path(file).write_text(
+        "from mast_zenoh import loading\n\n_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n\n\n"
+        "def scenario():\n    return baseline() | dict(name='own', evaluator=dict(file='judge.py'))\n"
+    )
+    with pytest.raises(WiringError, match=r"evaluator would hear nothing: .*\(picture\); .* of the type '\*'"):
+        resolved(file)

@@ -59,16 +59,14 @@ def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], rol
     return str(path)
 
 
-def test_our_adversary_gets_the_wire_the_clock_and_its_agents_pose_and_reports_to_the_evaluator(
-    resolved: Resolved,
-) -> None:
+def test_our_adversary_gets_the_wire_the_clock_and_its_agents_pose_and_a_key_to_report_on(resolved: Resolved) -> None:
     name, spec, place = plan(resolved, TRACKS, "adversary.py", settings=ATTACK)
     assert (name, spec.role, spec.on_exit) == ("adversary_1", "adversary", "continue")
     assert spec.config == {"agent": "infra_1", "attack": {"type": "UncoordinatedAttack", "start_s": 0}}
     assert (place.wire, place.input, place.output) == (TRACKS, "tracks", "tracks_out")
     assert place.hears == {"clock": "clock", "agent/infra_1/pose": "pose"}
     assert [(wire.key, [end.node for end in wire.subscribers]) for wire in place.says] == [
-        ("attack/adversary_1/report", ["evaluator"])
+        ("attack/adversary_1/report", [])
     ]
     assert place_of(json.loads(json.dumps(place_json(place)))) == place
 

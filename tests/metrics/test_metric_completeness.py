@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from metric_oracles import cars
 
-from mast_zenoh.metrics import Record, Scorer
+from mast_zenoh.metrics import Record, Scorer, Series
+from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.states import ObjectStates
 
 
@@ -16,7 +17,7 @@ def summary(truth: list[ObjectStates], picture: list[ObjectStates], scored: slic
     record = Record(["ego"])
     for frame, (objects, believed) in enumerate(zip(truth, picture, strict=True)):
         record.add_truth(frame, objects, np.full((len(objects), 1), 9), np.zeros((1, 3)), np.array([-1]))
-        record.add_picture(frame, believed)
+        record.add(frame, [Series("", "picture")], Snapshot.of(believed))
     return Scorer().score(record).summary(scored)["ego"]["picture"]
 
 

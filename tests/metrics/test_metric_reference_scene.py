@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from mast_zenoh.geometry import rotation_from_quaternion, to_world
-from mast_zenoh.metrics import Record, Scorer
+from mast_zenoh.metrics import Record, Scorer, Series
+from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.states import ObjectStates
 
 DATA = Path(os.environ.get("MAST_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -50,19 +51,21 @@ def test_the_egos_detections_score_as_their_labels_say(scene):
         local = np.array([[d["x"], d["y"], d["z"]] for d in found]).reshape(-1, 3)
         # The scene's quaternions are passive: its transpose turns the lidar's components into the world's.
         seen = to_world(local, np.array(ego["lidar_x"]), rotation_from_quaternion(np.array(ego["q"])).T)
-        run.add_tracks(frame, "ego", "local", ObjectStates.of(seen))
+        run.add(frame, [Series("ego", "local")], Snapshot.of(ObjectStates.of(seen)))
         near = np.hypot(*(objects.position[:, :2] - places[0, :2]).T) <= 100.0
         heard = np.hypot(*(seen[:, :2] - places[0, :2]).T) <= 100.0
         true = np.isin([d["gt"] for d in found], ids[near])
         labelled[frame], clutter[frame] = int(np.sum(true & heard)), int(np.sum(~true & heard))
-    scores = Scorer(skip_first=6, skip_last=10).score(run)
-    assert scores.frames.tolist() == list(range(7, 141))
+    scores = Scorer().score(run)
+    scored = slice(6, -10)
+    frames = scores.frames[scored]
+    assert frames.tolist() == list(range(7, 141))
     # 1.93 FN + 11.93 TP, and 1.44 + 12.42, are what other evaluations of this scene add up to.
-    assert (scores.fn + scores.tp).mean() == pytest.approx(13.86, abs=0.005)
-    table = scores.per_frame()
+    assert (scores.fn + scores.tp)[:, scored].mean() == pytest.approx(13.86, abs=0.005)
+    table = {name: column[np.isin(scores.per_frame()["frame"], frames)] for name, column in scores.per_frame().items()}
     for k, frame in enumerate(table["frame"]):
         # Clutter that happens to lie at an object which was not detected passes for it.
         assert labelled[frame] <= table["tp"][k] <= labelled[frame] + clutter[frame]
         assert table["fp"][k] <= clutter[frame]
     assert sum(table["tp"]) - sum(labelled[frame] for frame in table["frame"]) <= 3
-    assert scores.summary()["ego"]["local"]["rmse_m"] == pytest.approx(0.3 * np.sqrt(2.0), rel=0.05)
+    assert scores.summary(scored)["ego"]["local"]["rmse_m"] == pytest.approx(0.3 * np.sqrt(2.0), rel=0.05)

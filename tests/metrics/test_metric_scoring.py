@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from metric_oracles import best_pairs, cars
 
-from mast_zenoh.metrics import IoU3DGreedyAssigner, Record, Scorer
+from mast_zenoh.metrics import IoU3DGreedyAssigner, Record, Scorer, Series
+from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.states import ObjectStates
 
 
@@ -20,7 +21,7 @@ def record(truth: list[ObjectStates], picture: list[ObjectStates], *, points=Non
     for frame, (objects, states) in enumerate(zip(truth, picture, strict=True)):
         seen = np.full(len(objects), 10) if points is None else np.array(points[frame])
         result.add_truth(frame, objects, seen.reshape(-1, 1), np.array([position]), np.array([own]))
-        result.add_picture(frame, states)
+        result.add(frame, [Series("", "picture")], Snapshot.of(states))
     return result
 
 
@@ -31,7 +32,7 @@ def counts(scores, agent="ego", estimator="picture"):
 
 
 def outcomes(scores) -> set[tuple[str, str, int, int]]:
-    t = scores.objects
+    t = scores.objects()
     return set(zip(t["kind"].tolist(), t["outcome"].tolist(), t["id"].tolist(), t["match_id"].tolist(), strict=True))
 
 
@@ -63,7 +64,7 @@ def test_range_moves_with_the_agent():
     for frame, x in enumerate((0.0, 200.0)):
         place = np.array([[x, 0.0, 0.0]])
         run.add_truth(frame, cars((0.0, 0.0)), np.array([[9]]), place, np.array([-1]))
-        run.add_picture(frame, cars((0.0, 0.0)))
+        run.add(frame, [Series("", "picture")], Snapshot.of(cars((0.0, 0.0))))
     assert counts(Scorer().score(run)) == [(0, 0, 1), (0, 0, 0)]
 
 
@@ -71,7 +72,7 @@ def test_truth_is_what_at_least_one_agent_sees():
     run = Record(["ego", "infra_1"])
     points = np.array([[0, 5], [4, 4], [5, 0]])
     run.add_truth(0, cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0)), points, np.zeros((2, 3)), np.array([-1, -1]))
-    run.add_picture(0, ObjectStates.empty())
+    run.add(0, [Series("", "picture")], Snapshot.of(ObjectStates.empty()))
     scores = Scorer(min_points=5).score(run)
     assert counts(scores) == [(2, 0, 0)]
     assert ("truth", "unevaluated", 1, -1) in outcomes(scores)
@@ -117,33 +118,67 @@ def test_switches_of_one_agent_are_not_those_of_another():
     run = Record(["ego", "infra_1"])
     for frame in range(2):
         run.add_truth(frame, cars((0.0, 0.0)), np.array([[9, 9]]), np.zeros((2, 3)), np.array([-1, -1]))
-        run.add_tracks(frame, "ego", "local", cars((0.0, 0.0), id=[frame]))
-        run.add_tracks(frame, "infra_1", "local", cars((0.0, 0.0), id=[5]))
+        run.add(frame, [Series("ego", "local")], Snapshot.of(cars((0.0, 0.0), id=[frame])))
+        run.add(frame, [Series("infra_1", "local")], Snapshot.of(cars((0.0, 0.0), id=[5])))
     summary = Scorer().score(run).summary()
     assert summary["ego"]["local"]["id_switches"] == 1
     assert summary["infra_1"]["local"]["id_switches"] == 0
 
 
-def test_skipped_frames_leave_no_trace():
-    truth = [cars((0.0, 0.0), id=[1])] * 5
-    tracks = [cars((0.0, 0.0), id=[k]) for k in range(5)]
-    scores = Scorer(skip_first=2, skip_last=1).score(record(truth, tracks))
-    assert scores.frames.tolist() == [2, 3]
-    assert scores.id_switches.tolist() == [[0, 1]]
-    assert set(scores.objects["frame"]) == {2, 3}
-
-
-@pytest.mark.parametrize(("first", "last"), [(9, 0), (0, 9), (3, 3), (5, 5)])
-def test_skipping_everything_leaves_a_summary_without_figures(first, last):
+@pytest.mark.parametrize("scored", [slice(9, 5), slice(0, 0), slice(3, 3)])
+def test_without_scored_frames_the_summary_has_no_figures(scored):
     truth = [cars((0.0, 0.0))] * 5
-    summary = Scorer(skip_first=first, skip_last=last).score(record(truth, truth)).summary()
+    summary = Scorer().score(record(truth, truth)).summary(scored)
     assert summary["ego"]["picture"]["fn"] == {"mean": None, "std": None}
     json.dumps(summary, allow_nan=False)
 
 
+def test_of_several_messages_about_one_frame_the_first_counts_as_it_does_for_the_broker():
+    run = record([cars((0.0, 0.0))], [cars((0.0, 0.0))])
+    run.add(0, [Series("", "picture")], Snapshot.of(ObjectStates.empty()))
+    assert counts(Scorer().score(run)) == [(0, 0, 1)]
+
+
+def test_an_estimate_that_is_the_same_messages_is_scored_once_and_stands_in_all_tables():
+    run = Record(["ego"])
+    for frame in range(3):
+        run.add_truth(frame, cars((0.0, 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
+        run.add(frame, [Series("ego", "local"), Series("ego", "received")], Snapshot.of(cars((0.1, 0.0))))
+    scores = Scorer().score(run)
+    assert scores.series == (("ego", "local"),)
+    assert scores.same_as == {("ego", "received"): ("ego", "local")}
+    assert counts(scores, estimator="received") == counts(scores, estimator="local") == [(0, 0, 1)] * 3
+    assert scores.summary()["ego"]["received"] == scores.summary()["ego"]["local"]
+    assert set(scores.objects()["estimator"]) == {"local"}
+
+
+def test_one_that_differs_in_a_single_frame_has_scores_of_its_own():
+    run = Record(["ego"])
+    for frame in range(3):
+        run.add_truth(frame, cars((0.0, 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
+        both = [Series("ego", "local"), Series("ego", "received")][: 1 if frame == 1 else 2]
+        run.add(frame, both, Snapshot.of(cars((0.1, 0.0))))
+    scores = Scorer().score(run)
+    assert not scores.same_as
+    assert counts(scores, estimator="received") == [(0, 0, 1), (1, 0, 0), (0, 0, 1)]
+
+
+def test_the_picture_on_arrival_is_the_newest_that_has_come_and_nothing_once_it_is_too_old():
+    run = Record(["ego"])
+    for frame in range(12):
+        run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
+    for frame, step in ((0, 1), (1, 3), (2, 2), (3, 4)):  # that of frame 1 is overtaken by that of frame 2
+        run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), step)
+    run.hold_pictures(4)
+    frames = np.arange(12)
+    held = run.tracks(Series("ego", "picture_on_arrival"), frames)
+    place = dict(zip(held.boxes.group.tolist(), held.boxes.position[:, 0].tolist(), strict=True))
+    assert place == {1: 0.0, 2: 2.0, 3: 2.0, 4: 3.0, 5: 3.0, 6: 3.0, 7: 3.0}
+
+
 def test_a_frame_without_a_message_counts_as_one_without_tracks():
     run = record([cars((0.0, 0.0))] * 3, [cars((0.0, 0.0))] * 3)
-    run.add_tracks(0, "ego", "local", cars((0.0, 0.0)))
+    run.add(0, [Series("ego", "local")], Snapshot.of(cars((0.0, 0.0))))
     assert counts(Scorer().score(run), estimator="local") == [(0, 0, 1), (1, 0, 0), (1, 0, 0)]
 
 
@@ -182,7 +217,7 @@ def test_truth_that_does_not_fit_the_agents_is_refused():
     with pytest.raises(ValueError, match=r"truth of frame 3, points: found shape \(1, 1\), expected \(1, 2\)"):
         run.add_truth(3, cars((0.0, 0.0)), np.array([[9]]), np.zeros((2, 3)), np.array([-1, -1]))
     with pytest.raises(ValueError, match="found agent 'infra_9'"):
-        run.add_tracks(3, "infra_9", "local", cars((0.0, 0.0)))
+        run.add(3, [Series("infra_9", "local")], Snapshot.of(cars((0.0, 0.0))))
 
 
 def test_a_record_without_truth_has_no_frames():
@@ -217,9 +252,9 @@ def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
         for (agent, estimator), states in tracks.items():
             mixed = states.select(shuffle.permutation(len(states))) if shuffled else states
             if agent:
-                run.add_tracks(int(frame), agent, estimator, mixed)
+                run.add(int(frame), [Series(agent, estimator)], Snapshot.of(mixed))
             else:
-                run.add_picture(int(frame), mixed)
+                run.add(int(frame), [Series("", "picture")], Snapshot.of(mixed))
     return run, frames
 
 
@@ -267,15 +302,15 @@ def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
     straight = Scorer(range_m=7.0, ignore_unseen=True).score(random_run(seed)[0])
     shuffled = Scorer(range_m=7.0, ignore_unseen=True).score(random_run(seed, shuffled=True)[0])
     assert json.dumps(straight.summary()) == json.dumps(shuffled.summary())
-    for name, column in straight.objects.items():
-        assert np.array_equal(column, shuffled.objects[name], equal_nan=column.dtype.kind == "f"), name
+    for name, column in straight.objects().items():
+        assert np.array_equal(column, shuffled.objects()[name], equal_nan=column.dtype.kind == "f"), name
 
 
 @settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_every_box_has_one_outcome_and_the_counts_are_those_of_the_outcomes(seed):
     scores = Scorer(range_m=7.0).score(random_run(seed)[0])
-    t, counted = scores.objects, scores.per_frame()
+    t, counted = scores.objects(), scores.per_frame()
     for k in range(len(counted["frame"])):
         mine = np.all([t[name] == counted[name][k] for name in ("frame", "agent", "estimator")], axis=0)
 

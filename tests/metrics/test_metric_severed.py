@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from measured import Row, effects, explained, labelled, passage
 from metric_oracles import cars
 
-from mast_zenoh.metrics import Attribution, Reach, Record, Scorer, Severed, cause_counts, down, split, stopped
+from mast_zenoh.effects import Effects
+from mast_zenoh.evaluation.from_effects import stopped
+from mast_zenoh.metrics import Presence, Reach, Record, Scorer, Series, Severed
+from mast_zenoh.metrics.blame import split
+from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.states import ObjectStates
 
 AGENTS = ("ego", "infra_1", "infra_2")
@@ -24,39 +29,36 @@ def some(*ids: int) -> ObjectStates:
     return cars(*(PLACE[id_] for id_ in ids), id=list(ids))
 
 
-def hidden(frames: range, at: tuple[float, float]) -> dict[str, np.ndarray]:
-    """Reports of eve, who takes away the object at a place."""
-    n = len(frames)
-    axes = {f"{when}_{axis}": np.zeros(n) for when in ("before", "after") for axis in "xyz"}
-    table = {
-        "adversary": np.full(n, "eve", object),
-        "frame": np.array(frames, np.int64),
-        "action": np.full(n, "removed", object),
-        "target": np.zeros(n, np.int64),
-        **axes,
-        **{f"v{axis}": np.zeros(n) for axis in "xyz"},
-    }
-    return table | {"before_x": np.full(n, at[0]), "before_y": np.full(n, at[1])}
+def hidden(frames: range, at: tuple[float, float]) -> list[Row]:
+    """Eve takes away the object at a place."""
+    return [("eve", frame, "removed", 0, at, (0.0, 0.0)) for frame in frames]
 
 
-def judged(*, local, picture, silent, truth=lambda f: some(FAR, BOTH), points=POINTS, attacks=None, unheard=None):
-    """The ego's table of objects, with causes. local: (agent, frame) to tracks; picture, truth: frame to objects."""
+def recorded(*, local, picture, truth=lambda f: some(FAR, BOTH), points=POINTS) -> Record:
+    """local: (agent, frame) to tracks; picture, truth: frame to objects."""
     record = Record(AGENTS)
     for frame in range(FRAMES):
         there = truth(frame)
         hits = np.array([points[int(id_)] for id_ in there.id], np.int32).reshape(-1, len(AGENTS))
         record.add_truth(frame, there, hits, np.zeros((3, 3)), np.full(3, -1))
-        record.add_picture(frame, picture(frame))
+        record.add(frame, [Series("", "picture")], Snapshot.of(picture(frame)))
         for agent in AGENTS:
-            record.add_tracks(frame, agent, "local", local(agent, frame))
+            record.add(frame, [Series(agent, "local")], Snapshot.of(local(agent, frame)))
+    return record
+
+
+def judged(*, silent, attacks=(), unheard=None, **world):
+    """The ego's table of objects of the picture, with causes."""
+    record = recorded(**world)
+    table = explained(record, effects(*attacks), severed=severed(record, silent, unheard))
+    rows = (table["agent"] == "ego") & (table["estimator"] == "picture")
+    return {name: column[rows] for name, column in table.items()}
+
+
+def severed(record: Record, silent: np.ndarray, unheard: np.ndarray | None = None) -> Severed:
     scores = Scorer().score(record)
-    table = record.truth(scores.frames)
     unheard = np.zeros_like(silent) if unheard is None else unheard
-    severed = Reach().severed(scores.objects, table, AGENTS, scores.frames, PERIOD_S, silent, unheard)
-    attacks = hidden(range(0), (0.0, 0.0)) if attacks is None else attacks
-    cause, by = Attribution().label(scores.objects, attacks, table.boxes, PERIOD_S, severed)
-    rows = (scores.objects["agent"] == "ego") & (scores.objects["estimator"] == "picture")
-    return {name: column[rows] for name, column in (scores.objects | {"cause": cause, "by": by}).items()}
+    return Reach().severed(scores, record.truth(scores.frames), AGENTS, scores.frames, PERIOD_S, silent, unheard)
 
 
 def cut(agent: str = "infra_1", when: slice = CUT) -> np.ndarray:
@@ -181,8 +183,17 @@ def test_attack_and_partition_and_nature_at_once_are_told_apart() -> None:
     )
     found = {id_: set(missed(table, id_).values()) for id_ in places}
     assert found == {1: {"link or fault"}, 2: {"removed"}, 3: {"occlusion or range"}, 4: set()}
-    counted = cause_counts(table, ["ego"], np.arange(FRAMES))["ego"]["fn"]
+    missing = (table["kind"] == "truth") & (table["outcome"] == "missed")
+    counted = dict(zip(*np.unique(table["cause"][missing], return_counts=True), strict=True))
     assert split(counted, FRAMES) == {"fault": 20 / FRAMES, "attack": 20 / FRAMES, "natural": 20 / FRAMES}
+
+
+def test_an_agents_own_tracks_are_never_cut_off() -> None:
+    """What the ego misses by itself is not the network's fault, whatever is cut off."""
+    record = recorded(local=holds, picture=without(FAR))
+    _, table, _, _ = labelled(record, effects(), severed=severed(record, cut()))
+    own = (table["estimator"] == "local") & (table["cause"] != "")
+    assert set(table["cause"][own]) == {"occlusion or range", "lag"}
 
 
 def test_without_a_silence_there_is_no_fault_to_blame() -> None:
@@ -252,16 +263,11 @@ def test_who_is_not_heard_for_a_moment_is_late_at_most_and_for_longer_is_silent(
     assert missing([9], unheard=[38, 39]) == [9]
 
 
-def presence(*rows: tuple[str, str, int, bool]) -> dict[str, np.ndarray]:
-    kinds = (object, object, np.int64, bool)
-    return {
-        name: np.array([row[k] for row in rows], kinds[k]) for k, name in enumerate(("node", "role", "frame", "up"))
-    }
-
-
 def gone(*rows: tuple[str, str, int, bool]) -> list[list[int]]:
-    mask = down(presence(*rows), AGENTS, np.arange(10))
-    return [np.flatnonzero(column).tolist() for column in mask.T]
+    presence = Presence()
+    for row in rows:
+        presence.note(*row)
+    return [np.flatnonzero(column).tolist() for column in presence.absent(AGENTS, np.arange(10)).T]
 
 
 def test_an_agent_is_down_from_when_it_left_until_it_joined() -> None:
@@ -283,26 +289,33 @@ def test_without_a_centre_nobody_gets_through(role: str) -> None:
     assert gone(("evaluator_2", "evaluator", 0, True), ("evaluator_2", "evaluator", 7, False)) == [[], [], []]
 
 
-def test_a_link_stops_tracks_that_it_drops_spoils_or_holds_up_and_batches_of_all_tracks() -> None:
-    rows = [
+def on_links(*rows: tuple[str, str, int, str]) -> Effects:
+    """What links did to messages: agent, port, frame, effect."""
+    ways = list(dict.fromkeys((agent, port) for agent, port, _, _ in rows))
+    return effects(
+        *((f"link_{agent}", frame, effect, -1, (0.0, 0.0), (0.0, 0.0)) for agent, _, frame, effect in rows),
+        passages=[passage(f"link_{agent}", port, agent) for agent, port in ways],
+        of=[ways.index((agent, port)) for agent, port, _, _ in rows],
+    )
+
+
+def test_a_link_stops_tracks_that_it_drops_damages_or_delays_and_batches_of_all_tracks() -> None:
+    found = on_links(
         ("infra_1", "tracks", 1, "dropped"),
         ("infra_1", "tracks", 2, "delayed"),
         ("infra_1", "tracks", 3, "corrupted"),
-        ("infra_1", "tracks", 4, "duplicated"),
-        ("infra_1", "tracks", 5, "altered"),
+        ("infra_1", "tracks", 4, "repeated"),
+        ("infra_1", "tracks", 5, "reframed"),
         ("infra_1", "status", 6, "dropped"),
         ("infra_1", "picture", 7, "dropped"),
         ("infra_2", "tracks", 8, "dropped"),
         ("nobody", "tracks", 9, "dropped"),
         ("centre", "collated", 10, "dropped"),
-    ]
-    names = ("agent", "port", "frame", "fate")
-    links = {
-        name: np.array([row[k] for row in rows], np.int64 if name == "frame" else object)
-        for k, name in enumerate(names)
-    }
-    mask = stopped(links, AGENTS, np.arange(12))
+    )
+    roles = {way.node: "link" for way in found.passages}
+    mask = stopped(found, roles, AGENTS, np.arange(12))
     assert [np.flatnonzero(column).tolist() for column in mask.T] == [[10], [1, 2, 3, 10], [8, 10]]
+    assert not stopped(found, {}, AGENTS, np.arange(12)).any(), "an adversary's doing is no fault"
 
 
 def test_objects_are_looked_up_by_frame_and_id() -> None:

@@ -10,7 +10,7 @@ from tiny_world import PERIOD_NS, Bench, Run, detections, pose, states, tiny, tr
 
 from mast_zenoh import codec
 from mast_zenoh.attacks import ACTIONS, UncoordinatedAttack
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import StartError
 from mast_zenoh.messages import Message
 from mast_zenoh.states import DETECTION_COLUMNS, STATE_COLUMNS
 from mast_zenoh.wiring import Wiring
@@ -216,8 +216,9 @@ def test_only_the_evaluator_hears_reports_and_the_truth() -> None:
         wiring = Wiring.from_json(tiny(name).wiring)
         for wire, leg in wiring.legs():
             if wire.message in ("attack_report", "truth"):
-                assert [end.node for end in leg.subscribers] == ["evaluator"]
+                assert not leg.subscribers
                 assert not wire.interposers
+        assert [end.node for end in wiring.overhearers] == ["evaluator"]
 
 
 def test_an_adversary_on_both_wires_of_its_agent_holds_back_neither() -> None:
@@ -247,7 +248,7 @@ def test_an_adversary_on_the_downlink_stands_before_its_agent_alone_and_passes_p
     assert {name: leg in ports(name).inputs for name in ("ego", "infra_1", "evaluator")} == {
         "ego": True,
         "infra_1": False,
-        "evaluator": False,
+        "evaluator": True,
     }
     run, plain = Run(resolved), Run(tiny())
     assert not run.failures
@@ -256,7 +257,7 @@ def test_an_adversary_on_the_downlink_stands_before_its_agent_alone_and_passes_p
 
 
 def test_an_attack_that_cannot_change_pictures_is_refused_on_their_wire() -> None:
-    with pytest.raises(ConfigurationError, match="adversary_1: UncoordinatedAttack cannot change pictures"):
+    with pytest.raises(StartError, match="adversary_1: UncoordinatedAttack cannot change pictures"):
         Run(tiny(edit=on_picture(ATTACK)))
 
 

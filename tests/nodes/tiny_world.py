@@ -170,7 +170,9 @@ class Bench:
         spec = resolved.nodes[name]
         self.node = build_node(replace(spec, config={**spec.config, **config}), name)
         self.outbox: list[Outgoing] = []
-        self.host = Host(name, self.node, self.ports, resolved.seed, encode=encode, emit=self.outbox.append)
+        self.host = Host(
+            name, self.node, self.ports, resolved.seed, encode=encode, emit=self.outbox.append, wiring=wiring
+        )
         self.host.start({other: spec.role for other, spec in resolved.nodes.items() if other != name})
         self.said: list[tuple[str, Message]] = []
         self.payloads: list[bytes] = []
@@ -200,6 +202,10 @@ class Bench:
         """`message` and `deliver` in one, by port."""
         key = self.key(port, subject)
         return self.deliver(key, self.message(key, body, frame), step=step)
+
+    def hear(self, key: str, body: dict[str, Any], frame: int, *, step: int | None = None, **header: Any) -> None:
+        """`message` and `deliver` in one, by key: for a node that hears every key."""
+        self.deliver(key, self.message(key, body, frame, **header), step=step)
 
     def clock(self, frame: int) -> list[tuple[str, Message]]:
         """A frame begins."""

@@ -81,6 +81,7 @@ def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.
     objects: list[tuple[Any, ...]] = []
     counts: list[tuple[Any, ...]] = []
     attacks: list[tuple[Any, ...]] = []
+    nowhere = (np.nan, np.nan, np.nan)
     for frame in range(len(recording)):
         truth, ego = recording.truth_at(frame), recording.agent_position[frame, 0]
         near = np.hypot(*(truth.position - ego)[:, :2].T) < 45.0
@@ -104,10 +105,11 @@ def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.
                         now = at + np.array([0.3, 0.1, 0.0]) * (frame - ATTACK_START)
                         if estimator == "picture":
                             add("track", "false", 900 + k, -1, now, 0.3 * k)
-                            attacks.append((adversary, frame, "added", k, 0.0, 0.0, 0.0, *now, 3.0, 1.0, 0.0))
+                            effect = (adversary, "adversary", frame, "inserted", k)
+                            attacks.append((*effect, *nowhere, *now, 3.0, 1.0, 0.0))
                     if estimator == "picture":
                         gone = truth.position[5]
-                        attacks.append((adversary, frame, "removed", 99, *gone, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+                        attacks.append((adversary, "adversary", frame, "removed", 99, *gone, *nowhere, *nowhere))
             if frame % 9 == 0:
                 add("truth", "unevaluated", 77, -1, (60.0, -3.0, 0.75), 0.0)
             counts.append(
@@ -213,7 +215,7 @@ def write_run(folder: Path, attack: str = "", *, nodes: dict[str, Any] | None = 
         "frame agent estimator kind outcome id match_id x y z l w h yaw score",
     )
     if attack:
-        names = "adversary frame action target before_x before_y before_z after_x after_y after_z vx vy vz"
+        names = "interposer role frame effect label before_x before_y before_z after_x after_y after_z vx vy vz"
         save_table(folder / "attacks.parquet", attacks, names)
     return folder
 

@@ -20,7 +20,7 @@ def row(run: str, point: dict[str, Any], fp: float) -> StudyRow:
     """A configuration that adds `fp` false objects to picture and mission, surely, and missed ones perhaps."""
     estimates = {
         Series("ego", "picture", "fp"): estimate(1.0 + fp, p=float("nan")),
-        Series("ego", "picture", "fp injected"): Estimate(mean=2.0),
+        Series("ego", "picture", "fp inserted"): Estimate(mean=2.0),
         Series("ego", "picture", "fp clutter"): Estimate(mean=1.0),
         Series("ego", "picture", "fp lag"): Estimate(mean=0.0),
         Series("ego", "mission", "my_metric"): estimate(7.5, p=float("nan")),

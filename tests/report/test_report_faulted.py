@@ -61,7 +61,7 @@ def faulted(folder: Path, *timeline: dict[str, Any], checks: dict[str, Any] | No
     table = pyarrow.parquet.read_table(path)
     wrong = np.isin(table.column("outcome").to_numpy(), ("missed", "false"))
     wrong &= table.column("estimator").to_numpy() == "picture"
-    cause = np.where(wrong, np.where(table.column("kind").to_numpy() == "track", "injected", "link or fault"), "")
+    cause = np.where(wrong, np.where(table.column("kind").to_numpy() == "track", "inserted", "link or fault"), "")
     pyarrow.parquet.write_table(table.append_column("cause", pyarrow.array(cause)), path)
     if checks is not None:
         (folder / "checks.json").write_text(json.dumps(checks), "utf-8")
@@ -137,11 +137,11 @@ def test_missed_objects_are_stacked_by_cause(attacked_and_faulted: Path) -> None
     run = RunFolder.load(attacked_and_faulted)
     figure = causes_over_time(run, 20)
     assert figure is not None
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["link or fault", "injected"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["link or fault", "inserted"]
     counts = run.counts_of("picture")
     assert counts is not None
     for axes, column in zip(figure.axes[1:], ("fn", "fp"), strict=True):
-        (area,) = (each for each in axes.collections if each.get_label() in ("link or fault", "injected"))
+        (area,) = (each for each in axes.collections if each.get_label() in ("link or fault", "inserted"))
         assert area.get_paths()[0].vertices[:, 1].max() == counts[column].max() > 0
 
 

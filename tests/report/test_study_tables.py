@@ -108,7 +108,7 @@ def test_csv_has_all_digits_a_column_per_parameter_and_leaves_the_unknown_empty(
     )
     assert (float(one["mean"]), one["n"], one["seeds"], one["seeds_left_out"]) == (3.0, "1", "20", "0")
     assert float(one["p_holm"]) > float(one["p"])
-    cause = next(f for f in lines if f["metric"] == "fp injected")
+    cause = next(f for f in lines if f["metric"] == "fp inserted")
     assert (cause["low"], cause["p"], cause["p_holm"]) == ("", "", "")
     assert lines[0]["n"] == ""
 
@@ -123,7 +123,7 @@ def test_latex_has_as_many_cells_in_every_row_and_no_character_of_its_own() -> N
 
 
 def test_shares_add_up_to_one_over_the_causes_that_occur() -> None:
-    assert shares(ROWS[1], "fp") == {"injected": pytest.approx(2 / 3), "clutter": pytest.approx(1 / 3)}
+    assert shares(ROWS[1], "fp") == {"inserted": pytest.approx(2 / 3), "clutter": pytest.approx(1 / 3)}
     assert shares(ROWS[1], "fn") == {}
 
 

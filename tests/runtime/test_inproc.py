@@ -92,7 +92,18 @@ def test_interposers_that_change_nothing_leave_no_trace() -> None:
     taps = {key for key in tapped.messages if "@tap" in key}
     assert len(taps) == 6, "two wires of each of three agents"
     assert {key: payloads for key, payloads in tapped.messages.items() if key not in taps} == plain.messages
-    assert results.pack(tapped.results["evaluator"]) == results.pack(plain.results["evaluator"])
+    measured = [dict(run.results["evaluator"]["metrics"]) for run in (plain, tapped)]
+    interposers = [metrics.pop("interposers") for metrics in measured]
+    achieved = [metrics.pop("achieved") for metrics in measured]
+    assert measured[0] == measured[1]
+    assert not interposers[0]
+    assert not achieved[0]
+    assert all(told["effects"] == {} for told in interposers[1].values())
+    assert not any(told["success_centre"] or told["success_ego"] for told in achieved[1].values())
+    for name in ("metrics", "objects", "targets", "driving"):
+        assert results.pack(tapped.results["evaluator"]["tables"][name]) == results.pack(
+            plain.results["evaluator"]["tables"][name]
+        )
     for tap in taps:
         assert tapped.messages[tap] == plain.messages[tap.split("/@tap")[0]]
 

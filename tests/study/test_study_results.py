@@ -28,7 +28,7 @@ def test_every_number_of_every_estimator_is_found_whatever_its_name() -> None:
         "agents": {
             "ego": {
                 "picture_on_arrival": {"fn": {"mean": 2.0, "std": 0.5}, "rmse_m": None, "note": "text", "list": [1, 2]},
-                "picture": {"causes": {"fp": {"injected": 30}, "fn": {}}, "fp_split": {"attack": 3.0}},
+                "picture": {"causes": {"fp": {"inserted": 30}, "fn": {}}, "fp_split": {"attack": 3.0}},
                 "mission": {"my_metric": {"mean": None, "std": None}, "braked": True},
             }
         },
@@ -40,7 +40,7 @@ def test_every_number_of_every_estimator_is_found_whatever_its_name() -> None:
     found = by_name(numbers(metrics))
     assert found["ego", "picture_on_arrival", "fn"] == ("ego", "picture_on_arrival", "fn", 2.0, 0.5, 10, False)
     assert np.isnan(found["ego", "picture_on_arrival", "rmse_m"].value)
-    assert found["ego", "picture", "fp injected"][3:6:2] == (3.0, 10), "30 in 10 frames"
+    assert found["ego", "picture", "fp inserted"][3:6:2] == (3.0, 10), "30 in 10 frames"
     assert found["ego", "picture", "fn clutter"].value == 0.0, "a cause that did not occur"
     assert found["ego", "picture", "fp_split.attack"].value == 3.0
     assert np.isnan(found["ego", "mission", "my_metric"].value)

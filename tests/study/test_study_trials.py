@@ -17,6 +17,7 @@ from small_study import TABLES, tables, write_small
 
 from mast_zenoh import cli
 from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
+from mast_zenoh.metrics.record import ESTIMATORS
 from mast_zenoh.study import definition, identity, trial, trials
 from mast_zenoh.study.trial import Outcome, Trial
 
@@ -71,10 +72,10 @@ def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row
     cells = set(zip(table["configuration"], table["seed"], strict=True))
     assert cells == {(label, seed) for label in ("baseline", "attacked-1-5.0", "attacked-1-20.0") for seed in (0, 1)}
     found = set(table["metric"])
-    assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp injected"} <= found
+    assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp inserted"} <= found
     assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "rmse_m_iob", "id_switches_iob"} <= found
     frames = parquet.read_table(whole.out / "frames.parquet")
-    assert len(frames) == 6 * 8 * 2 * 3, "trials, frames, agents, estimators"
+    assert len(frames) == 6 * 8 * 2 * len(ESTIMATORS), "trials, frames, agents, estimators"
 
 
 def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.Ended) -> None:
@@ -189,7 +190,7 @@ def test_an_attack_that_does_nothing_adds_nothing_in_any_frame(small, tmp_path: 
     added = [
         (value, std)
         for metric, value, std in zip(table["metric"], table["value"], table["std"], strict=True)
-        if metric.endswith("_iob")
+        if metric.endswith("_iob") and value is not None  # such as the least time to a collision that is not due
     ]
     assert len(added) > 2 * 2 * 30
     over_frames = {pair for pair in added if pair[1] is not None}

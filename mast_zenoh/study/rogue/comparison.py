@@ -94,7 +94,8 @@ def besiege(
         received = siege.received()
         for outcome in outcomes.values():
             outcome.reached = sum(keys.get(outcome.key, 0) for keys in received.values())
-        stray = siege.foreign_messages() - sum(outcome.reached for outcome in outcomes.values())
+        attempted = {outcome.key for outcome in outcomes.values()}
+        stray = sum(n for keys in received.values() for key, n in keys.items() if key not in attempted)
     return outcomes, stray
 
 

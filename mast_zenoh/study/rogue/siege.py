@@ -204,7 +204,7 @@ class Siege:
         return self._ended
 
     def received(self) -> dict[str, dict[str, int]]:
-        """After the end, by node and key: messages that its host has got and refused."""
+        """After the end, by node and key: messages without the mark of this run's nodes that have reached its host."""
         ended = self.end()
         if ended is None or (ended.error is not None and not isinstance(ended.error, Interrupted)):
             raise RunError(f"the run under siege failed: {ended.error if ended else 'it does not end'}")
@@ -212,18 +212,10 @@ class Siege:
             raise HandlerFailed(failures.summary(ended.failures, ended.logs))
         found: dict[str, dict[str, int]] = {}
         for name, node in ended.record["nodes"].items():
-            if node["rejected"] is None:
+            if node["foreign"] is None:
                 raise RunError(f"{name} handed in nothing: {node['ended']}")
-            for place, count in node["rejected"].items():
-                key = place.rpartition(": ")[0]
-                found.setdefault(name, {})[key] = found.get(name, {}).get(key, 0) + count
+            found[name] = node["foreign"]
         return found
-
-    def foreign_messages(self) -> int:
-        """After the end: messages without the mark of this run's nodes that have reached any host."""
-        ended = self.end()
-        assert ended is not None
-        return sum(sum((node["foreign"] or {}).values()) for node in ended.record["nodes"].values())
 
     def _play(self) -> None:
         def prepare(launch: Launch) -> None:

@@ -1,35 +1,27 @@
 """A user's own evaluator: says which messages it has heard, in the order in which they came."""
 
-from mast_zenoh.node import Context, Node, Received
+from typing import Any
+
+from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.process import main
+from mast_zenoh.wiring import ANY
 
 
 class Listener(Node):
     """agents: their names."""
 
     role = "evaluator"
-    inputs = {"tracks": "tracks", "mission": "tracks", "reports": "attack_report"}
+    inputs = {"everything": ANY}
 
     def __init__(self, agents: tuple[str, ...]) -> None:
         self.heard: list[tuple[str, int, int]] = []
 
-    def on_tracks(self, received: Received, context: Context) -> None:
-        """Of an agent."""
-        self.note(f"agent/{received.subject}/tracks", received)
+    def on_everything(self, message: Overheard, context: Context) -> None:
+        """Of an agent or an adversary; messages on tap legs and of others are left out."""
+        if message.wire.message in ("tracks", "attack_report") and "@tap" not in message.key:
+            self.heard.append((message.key, message.header.seq, message.header.frame))
 
-    def on_mission(self, received: Received, context: Context) -> None:
-        """Of an agent."""
-        self.note(f"agent/{received.subject}/mission", received)
-
-    def on_reports(self, received: Received, context: Context) -> None:
-        """Of an adversary."""
-        self.note(f"attack/{received.subject}/report", received)
-
-    def note(self, wire: str, received: Received) -> None:
-        """Another message."""
-        self.heard.append((wire, received.message.header.seq, received.frame))
-
-    def finish(self, context: Context) -> dict:
+    def finish(self, context: Context) -> dict[str, Any]:
         """What was heard, in order."""
         wires, numbers, frames = zip(*self.heard, strict=True)
         return {

@@ -1,0 +1,159 @@
+"""The measured effects of all interposers of a run as one table, in the world frame: attacks.parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mast_zenoh.effects.passages import MESSAGE_EFFECTS, PassageMeter
+from mast_zenoh.effects.rows import MOVED, OBJECT_EFFECTS, UNCHANGED
+from mast_zenoh.geometry import rotation_from_quaternion
+from mast_zenoh.states import Floats, Ints
+from mast_zenoh.wiring import Passage
+
+#: Every effect, by its code in `Effects`: what happens to objects, then what happens to whole messages.
+EFFECTS = OBJECT_EFFECTS + MESSAGE_EFFECTS
+CODE = {name: code for code, name in enumerate(EFFECTS)}
+
+#: m; an object that is displaced by less was not moved.
+LEAST_MOVE_M = 1e-6
+
+
+class Pose(NamedTuple):
+    """Where an agent is: position (3,) m and active quaternion (4,) w x y z, agent to world."""
+
+    position: Floats
+    rotation: Floats
+
+
+_NOWHERE = Pose(np.full(3, np.nan), np.array([1.0, 0.0, 0.0, 0.0]))
+
+#: Poses by agent and frame.
+Poses = Mapping[tuple[str, int], Pose]
+
+
+@dataclass(frozen=True, slots=True)
+class Effects:
+    """n effects, by passage, frame, sequence number and effect; what an effect does not have is NaN, -1 or "".
+
+    passages: the passages of the run, and for each the number of messages that it received
+    passage:  (n,) row of `passages`
+    code:     (n,) index into EFFECTS
+    frame, seq, step: (n,) of the message; the frame of the run in which the interposer received it
+    id:       (n,) of the object in the message
+    before, after: (n, 3) m, world frame: where the object was in the message received, and in the message sent
+    velocity: (n, 3) m/s, world frame: of the object as it was sent, or was received if it was removed
+    whole:    (n,) bool: an object of a message that was withheld, held up, forged or reframed as a whole
+    frames_late: (n,) how many frames later than it was received the message was sent; 0: in time, or never
+    time_ns:  (n,) ns, change of the time in the header
+    columns:  (n,) str, names of the columns that were changed, separated by blanks
+    """
+
+    passages: tuple[Passage, ...]
+    received: tuple[int, ...]
+    passage: Ints
+    code: Ints
+    frame: Ints
+    seq: Ints
+    step: Ints
+    id: Ints
+    before: Floats
+    after: Floats
+    velocity: Floats
+    whole: np.ndarray
+    frames_late: Ints
+    time_ns: Ints
+    columns: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.code)
+
+    def rows(self, *effects: str, whole: bool | None = None) -> Ints:
+        """The rows of these effects; whole: only those of objects of whole messages, or only the others."""
+        chosen = np.isin(self.code, [CODE[name] for name in effects])
+        return (chosen if whole is None else chosen & (self.whole == whole)).nonzero()[0]
+
+
+def effects_of(meters: Sequence[PassageMeter], poses: Poses) -> Effects:
+    """What the meters of a run have measured, once they are closed.
+
+    poses: of the agents, for what was measured in the frame of a sensor; where one is missing, positions are NaN
+    """
+    parts = [_objects(index, meter, poses) for index, meter in enumerate(meters)]
+    parts += [_messages(index, meter) for index, meter in enumerate(meters)]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in _EMPTY} if parts else dict(_EMPTY)
+    order = np.lexsort([columns[name] for name in ("id", "code", "seq", "frame", "passage")])
+    return Effects(
+        passages=tuple(meter.passage for meter in meters),
+        received=tuple(meter.received for meter in meters),
+        **{name: column[order] for name, column in columns.items()},
+    )
+
+
+_EMPTY: dict[str, np.ndarray] = {
+    **{name: np.zeros(0, np.int64) for name in ("passage", "code", "frame", "seq", "step", "id")},
+    **{name: np.zeros((0, 3)) for name in ("before", "after", "velocity")},
+    "whole": np.zeros(0, bool),
+    "frames_late": np.zeros(0, np.int64),
+    "time_ns": np.zeros(0, np.int64),
+    "columns": np.zeros(0, object),
+}
+
+
+def _messages(index: int, meter: PassageMeter) -> dict[str, np.ndarray]:
+    """The effects on whole messages of one passage."""
+    n = len(meter.effects)
+    columns = {name: np.full(n, -1, np.int64) for name in ("id",)} | {"passage": np.full(n, index, np.int64)}
+    columns["code"] = np.array([CODE[each.effect] for each in meter.effects], np.int64)
+    for name in ("frame", "seq", "step", "frames_late", "time_ns"):
+        columns[name] = np.array([getattr(each, name) for each in meter.effects], np.int64)
+    columns["columns"] = _texts([" ".join(each.columns) for each in meter.effects])
+    nowhere = {name: np.full((n, 3), np.nan) for name in ("before", "after", "velocity")}
+    return columns | nowhere | {"whole": np.zeros(n, bool)}
+
+
+def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndarray]:
+    """The effects on objects of one passage."""
+    if not meter.objects:
+        return dict(_EMPTY)
+    names = ("frame", "seq", "step", "effect", "columns", "id", "before", "after", "velocity", "whole", "frames_late")
+    columns = {name: np.concatenate([getattr(part, name) for part in meter.objects]) for name in names}
+    references = np.concatenate([part.references for part in meter.objects], axis=1)
+    of_agent = meter.objects[0].of_agent
+    frames = [_frames(references[side], of_agent, columns["frame"], poses, meter.passage.subject) for side in (0, 1)]
+    for name, (origin, turn) in zip(("before", "after"), frames, strict=True):
+        columns[name] = _turned(turn, columns[name]) + origin
+    columns["velocity"] = _turned(frames[1][1], columns["velocity"])
+    apart = np.abs(columns["after"] - columns["before"]).max(axis=1, initial=0.0)
+    code = columns.pop("effect")
+    columns["code"] = np.where((code == UNCHANGED) & (apart > LEAST_MOVE_M), CODE[MOVED], code)
+    columns["passage"] = np.full(len(code), index, np.int64)
+    columns["time_ns"] = np.zeros(len(code), np.int64)
+    kept = columns["code"] >= 0
+    return {name: column[kept] for name, column in columns.items()}
+
+
+def _frames(references: Floats, of_agent: bool, frame: Ints, poses: Poses, agent: str) -> tuple[Floats, Floats]:
+    """Origins (k, 3) and rotations (k, 3, 3), to the world frame, of k frames of reference (k, 7)."""
+    origin, turn = references[:, :3], rotation_from_quaternion(references[:, 3:])
+    if of_agent:
+        at = [poses.get((agent, each), _NOWHERE) for each in frame.tolist()]
+        of_pose = rotation_from_quaternion(np.array([pose.rotation for pose in at]).reshape(-1, 4))
+        place = np.array([pose.position for pose in at]).reshape(-1, 3)
+        origin = place + np.einsum("mij,mj->mi", of_pose, origin)
+        turn = of_pose @ turn
+    return origin, turn
+
+
+def _turned(turn: Floats, vectors: Floats) -> Floats:
+    """(n, 3) vectors, each turned by a rotation of its own (n, 3, 3)."""
+    return np.asarray(np.einsum("nij,nj->ni", turn, vectors))
+
+
+def _texts(values: list[str]) -> np.ndarray:
+    column = np.empty(len(values), object)
+    column[:] = values
+    return column

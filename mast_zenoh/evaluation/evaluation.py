@@ -1,0 +1,195 @@
+"""From what was heard of a run to its metrics and tables. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.effects import Effects, effects_of, reports
+from mast_zenoh.evaluation.from_effects import manipulations, stopped
+from mast_zenoh.evaluation.heard import Heard
+from mast_zenoh.evaluation.tables import attacks
+from mast_zenoh.links import WIRES
+from mast_zenoh.metrics import (
+    Attribution,
+    Driving,
+    Manipulations,
+    Metric,
+    Reach,
+    Scorer,
+    Scores,
+    Severed,
+    achievement,
+    causes_of,
+    consequences,
+    named,
+    user_metrics,
+)
+from mast_zenoh.metrics.record import TruthTable
+from mast_zenoh.metrics.scores import COLUMNS
+from mast_zenoh.states import Bools
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """How a run is evaluated.
+
+    scorer:  compares estimates with the truth
+    metrics: user-defined metrics
+    driving: how it is judged what an estimate would mean for driving
+    skip_first, skip_last: frames left out of the summary at the beginning and at the end, because tracks need some
+             frames to begin with; kept when they would be more than half of the run
+    picture_age_s: s, for how long an agent goes on with a picture when no newer one arrives
+    attribution, reach: when an error is due to what
+    Raises ValueError for values that make no sense.
+    """
+
+    scorer: Scorer
+    metrics: tuple[Metric, ...] = ()
+    driving: Driving = field(default_factory=Driving)
+    skip_first: int = 6
+    skip_last: int = 10
+    picture_age_s: float = 0.5
+    attribution: Attribution = field(default_factory=Attribution)
+    reach: Reach = field(default_factory=Reach)
+
+    def __post_init__(self) -> None:
+        if self.skip_first < 0 or self.skip_last < 0:
+            raise ValueError(f"skip_first, skip_last: found {self.skip_first}, {self.skip_last}, expected 0 or more")
+        if not 0.0 <= self.picture_age_s < np.inf:
+            raise ValueError(f"picture_age_s: found {self.picture_age_s}, expected 0 or more")
+        user_metrics.check(self.metrics, COLUMNS)
+
+    def of(self, heard: Heard) -> dict[str, Any]:
+        """{"metrics": what metrics.json holds, "tables": by name the columns of the tables of the run folder}."""
+        heard.record.hold_pictures(round(self.picture_age_s / heard.period_s))
+        scores = self.scorer.score(heard.record)
+        truth = heard.record.truth(scores.frames)
+        effects = _measured(heard, scores)
+        done = manipulations(
+            effects,
+            heard.roles,
+            scores.series,
+            _boxes(truth, scores),
+            heard.period_s,
+            heard.presence.idle(scores.frames),
+        )
+        severed = self._severed(heard, scores, truth, effects)
+        labels = self.attribution.label(scores, done, truth, heard.record.agents, heard.period_s, severed)
+        return _Results(self, heard, scores, truth, effects, done, labels).results()
+
+    def scored(self, frames: int) -> slice:
+        """Which of so many frames the summary is of."""
+        first, last = (self.skip_first, self.skip_last) if self.skip_first + self.skip_last <= frames // 2 else (0, 0)
+        return slice(first, frames - last)
+
+    def _severed(self, heard: Heard, scores: Scores, truth: TruthTable, effects: Effects) -> Severed:
+        """What only agents could have reported whose tracks did not get through."""
+        agents, frames = heard.record.agents, scores.frames
+        silent = heard.presence.absent(agents, frames) | stopped(effects, heard.roles, agents, frames)
+        unheard = self._unheard(heard, frames.tolist())
+        points = self.scorer.min_points
+        return self.reach.severed(scores, truth, agents, frames, heard.period_s, silent, unheard, points)
+
+    def _unheard(self, heard: Heard, frames: Sequence[int]) -> Bools:
+        """(f, a) bool: an agent's tracks of a frame were not sent in time for the broker to use them."""
+        agents, within = heard.record.agents, self.reach.aged_s / heard.period_s + 1e-6
+        sent = [[heard.spoken.get((agent, frame), np.inf) - frame <= within for agent in agents] for frame in frames]
+        return ~np.array(sent, bool).reshape(len(frames), len(agents))
+
+
+def _measured(heard: Heard, scores: Scores) -> Effects:
+    """What interposers did, now that no further message comes."""
+    heard.meter.close(int(scores.frames.max(initial=-1)))
+    return effects_of(heard.meter.meters, heard.poses)
+
+
+def _boxes(truth: TruthTable, scores: Scores) -> Any:
+    return truth.boxes.in_group(scores.frames[truth.boxes.group])
+
+
+@dataclass(frozen=True, slots=True)
+class _Results:
+    """Everything that is known of a run, as what is written of it."""
+
+    how: Evaluation
+    heard: Heard
+    scores: Scores
+    truth: TruthTable
+    effects: Effects
+    done: Manipulations
+    labels: Any
+
+    def results(self) -> dict[str, Any]:
+        """See `Evaluation.of`."""
+        heard, scores, labels, done = self.heard, self.scores, self.labels, self.done
+        frames, times = scores.frames, heard.times_ns
+        scored = self.how.scored(len(frames))
+        last = int(frames.max(initial=-1))
+        agreement = reports.compare(self.effects, heard.attack_reports, heard.link_reports, WIRES)
+        targets = achievement.targets(scores, labels.cause, done, self.truth, heard.ego, self._victims())
+        drives = consequences.drives(self.how.driving, heard.record, scores, labels, self.truth)
+        summary, per_frame = self._scored(scored)
+        return {
+            "metrics": {
+                "frames": len(frames),
+                "scored_frames": [int(frame) for frame in frames[scored][[0, -1]]] if len(frames) else [],
+                "agents": summary,
+                "same_as": _nested(scores.same_as),
+                "achieved": achievement.summary(
+                    targets, done.culprits, scores, labels.switch_by, heard.ego, heard.period_s
+                ),
+                "driving": consequences.summary(drives, scored),
+                "interposers": reports.summary(self.effects, agreement, heard.roles, last),
+                "latency_ms": {"sim_to_picture": percentiles(heard.latencies_ns())},
+                "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
+            },
+            "tables": {
+                "metrics": per_frame,
+                "objects": {**scores.objects(), "cause": named(labels.cause), "by": labels.by},
+                "attacks": attacks(self.effects, agreement, heard.roles, heard.period_s),
+                "targets": targets.table(done.culprits),
+                "driving": consequences.table(drives, frames),
+            },
+        }
+
+    def _scored(self, scored: slice) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[str, Any]]:
+        """The summary by agent and estimator, and the table per frame, with causes and user-defined metrics."""
+        heard, scores, labels = self.heard, self.scores, self.labels
+        summary, per_frame = scores.summary(scored), scores.per_frame()
+        causes = causes_of(scores, labels.cause, labels.switch_cause, scores.frames[scored])
+        for (agent, estimator), row in scores.every_series.items():
+            summary[agent][estimator] |= causes[row]
+        counts = np.zeros(len(scores.frames), bool)
+        counts[scored] = True
+        agents, metrics = heard.record.agents, self.how.metrics
+        values = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, heard.period_s)
+        user_metrics.add_to(summary, per_frame, scores, values, counts)
+        return summary, per_frame
+
+    def _victims(self) -> dict[str, set[int]]:
+        """By interposer the columns of the agents on whose wires it sits."""
+        agents = list(self.heard.record.agents)
+        victims: dict[str, set[int]] = {}
+        for passage in self.effects.passages:
+            if passage.subject in agents:
+                victims.setdefault(passage.node, set()).add(agents.index(passage.subject))
+        return victims
+
+
+def percentiles(latency_ns: Sequence[int]) -> dict[str, float | None]:
+    """p50, p95 and p99 of latencies in ns, as ms; None of none."""
+    if not latency_ns:
+        return {"p50": None, "p95": None, "p99": None}
+    return {f"p{p}": float(np.percentile(np.array(latency_ns) * 1e-6, p)) for p in (50, 95, 99)}
+
+
+def _nested(same_as: Mapping[tuple[str, str], tuple[str, str]]) -> dict[str, dict[str, str]]:
+    """By agent and estimator the estimator that it is the same as."""
+    result: dict[str, dict[str, str]] = {}
+    for (agent, estimator), (_, twin) in same_as.items():
+        result.setdefault(agent, {})[estimator] = twin
+    return result

@@ -1,0 +1,127 @@
+"""From the measured effects of interposers to what the metrics need of them. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.effects import EFFECTS, Effects
+from mast_zenoh.effects.episodes import insertions
+from mast_zenoh.evaluation.downstream import reached
+from mast_zenoh.metrics import Boxes, Manipulations
+from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED
+from mast_zenoh.metrics.places import Places, nearest
+from mast_zenoh.states import Bools, Ints
+from mast_zenoh.wiring import Passage
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Which effects count as manipulations.
+
+    hidden_m:     m, from where an object was removed, moved or altered to the truth object that it is
+    least_move_m: m, an object that was displaced by less counts as where it was: the metrics cannot tell
+    coast_s:      s, how long an estimate may still be wrong because of it
+    picture_s:    s, the same for pictures that a link held back: an agent holds the one before for so long
+    """
+
+    hidden_m: float = 4.0
+    least_move_m: float = 0.5
+    coast_s: float = 4.0
+    picture_s: float = 0.5
+
+
+def manipulations(
+    effects: Effects,
+    roles: Mapping[str, str],
+    series: Sequence[tuple[str, str]],
+    truth: Boxes,
+    period_s: float,
+    idle: Mapping[str, Bools],
+    limits: Limits | None = None,
+) -> Manipulations:
+    """The manipulations among the measured effects.
+
+    roles:  of the nodes; what links do counts as a fault
+    series: s pairs (agent, estimator)
+    truth:  all objects, world frame; group = frame
+    idle:   by node, (f,) bool: in which frames it was not there, so that a message which it withheld is nobody's doing
+    """
+    limits = limits or Limits()
+    is_link = np.array([roles.get(passage.node) == "link" for passage in effects.passages], bool)
+    culprits = tuple(sorted({p.node for p, link in zip(effects.passages, is_link, strict=True) if not link}))
+    number = np.array(
+        [-1 if link else culprits.index(p.node) for p, link in zip(effects.passages, is_link, strict=True)], np.int64
+    )
+
+    inserted, episode, velocity = insertions(effects, period_s)
+    hidden, kind = _hidden(effects, limits)
+    where = Places(effects.frame[hidden], effects.before[hidden])
+    found, _ = nearest(where, Places(truth.group, truth.position), limits.hidden_m)
+    rows = np.concatenate([inserted, hidden])
+    passage = effects.passage[rows]
+    lasts = np.array(
+        [_lasts(each, link, limits, period_s) for each, link in zip(effects.passages, is_link, strict=True)]
+    )
+    result = Manipulations(
+        culprits=culprits,
+        reach=reached(effects.passages, series, is_link),
+        passage=passage,
+        culprit=number[passage] if len(rows) else passage,
+        kind=np.concatenate([np.full(len(inserted), INSERTED), kind]),
+        frame=effects.frame[rows],
+        object=np.concatenate(
+            [episode, np.where(found >= 0, np.append(truth.id, 0)[found], -1 - np.arange(len(found)))]
+        ),
+        position=np.where(np.isfinite(effects.after[rows]), effects.after[rows], effects.before[rows]),
+        velocity=np.nan_to_num(np.concatenate([velocity, effects.velocity[hidden]])),
+        lasts=lasts[passage] if len(rows) else passage,
+    )
+    return result.select(~_idle(effects, rows, idle))
+
+
+def _lasts(passage: Passage, is_link: bool, limits: Limits, period_s: float) -> int:
+    """Frames after its own for which a manipulation counts. What a link does to tracks counts at once or, by what the
+    picture lacks, in `metrics.severed`."""
+    if not is_link or passage.port in ("detections", "pose"):
+        return round(limits.coast_s / period_s)
+    return round(limits.picture_s / period_s) if passage.port == "picture" else 0
+
+
+def _hidden(effects: Effects, limits: Limits) -> tuple[Ints, Ints]:
+    """Rows of objects that were removed, moved far enough or altered, and the kind of each."""
+    rows = effects.rows("removed", "moved", "altered")
+    rows = rows[np.isfinite(effects.before[rows]).all(axis=1)]
+    kind = np.array([KINDS.index(name) if name in KINDS else -1 for name in EFFECTS])[effects.code[rows]]
+    apart = np.hypot(*(effects.after[rows] - effects.before[rows])[:, :2].T)
+    counts = (kind != MOVED) | (apart >= limits.least_move_m)
+    return rows[counts], kind[counts]
+
+
+def _idle(effects: Effects, rows: Ints, idle: Mapping[str, Bools]) -> Bools:
+    """(n,) rows of whole messages that were withheld by a node which was not there."""
+    result = np.zeros(len(rows), bool)
+    for index, passage in enumerate(effects.passages):
+        away = idle.get(passage.node)
+        if away is not None and away.any():
+            mine = ((effects.passage[rows] == index) & effects.whole[rows]).nonzero()[0]
+            step = np.clip(effects.step[rows[mine]], 0, len(away) - 1)
+            result[mine] = away[step]
+    return result
+
+
+def stopped(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints) -> Bools:
+    """(f, a) bool: a link dropped, damaged or delayed an agent's tracks of these frames, or the batch of all tracks."""
+    result = np.zeros((len(frames), len(agents)), bool)
+    rows = effects.rows("dropped", "delayed", "corrupted")
+    for index, passage in enumerate(effects.passages):
+        if roles.get(passage.node) != "link" or passage.port not in ("tracks", "collated"):
+            continue
+        lost = np.isin(frames, effects.frame[rows[effects.passage[rows] == index]])
+        if passage.port == "collated":
+            result |= lost[:, None]
+        elif passage.subject in agents:
+            result[:, list(agents).index(passage.subject)] |= lost
+    return result

@@ -1,0 +1,204 @@
+"""What each adversary achieved: which of the objects that it inserted, hid or moved were believed, by whom and for how
+long. Pure; see docs/metrics.md."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.metrics.causes import INSERTED
+from mast_zenoh.metrics.lookup import find
+from mast_zenoh.metrics.manipulations import ALTERED, KINDS, MOVED, REMOVED, Manipulations
+from mast_zenoh.metrics.places import Places, nearest
+from mast_zenoh.metrics.record import MISSION, PICTURE, TruthTable
+from mast_zenoh.metrics.scores import MATCHED, MISSED, UNEVALUATED, Scores, Table, Texts
+from mast_zenoh.states import Bools, Floats, Ints
+
+#: Name in the summary of all adversaries together.
+ALL = "all"
+#: m, from an inserted object to a false track that is taken for it, as in `Attribution.lie_m`.
+ACCEPTED_M = 5.0
+#: m; an object whose estimate is off by more was displaced: half the gate of the metrics.
+DISPLACED_M = 1.0
+#: s; a hidden or moved object counts as such when it was missed or displaced for so long, and in more than half of the
+#: frames in which the adversary tried: honest errors are short.
+LASTING_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """n objects that an adversary manipulated, each in one frame; several passages of one adversary count once.
+
+    adversary: (n,) row of `Manipulations.culprits`;  kind: (n,) index into KINDS
+    frame, object: (n,), see Manipulations;  position: (n, 3) m, world frame, where the object was shown or had been
+    believed:  by estimate, (n,) bool: an inserted object is there, a hidden one is missed, a moved one is off by more
+               than DISPLACED_M or missed
+    judged:    by estimate, (n,) bool: whether that can be said, because the object is in range and evaluated
+    error_m:   by estimate, (n,) m, from the truth to the track that is matched with it; NaN: there is none
+    by_others: (n,) bool: an agent on none of whose wires this adversary sits sees the object; False for inserted ones
+    """
+
+    adversary: Ints
+    kind: Ints
+    frame: Ints
+    object: Ints
+    position: Floats
+    believed: dict[str, Bools]
+    judged: dict[str, Bools]
+    error_m: dict[str, Floats]
+    by_others: Bools
+
+    def table(self, culprits: tuple[str, ...]) -> Table:
+        """The columns of targets.parquet."""
+        columns: Table = {
+            "adversary": np.array([*culprits, ""], object)[self.adversary],
+            "kind": np.array(KINDS, object)[self.kind],
+            "object": self.object,
+            "frame": self.frame,
+            **{axis: self.position[:, i] for i, axis in enumerate("xyz")},
+            "seen_by_others": self.by_others,
+        }
+        for name in self.believed:
+            columns[f"believed_{name}"] = self.believed[name]
+            columns[f"judged_{name}"] = self.judged[name]
+            columns[f"error_m_{name}"] = self.error_m[name]
+        return columns
+
+
+def targets(
+    scores: Scores, cause: Ints, done: Manipulations, truth: TruthTable, ego: str, victims: dict[str, set[int]]
+) -> Targets:
+    """What became of every manipulated object in the centre's picture and in what the ego acts on.
+
+    cause:   of the rows of `scores.judged`
+    truth:   of the frames of `scores`
+    ego:     whose mission-critical estimate it is
+    victims: by adversary, columns of the agents on whose wires it sits
+    """
+    mine = done.select((done.culprit >= 0).nonzero()[0])
+    key = np.column_stack([mine.culprit, mine.kind, mine.object, mine.frame]) if len(mine) else np.zeros((0, 4), int)
+    _, first = np.unique(key, axis=0, return_index=True)
+    mine = mine.select(first)
+    picture = np.array([estimator == PICTURE for _, estimator in scores.series], bool)
+    mission = np.array([each == (ego, MISSION) for each in scores.series], bool)
+    believed, judged, error = {}, {}, {}
+    for name, chosen in (("centre", picture), ("ego", mission)):
+        believed[name], judged[name], error[name] = _judge(scores, cause, mine, chosen)
+    return Targets(
+        mine.culprit,
+        mine.kind,
+        mine.frame,
+        mine.object,
+        mine.position,
+        believed,
+        judged,
+        error,
+        _seen_by_others(mine, truth, scores.frames, victims),
+    )
+
+
+def _judge(scores: Scores, cause: Ints, done: Manipulations, chosen: Bools) -> tuple[Bools, Bools, Floats]:
+    """Of each manipulation whether it is believed in some series, whether that can be said, and the error, m."""
+    judged, inside = scores.judged, chosen[scores.judged.series]
+    believed, known = np.zeros(len(done), bool), np.zeros(len(done), bool)
+    error = np.full(len(done), np.nan)
+    shown = np.flatnonzero(done.kind == INSERTED)
+    false = np.flatnonzero(inside & (cause == INSERTED) & judged.is_track)
+    lies = Places(judged.frame[false], judged.boxes.position[false])
+    believed[shown] = nearest(Places(done.frame[shown], done.position[shown]), lies, ACCEPTED_M)[0] >= 0
+    known[shown] = chosen.any()
+    others = np.flatnonzero(done.kind != INSERTED)
+    rows = np.flatnonzero(inside & ~judged.is_track & (judged.outcome != UNEVALUATED))
+    at = find((done.object[others], done.frame[others]), (judged.id[rows], judged.frame[rows]))
+    known[others] = at >= 0
+    others, row = others[at >= 0], rows[at[at >= 0]]
+    missed = judged.outcome[row] == MISSED
+    error[others] = _error(scores, row)
+    off = np.isin(done.kind[others], (MOVED, ALTERED)) & (np.nan_to_num(error[others]) > DISPLACED_M)
+    believed[others] = missed | off
+    return believed, known, error
+
+
+def _error(scores: Scores, rows: Ints) -> Floats:
+    """(n,) m: bird's-eye distance from truth rows of `scores.judged` to the tracks matched with them; NaN without."""
+    judged, error = scores.judged, np.full(len(rows), np.nan)
+    tracks = judged.rows(MATCHED, tracks=True)
+    wanted = judged.series[rows], judged.frame[rows], judged.match_id[rows]
+    at = find(wanted, (judged.series[tracks], judged.frame[tracks], judged.id[tracks]))
+    hit = (at >= 0) & (judged.outcome[rows] == MATCHED)
+    offset = judged.boxes.position[tracks[at[hit]]] - judged.boxes.position[rows[hit]]
+    error[hit] = np.hypot(offset[:, 0], offset[:, 1])
+    return error
+
+
+def _seen_by_others(done: Manipulations, truth: TruthTable, frames: Ints, victims: dict[str, set[int]]) -> Bools:
+    boxes = truth.boxes
+    at = find((done.object, done.frame), (boxes.id, frames[boxes.group]))
+    result = np.zeros(len(done), bool)
+    for index, name in enumerate(done.culprits):
+        free = [column for column in range(truth.points.shape[1]) if column not in victims.get(name, set())]
+        rows = ((done.culprit == index) & (done.kind != INSERTED) & (at >= 0)).nonzero()[0]
+        result[rows] = (truth.points[at[rows]][:, free] >= _SEES).any(axis=1)
+    return result
+
+
+_SEES = 5  #: lidar points with which an agent sees an object
+
+
+def summary(
+    found: Targets, culprits: tuple[str, ...], scores: Scores, switch_by: Texts, ego: str, period_s: float
+) -> dict[str, dict[str, Any]]:
+    """By adversary, and of ALL together, what was achieved; {} where there is no adversary. See docs/metrics.md.
+
+    switch_by: of `scores.switches`, the adversaries that each is due to
+    """
+    if not culprits:
+        return {}
+    groups = {name: (found.adversary == index).nonzero()[0] for index, name in enumerate(culprits)}
+    result = {}
+    for name, rows in (groups | {ALL: np.arange(len(found.kind))}).items():
+        due = np.array([by != "" if name == ALL else name in by.split("+") for by in switch_by.tolist()], bool)
+        result[name] = _achieved(found, rows, period_s)
+        for who, estimate in (("centre", (ego, PICTURE)), ("ego", (ego, MISSION))):
+            mine = np.array([each == estimate for each in scores.series], bool)
+            result[name][f"id_switches_{who}"] = int(np.count_nonzero(due & mine[scores.switches.series]))
+    return result
+
+
+def _achieved(found: Targets, rows: Ints, period_s: float) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    success = dict.fromkeys(found.believed, rows[:0])
+    for what, kinds in (("inserted", (INSERTED,)), ("hidden", (REMOVED,)), ("moved", (MOVED, ALTERED))):
+        mine = rows[np.isin(found.kind[rows], kinds)]
+        key = np.column_stack([found.adversary[mine], found.object[mine]])
+        objects, of = np.unique(key, axis=0, return_inverse=True)
+        result[what] = len(objects)
+        if not len(objects):
+            continue
+        result[f"{what}_frames"] = len(mine)
+        for who in found.believed:
+            judged, believed = found.judged[who][mine], (found.believed[who] & found.judged[who])[mine]
+            frames = np.bincount(of.ravel(), believed, len(objects))
+            possible = np.bincount(of.ravel(), judged, len(objects))
+            if what == "inserted":
+                lasting = frames > 0
+            else:
+                lasting = (frames * period_s > LASTING_S - 1e-9) & (2 * frames > possible)
+            result[f"{what}_share_{who}"] = float(lasting[possible > 0].mean()) if possible.any() else None
+            result[f"{what}_time_share_{who}"] = float(believed[judged].mean()) if judged.any() else None
+            if what == "inserted":
+                result[f"inserted_s_{who}"] = float(frames[lasting].mean() * period_s) if lasting.any() else None
+            if what == "moved":
+                error = found.error_m[who][mine]
+                known = error[np.isfinite(error)]
+                result[f"moved_error_m_{who}"] = float(known.mean()) if len(known) else None
+            success[who] = np.concatenate([success[who], mine[believed & lasting[of.ravel()]]])
+        if what != "inserted":
+            result[f"{what}_seen_by_others"] = float(found.by_others[mine].mean())
+    for who, hits in success.items():
+        result[f"success_{who}"] = bool(len(hits))
+        waited = found.frame[hits].min() - found.frame[rows].min() if len(hits) else None
+        result[f"first_success_s_{who}"] = None if waited is None else float(waited * period_s)
+    return result

@@ -1,0 +1,134 @@
+"""What an estimate would mean for driving, open loop: along the path that a vehicle drove in the recorded scene, which
+objects stand in its corridor, how soon it would meet them, and whether it would have to brake. Pure; docs/metrics.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mast_zenoh.metrics.boxes import pairs_in_groups
+from mast_zenoh.metrics.braking import BrakingRule, SafeDistance, time_to_collision
+from mast_zenoh.states import Bools, Floats, Ints
+
+#: m, between points of the path; and from such a point to the centre of an object that may reach into the corridor.
+_STEP_M, _REACH_M = 1.0, 8.0
+#: m, in the bird's-eye view: what is centred nearer than this to the vehicle is the vehicle itself.
+_ITSELF_M = 2.0
+
+
+class Vehicle(NamedTuple):
+    """A vehicle in f frames: position (f, 3) m, velocity (f, 3) m/s, world frame; heading (f,) rad; length, width m."""
+
+    position: Floats
+    velocity: Floats
+    heading: Floats
+    length: float
+    width: float
+
+
+class Objects(NamedTuple):
+    """n objects: frame (n,) int64, row of the vehicle's frames; position, velocity and size (n, 3); yaw (n,) rad."""
+
+    frame: Ints
+    position: Floats
+    velocity: Floats
+    size: Floats
+    yaw: Floats
+
+
+class Ahead(NamedTuple):
+    """k objects in the corridor of a vehicle.
+
+    row: (k,) of the objects;  gap_m: (k,) m, along the path from the vehicle's front
+    ttc_s: (k,) s, time to collision at constant speeds, inf: never;  brake: (k,) whether the vehicle has to brake
+    """
+
+    row: Ints
+    gap_m: Floats
+    ttc_s: Floats
+    brake: Bools
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Driving:
+    """How driving is judged.
+
+    rule:      when to brake; None: SafeDistance()
+    horizon_m: m, how far ahead along its path the vehicle looks
+    margin_m:  m, by which its corridor is wider than the vehicle on either side
+    Raises ValueError for a horizon or a margin that is no length.
+    """
+
+    rule: BrakingRule | None = None
+    horizon_m: float = 60.0
+    margin_m: float = 0.3
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.horizon_m < np.inf:
+            raise ValueError(f"horizon_m: found {self.horizon_m}, expected more than 0")
+        if not 0.0 <= self.margin_m < np.inf:
+            raise ValueError(f"margin_m: found {self.margin_m}, expected 0 or more")
+
+    def ahead(self, vehicle: Vehicle, objects: Objects) -> Ahead:
+        """The objects in the corridor, which in each frame is the path that the vehicle drove from there on, and
+        straight on after its end."""
+        path, heading, along = _path(vehicle, self.horizon_m)
+        here = _arrived(vehicle)
+        row, point = _near(objects, path)
+        frame = objects.frame[row]
+        c, s = np.cos(heading[point]), np.sin(heading[point])
+        offset = objects.position[row, :2] - path[point]
+        ahead, aside = c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]
+        turn = objects.yaw[row] - heading[point]
+        half_length, half_width = objects.size[row, 0] / 2.0, objects.size[row, 1] / 2.0
+        half_long = half_length * np.abs(np.cos(turn)) + half_width * np.abs(np.sin(turn))
+        half_wide = half_length * np.abs(np.sin(turn)) + half_width * np.abs(np.cos(turn))
+        centre = along[point] + ahead - here[frame]
+        gap = centre - half_long - vehicle.length / 2.0
+        apart = np.hypot(*(objects.position[row] - vehicle.position[frame])[:, :2].T)
+        inside = np.abs(aside) - half_wide <= vehicle.width / 2.0 + self.margin_m
+        inside &= (centre > 0.0) & (gap <= self.horizon_m) & (apart > _ITSELF_M)
+        # Of the points of the path near an object the one beside it.
+        kept = inside.nonzero()[0]
+        kept = kept[np.lexsort((np.abs(ahead[kept]), row[kept]))]
+        kept = kept[np.diff(row[kept], prepend=-1) != 0]
+        row, gap = row[kept], np.maximum(gap[kept], 0.0)
+        speed = np.hypot(*vehicle.velocity[objects.frame[row], :2].T)
+        theirs = c[kept] * objects.velocity[row, 0] + s[kept] * objects.velocity[row, 1]
+        rule = self.rule or SafeDistance()
+        return Ahead(row, gap, time_to_collision(gap, speed, theirs), rule.brakes(gap, speed, theirs))
+
+
+def _near(objects: Objects, path: Floats) -> tuple[Ints, Ints]:
+    """Pairs of an object and a point of the path that may be beside it."""
+    if not len(objects.frame):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    return pairs_in_groups(
+        np.zeros(len(objects.frame), np.int64),
+        np.ascontiguousarray(objects.position),
+        np.zeros(len(path), np.int64),
+        np.column_stack([path, np.zeros(len(path))]),
+        _REACH_M,
+    )
+
+
+def _path(vehicle: Vehicle, horizon_m: float) -> tuple[Floats, Floats, Floats]:
+    """Points (k, 2) m at equal steps along the whole path and straight on, headings (k,) rad and arc lengths (k,) m."""
+    last = vehicle.heading[-1]
+    beyond = (horizon_m + vehicle.length) * np.array([np.cos(last), np.sin(last)])
+    corners = np.concatenate([vehicle.position[:, :2], vehicle.position[-1:, :2] + beyond])
+    length = np.concatenate([_arrived(vehicle), [0.0]])
+    length[-1] = length[-2] + np.hypot(*beyond)
+    moved = np.diff(length, prepend=-1.0) > 1e-9
+    along = np.arange(0.0, length[-1], _STEP_M)
+    points = np.column_stack([np.interp(along, length[moved], corners[moved, axis]) for axis in (0, 1)])
+    way = np.gradient(points, axis=0)
+    return points, np.arctan2(way[:, 1], way[:, 0]), along
+
+
+def _arrived(vehicle: Vehicle) -> Floats:
+    """(f,) m, how far along its path the vehicle is in each frame."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vehicle.position[:, :2], axis=0).T))])

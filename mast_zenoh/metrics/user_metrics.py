@@ -1,0 +1,222 @@
+"""User-defined metrics: computed for every estimate of every agent, in all tables. Pure; see docs/metrics.md."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mast_zenoh.metrics.attribution import Labels
+from mast_zenoh.metrics.causes import named
+from mast_zenoh.metrics.record import TruthTable
+from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table, Texts, mean_and_std
+from mast_zenoh.states import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One estimate of one agent over a run of f frames: n boxes, of the truth and of the tracks.
+
+    agent, estimator: their names;  frames: (f,) int64;  period_s: s from frame to frame
+    scored:   (f,) bool, the frames over which summaries are made
+    frame:    (n,) int64, row of `frames`
+    is_track: (n,) bool, a track, or else a truth object
+    outcome:  (n,) str, "matched", "missed", "false" or "unevaluated"
+    id, match_id: (n,) int64, of the box and of the one that it is matched with, -1: none
+    position: (n, 3) m and size (n, 3) m, world frame;  yaw: (n,) rad;  score: (n,), NaN for truth objects
+    range_m:  (n,) m, from the agent, in the bird's-eye view
+    cause:    (n,) str, of false tracks and missed objects, one of CAUSES
+    """
+
+    agent: str
+    estimator: str
+    frames: Ints
+    period_s: float
+    scored: Bools
+    frame: Ints
+    is_track: Bools
+    outcome: Texts
+    id: Ints
+    match_id: Ints
+    position: Floats
+    size: Floats
+    yaw: Floats
+    score: Floats
+    range_m: Floats
+    cause: Texts
+
+    def count(self, boxes: Bools) -> Floats:
+        """(f,) how many of the boxes that a mask (n,) picks are in each frame."""
+        return np.bincount(self.frame[boxes], minlength=len(self.frames)).astype(np.float64)
+
+
+class Metric(ABC):
+    """A user-defined metric: a subclass of FrameMetric or RunMetric, in a scenario's file or beside it, that the
+    scenario names: `evaluator=dict(metrics=[dict(type="MyMetric")])`.
+
+    name: in tables; by default the class's, in lower case with underscores
+    unit: of its values, for figures and tables
+    """
+
+    name: ClassVar[str] = ""
+    unit: ClassVar[str] = ""
+
+    @property
+    def label(self) -> str:
+        """What the metric is called in tables."""
+        return self.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", type(self).__name__).lower()
+
+    @abstractmethod
+    def value(self, estimate: Estimate) -> Floats | float | None:
+        """(f,) values, one for each frame, or one for the run. Raises ValueError for what is neither."""
+
+
+class FrameMetric(Metric):
+    """A metric with a value in every frame; its mean and standard deviation are over the scored frames."""
+
+    @abstractmethod
+    def per_frame(self, estimate: Estimate) -> Floats:
+        """(f,) values, NaN where the metric is not defined."""
+
+    def value(self, estimate: Estimate) -> Floats:
+        values = np.asarray(self.per_frame(estimate), np.float64)
+        if values.shape != estimate.frames.shape:
+            name = type(self).__name__
+            raise ValueError(f"{name}.per_frame: found shape {values.shape}, expected {estimate.frames.shape}")
+        return values
+
+
+class RunMetric(Metric):
+    """A metric with one value for the whole run."""
+
+    @abstractmethod
+    def per_run(self, estimate: Estimate) -> float | None:
+        """The value, over the scored frames; None: it is not defined."""
+
+    def value(self, estimate: Estimate) -> float | None:
+        value = self.per_run(estimate)
+        if value is not None and not isinstance(value, (int, float, np.floating, np.integer)):
+            name = type(self).__name__
+            raise ValueError(f"{name}.per_run: found {type(value).__name__}, expected a number or None")
+        return None if value is None else float(value)
+
+
+class ErrorsNearby(FrameMetric):
+    """Missed objects and false tracks within a distance of the agent. distance_m: m."""
+
+    unit = "objects"
+
+    def __init__(self, *, distance_m: float = 30.0) -> None:
+        if not distance_m > 0.0:
+            raise ValueError(f"distance_m: found {distance_m}, expected more than 0")
+        self.distance_m = distance_m
+
+    def per_frame(self, estimate: Estimate) -> Floats:
+        wrong = np.isin(estimate.outcome, ("missed", "false"))
+        return estimate.count(wrong & (estimate.range_m <= self.distance_m))
+
+
+class LongestMiss(RunMetric):
+    """The longest time for which one object was missed without a break, s."""
+
+    unit = "s"
+
+    def per_run(self, estimate: Estimate) -> float | None:
+        rows = np.flatnonzero((estimate.outcome == "missed") & estimate.scored[estimate.frame])
+        if not len(rows):
+            return 0.0
+        order = rows[np.lexsort((estimate.frame[rows], estimate.id[rows]))]
+        breaks = (np.diff(estimate.id[order]) != 0) | (np.diff(estimate.frame[order]) != 1)
+        lengths = np.diff(np.flatnonzero(np.concatenate([[True], breaks, [True]])))
+        return float(lengths.max() * estimate.period_s)
+
+
+def check(metrics: Sequence[Metric], known: Sequence[str]) -> None:
+    """Raises ValueError for two metrics of one name, and for one that is called like one of ours."""
+    labels = [metric.label for metric in metrics]
+    for label in labels:
+        if label in known or labels.count(label) > 1:
+            raise ValueError(f"metrics: found {label!r} twice, expected a name of its own for each metric")
+
+
+def values(
+    metrics: Sequence[Metric],
+    scores: Scores,
+    labels: Labels,
+    truth: TruthTable,
+    agents: Sequence[str],
+    scored: Bools,
+    period_s: float,
+) -> dict[str, list[Any]]:
+    """By the name of a metric its value for each of `scores.series`: (f,) floats, or a float or None.
+
+    Raises what a metric raises.
+    """
+    result: dict[str, list[Any]] = {metric.label: [] for metric in metrics}
+    if not metrics:
+        return result
+    for row in range(len(scores.series)):
+        estimate = _estimate(row, scores, labels, truth, agents, scored, period_s)
+        for metric in metrics:
+            result[metric.label].append(metric.value(estimate))
+    return result
+
+
+def _estimate(
+    row: int,
+    scores: Scores,
+    labels: Labels,
+    truth: TruthTable,
+    agents: Sequence[str],
+    scored: Bools,
+    period_s: float,
+) -> Estimate:
+    agent, estimator = scores.series[row]
+    judged = scores.judged
+    rows = np.flatnonzero(judged.series == row)
+    boxes = judged.boxes.select(rows)
+    frame = np.searchsorted(scores.frames, judged.frame[rows])
+    at = truth.agent_position[frame, agents.index(agent)]
+    return Estimate(
+        agent=agent,
+        estimator=estimator,
+        frames=scores.frames,
+        period_s=period_s,
+        scored=scored,
+        frame=frame,
+        is_track=judged.is_track[rows],
+        outcome=np.array(OUTCOMES)[judged.outcome[rows]],
+        id=boxes.id,
+        match_id=judged.match_id[rows],
+        position=boxes.position,
+        size=boxes.size,
+        yaw=boxes.yaw,
+        score=judged.score[rows],
+        range_m=np.hypot(*(boxes.position - at)[:, :2].T),
+        cause=named(labels.cause[rows]),
+    )
+
+
+def add_to(
+    summary: dict[str, dict[str, dict[str, Any]]],
+    table: Table,
+    scores: Scores,
+    found: dict[str, list[Any]],
+    scored: Bools,
+) -> None:
+    """Put the values of user-defined metrics into the summary and the table per frame of all estimates."""
+    every = scores.every_series
+    for label, of_series in found.items():
+        for (agent, estimator), row in every.items():
+            value = of_series[row]
+            if isinstance(value, np.ndarray):
+                known = value[scored & np.isfinite(value)]
+                summary[agent][estimator][label] = mean_and_std(known)
+            else:
+                summary[agent][estimator][label] = value
+        if all(isinstance(value, np.ndarray) for value in of_series) and every:
+            table[label] = np.concatenate([of_series[row] for row in every.values()])
