@@ -6,7 +6,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from played import Played, play
+from played import FRAMES, Played, play, watch
+from shipped import every, label
+from watched import Watched
+
+from mast_zenoh import scenario
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -30,3 +34,24 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Played]:
         return runs[key]
 
     return get
+
+
+@pytest.fixture(scope="session")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[str, ...]], tuple[Played, Watched]]:
+    """Plays each scenario that the package ships, with its interposers watched, once in a session."""
+    runs: dict[tuple[str, ...], tuple[Played, Watched]] = {}
+
+    def get(variant: tuple[str, ...]) -> tuple[Played, Watched]:
+        if variant not in runs:
+            path, content = scenario.load(variant[0], list(variant[1:]))
+            resolved = scenario.resolve(path, content, frames=FRAMES, seed=0, record=True)
+            runs[variant] = watch(tmp_path_factory.mktemp("run"), resolved)
+        return runs[variant]
+
+    return get
+
+
+@pytest.fixture(params=every(), ids=label)
+def variant(request: pytest.FixtureRequest) -> tuple[str, ...]:
+    """One of the scenarios that the package ships, with its settings."""
+    return request.param

@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+from watched import Watched
 
 from mast_zenoh import codec, scenario
 from mast_zenoh.launch import local
 from mast_zenoh.launch.folder import read_table
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import Body
+from mast_zenoh.resolved import Resolved
 
 DOCS = Path(__file__).parents[2] / "docs"
 FRAMES = 40
@@ -62,3 +65,18 @@ def files_of(page: str) -> dict[str, str]:
     """The Python files that a page of the documentation has the reader save, by name without .py."""
     blocks = re.findall(r"^```python file=(\S+)\.py\n(.*?)^```$", (DOCS / page).read_text(), flags=re.S | re.M)
     return dict(blocks)
+
+
+def watch(folder: Path, resolved: Resolved) -> tuple[Played, Watched]:
+    """Play a resolved scenario with its interposers watched."""
+    made: list[Watched] = []
+
+    def process(*arguments: Any, **more: Any) -> Watched:
+        made.append(Watched(*arguments, **more))
+        return made[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local, "InProcess", process)
+        ended = local.run(resolved, folder / "run", runtime="inproc", allow_failures=True)
+    assert ended.error is None, ended.error
+    return Played(ended.folder), made[0]

@@ -1,4 +1,4 @@
-"""What adversaries change is measured and named, whatever they say about it."""
+"""Changes by an adversary are measured and attributed to it, whatever it reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wherever an attack changes what a node receives, the estimate that it changes is scored, and no other one is."""
+"""An attack on any leg shows in the estimates that it changes, and in no other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from played import Played
 
 Once = Callable[..., Played]
 
-#: An adversary of the user on the picture's downlink, before the ego alone: everything 6 m further north.
+#: A user-written adversary on the ego's downlink: moves every object of the picture 6 m north.
 DOWNLINK = {
     "lifter": """
 import numpy as np
@@ -44,7 +44,7 @@ def scenario():
     )
 """,
 }
-#: Adversaries with a common plan on the tracks that agents send; the ego is one of these agents.
+#: Coordinated adversaries on the tracks that infra_1 and the ego send.
 UPLINK = {
     "uplink": """
 from mast_zenoh import loading

@@ -1,4 +1,4 @@
-"""What a node does that is put on a wire while a run goes on is measured from then on, and is nobody else's."""
+"""The effects of a node inserted into a running mesh are measured from then on, and attributed to it alone."""
 
 from __future__ import annotations
 
