@@ -1,4 +1,4 @@
-"""What is in a vehicle's corridor, how soon it would be met, and when to brake; against shapely and simulated motion."""
+"""Objects in a vehicle's corridor, time to collision and braking, against shapely and simulated motion."""
 
 from __future__ import annotations
 
