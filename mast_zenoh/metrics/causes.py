@@ -20,9 +20,9 @@ UNKNOWN = -1
 ATTACK_CAUSES, FAULT_CAUSES = CAUSES[INSERTED : ALTERED + 1], CAUSES[FAULT:]
 
 
-def named(causes: Ints) -> NDArray[np.str_]:
-    """(n,) the names of causes; empty where there is none."""
-    return np.array([*CAUSES, ""])[causes]
+def named(causes: Ints) -> NDArray[np.object_]:
+    """(n,) str, the names of causes; empty where there is none."""
+    return np.array([*CAUSES, ""], object)[causes]
 
 
 def shown(done: Manipulations, period_s: float, coast: int, span: int) -> Places:
@@ -85,7 +85,7 @@ class Hidden:
             yield code, culprit, same & reach[series]
 
 
-def joined(names: Sequence[str], by: Bools) -> NDArray[np.str_]:
+def joined(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
     """(n,) the names in each row of (n, a), joined by "+"."""
     some = np.flatnonzero(by.any(axis=1))
     kind = np.zeros(len(some), np.int64)

@@ -53,7 +53,9 @@ def nodes_of(
         add(name, "adversary", config)
     if scenario.get("coordinator") is not None:
         add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
-    add("evaluator", "evaluator", {"agents": agents, **scenario.get("evaluator", {})})
+    ages = [specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config]
+    held = {"picture_age_s": max(ages)} if ages else {}  # by the evaluator, as long as by the agents
+    add("evaluator", "evaluator", {"agents": agents, **held, **scenario.get("evaluator", {})})
     for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:
