@@ -22,8 +22,9 @@ _KNOWN = ("adversary", "link")
 def check_collation(evidence: Evidence) -> Check:
     """What reached the broker before it closed a frame is in that frame's batch: the agent by name, all its rows.
 
-    Left out are messages whose time was changed, those of a frame of which there are several, those that came late (in real time:
-    as many as the broker itself counts), and those of the time at which the agent or the broker was down.
+    Left out are messages whose time was changed, those of a frame of which there are several, those that came late
+    (in real time: as many as the broker itself counts), and those of the time at which the agent or the broker was
+    down.
     """
     brokers = evidence.role("broker")
     if len(brokers) != 1:

@@ -85,7 +85,7 @@ class Hidden:
             yield code, culprit, same & reach[series]
 
 
-def joined(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
+def joined(names: Sequence[str], by: Bools) -> NDArray[np.str_]:
     """(n,) the names in each row of (n, a), joined by "+"."""
     some = np.flatnonzero(by.any(axis=1))
     kind = np.zeros(len(some), np.int64)
