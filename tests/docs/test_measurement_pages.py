@@ -1,4 +1,4 @@
-"""What docs/metrics.md and docs/effects.md say is in a run folder is there, and the metric that they show can be used."""
+"""What docs/metrics.md and docs/effects.md say of a run folder is so, and the metric that they show can be used."""
 
 from __future__ import annotations
 
