@@ -11,7 +11,15 @@ from mast_zenoh import bundle, loading
 VARIANTS: dict[str, list[tuple[str, ...]]] = {
     "uncoordinated": [("fraction_translations=0.3",)],
     "coordinated": [("fraction_translations=0.3", "reselect_every_s=1.5")],
-    "realistic_network": [("attack=none",), ("attack=uncoordinated",), ("attack=coordinated",)],
+    "realistic_network": [
+        ("attack=none",),
+        ("attack=uncoordinated", *(f"adversaries.adversary_{k}.attack.start_s=0.5" for k in (1, 2))),
+        (
+            "attack=coordinated",
+            *(f"adversaries.adversary_{k}.attack.start_s=0.5" for k in (1, 2)),
+            "coordinator.coordination.start_s=0.5",
+        ),
+    ],
     "attack_during_partition": [("partition_s=1.0", "partition_until_s=2.0", "kill_s=2.4", "restart_after_s=0.6")],
     "two_hosts": [("partition_s=0", "run.mode=lockstep")],
     "rogue": [("run.mode=lockstep", "run.record=True")],
@@ -30,4 +38,4 @@ def every() -> list[tuple[str, ...]]:
 
 def label(variant: Any) -> str:
     """What a test of a variant is called."""
-    return "-".join(word.rpartition("=")[2] for word in variant if not word.startswith("run."))
+    return "-".join(word.rpartition("=")[2] for word in variant if "." not in word.partition("=")[0])
