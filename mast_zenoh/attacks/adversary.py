@@ -211,7 +211,10 @@ class UncoordinatedAttack(_TargetedAttack):
     def _targets_at(
         self, frame: int, time_ns: int, seen: ObjectStates, coverage: Coverage, directive: Targets | None
     ) -> Targets | None:
-        return self._campaign.begin(frame, time_ns, self._selection.view(seen), coverage)
+        view = self._selection.view(seen)
+        if self._campaign.due(time_ns):
+            view = view.select(self._follower.established())
+        return self._campaign.begin(frame, time_ns, view, coverage)
 
     def _hold(self, targets: Targets, time_ns: int) -> None:
         self._campaign.hold(targets, time_ns)

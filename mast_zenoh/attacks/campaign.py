@@ -49,7 +49,7 @@ class Campaign:
         """The targets at `time_ns`; None before the start. `objects` are the selection's view of what is seen."""
         if time_ns < self._start_ns:
             return None
-        if self._due(time_ns):
+        if self.due(time_ns):
             chosen = self._selection.select(objects, coverage, self._stream("selection", frame))
             targets = chosen.numbered(self._numbers_used)
             self._numbers_used += len(targets)
@@ -69,7 +69,10 @@ class Campaign:
         """Keep the targets as they are now, after they have followed their objects."""
         self._targets, self._time_ns = targets, time_ns
 
-    def _due(self, time_ns: int) -> bool:
+    def due(self, time_ns: int) -> bool:
+        """Whether targets are to be chosen anew at a time."""
+        if time_ns < self._start_ns:
+            return False
         if self._selected_ns is None:
             return True
         return self._every_ns is not None and time_ns - self._selected_ns >= self._every_ns

@@ -104,15 +104,13 @@ class VictimLike(Imitation):
         rng = stream(self._seed, self._scene, self._name, "imitation", frame)
         missed = rng.random(len(false))  # drawn for every object, shown or not: what is shown moves no other draw
         errors = self._next_errors(false.id, rng.standard_normal((len(false), _COLUMNS)))
-        shown = coverage.plausible(false, real, view)
         offset = false.position - view.position
         range_m = np.hypot(offset[:, 0], offset[:, 1])
+        false = self._like_the_victims(false, errors, real, range_m, view)
+        shown = coverage.plausible(false, real, view)
         if self._misses:
             shown &= missed < self._statistics.share_detected(range_m)
-        rows = shown.nonzero()[0]
-        if len(rows) == 0:
-            return ObjectStates.empty()
-        return self._like_the_victims(false.select(rows), errors[rows], real, range_m[rows], view)
+        return false if shown.all() else false.select(shown)
 
     def _next_errors(self, numbers: Ints, fresh: Floats) -> Floats:
         """(k, _COLUMNS) errors in units of σ: correlated with those of the frame before for objects that go on."""

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.geometry import rotation_from_quaternion
+from mast_zenoh.kernels import kernel
 from mast_zenoh.sensing.frames import sensor_pose
 from mast_zenoh.sensing.raycast import Walls
-from mast_zenoh.states import Bools, Floats
+from mast_zenoh.states import Bools, Floats, Ints
 from mast_zenoh.tracking.view import SensorView
 
 #: m; range of a sensor of which nothing is known.
@@ -134,28 +135,44 @@ class Surroundings:
 
     def inside_buildings(self, places: Floats) -> Bools:
         """(n,) whether places (n, >= 2) m are in a building, seen from above."""
-        if len(self._first_wall) == 0:
-            return np.zeros(len(places), bool)
-        x, y = places[:, 0, None], places[:, 1, None]
-        (x0, y0), (x1, y1) = self.walls.start.T, self.walls.end.T
-        rise = np.where(y1 == y0, 1.0, y1 - y0)
-        crosses = ((y0 > y) != (y1 > y)) & (x < x0 + (x1 - x0) * (y - y0) / rise)
-        odd = np.add.reduceat(crosses, self._first_wall, axis=1) % 2
-        return np.asarray(odd.any(axis=1))
+        return built_over(places, self.walls.start, self.walls.end, self._first_wall)
 
     def behind_walls(self, origin: Floats, places: Floats) -> Bools:
-        """(n,) whether a wall stands between `origin` (3,) m and places (n, 3) m."""
-        start, span = self.walls.start - origin[:2], self.walls.end - self.walls.start
-        if len(start) == 0:
-            return np.zeros(len(places), bool)
-        sight = places[:, :2] - origin[:2]
-        cross = sight[:, 0, None] * span[:, 1] - sight[:, 1, None] * span[:, 0]
-        cross[cross == 0.0] = np.inf  # parallel: never crosses
-        along_sight = (start[:, 0] * span[:, 1] - start[:, 1] * span[:, 0]) / cross
-        along_wall = (start[:, 0] * sight[:, 1, None] - start[:, 1] * sight[:, 0, None]) / cross
-        height = origin[2] + along_sight * (places[:, 2, None] - origin[2])
-        hides = (along_sight > 0.0) & (along_sight < 1.0) & (along_wall >= 0.0) & (along_wall <= 1.0)
-        return np.asarray((hides & (height <= self.walls.top)).any(axis=1))
+        """(n,) whether a wall stands between `origin` (3,) m and places (n, >= 3) m."""
+        return walled_off(origin, places, self.walls.start, self.walls.end, self.walls.top)
+
+
+@kernel
+def built_over(places: Floats, start: Floats, end: Floats, first: Ints) -> Bools:
+    """(n,) whether places (n, >= 2) are in one of o outlines with the sides `start`, `end` (w, 2), all in m.
+
+    first: (o,) first side of each outline
+    """
+    if len(first) == 0:
+        return np.zeros(len(places), bool)
+    x, y = places[:, 0, None], places[:, 1, None]
+    (x0, y0), (x1, y1) = start.T, end.T
+    rise = np.where(y1 == y0, 1.0, y1 - y0)
+    crosses = ((y0 > y) != (y1 > y)) & (x < x0 + (x1 - x0) * (y - y0) / rise)
+    odd = np.add.reduceat(crosses.astype(np.int64), first, axis=1) % 2
+    return np.asarray(odd.any(axis=1))
+
+
+@kernel
+def walled_off(origin: Floats, places: Floats, start: Floats, end: Floats, top: Floats) -> Bools:
+    """(n,) whether a wall stands between `origin` (3,) and places (n, >= 3).
+
+    start, end: (w, 2) m, of walls; top: (w,) m, z of their upper edges
+    """
+    offset, span = start - origin[:2], end - start
+    sight = places[:, :2] - origin[:2]
+    cross = sight[:, 0, None] * span[:, 1] - sight[:, 1, None] * span[:, 0]
+    cross[cross == 0.0] = np.nan  # parallel: never crosses
+    along_sight = (offset[:, 0] * span[:, 1] - offset[:, 1] * span[:, 0]) / cross
+    along_wall = (offset[:, 0] * sight[:, 1, None] - offset[:, 1] * sight[:, 0, None]) / cross
+    height = origin[2] + along_sight * (places[:, 2, None] - origin[2])
+    hides = (along_sight > 0.0) & (along_sight < 1.0) & (along_wall >= 0.0) & (along_wall <= 1.0)
+    return np.asarray((hides & (height <= top)).any(axis=1))
 
 
 #: For attacks that nobody has informed.

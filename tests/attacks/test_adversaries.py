@@ -168,7 +168,7 @@ def test_the_newest_directive_wins():
 
 
 def test_a_directive_before_the_start_waits_for_it():
-    attack = CoordinatedAttack(start_s=1.0)
+    attack = CoordinatedAttack(start_s=1.0, imitation=Exact())
     told = directive((0.0, 0.0), time_ns=0)
     counts = [len(attack.step(f, f * PERIOD, world(3), ORIGIN, told if f == 1 else None).added) for f in range(1, 12)]
     assert counts == [0] * 9 + [1, 1]
