@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from mast_zenoh.report.bands import bands, fault_key, shade
+from mast_zenoh.report.changes import scored
 from mast_zenoh.report.files import Table
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import ADVERSARY_ON_LIGHT, INK, LOCAL, RUN_COLOURS, light_axes, plain
@@ -22,7 +23,7 @@ _BARS = (("fn", "missed objects"), ("fp", "false objects"), ("tp", "matched obje
 _ROWS = (
     ("fn", "missed objects\nper frame"),
     ("fp", "false objects\nper frame"),
-    ("rmse_m", "RMSE of the\nmatched (m)"),
+    ("rmse_m", "RMSE (m)"),
 )
 _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)), "-", (0, (6, 1.5)))
 #: The bold lines are means over this many frames up to the one shown: never later ones, so that nothing seems to
@@ -64,7 +65,7 @@ def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None) -> Figure
             first = next(iter(told.values()))
             axis.axvline(float(times(first, np.array([frame]))[0]), color=INK, linewidth=0.9, label="frame shown")
         axis.set_ylabel(label, fontsize=10, color=INK)
-        axis.set_ylim(bottom=0)
+        axis.set_ylim(0.0, _top(lines, column))
         axis.set_xlim(*padded(*extent))
         axis.yaxis.set_major_locator(MaxNLocator(4, integer=column != "rmse_m"))
     axes[-1].set_xlabel("time (s)" if timed else "frame", fontsize=10, color=INK)
@@ -73,6 +74,16 @@ def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None) -> Figure
         handles, labels = [fault_key(), *handles], ["fault", *labels]
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.055, 1.0), ncols=7, frameon=False, fontsize=10)
     return figure
+
+
+def _top(lines: list[tuple[str, RunFolder, Table, _Look]], column: str) -> float:
+    """Where an axis ends: above all values in scored frames."""
+    most = [
+        float(np.nanmax(counts[column][inside].astype(np.float64), initial=0.0))
+        for _, run, counts, _ in lines
+        if (inside := scored(run, counts["frame"])).any()
+    ]
+    return 1.08 * max(most, default=0.0) or 1.0
 
 
 class _Look(NamedTuple):

@@ -98,7 +98,7 @@ def birdseye_figure(view: FrameView) -> Figure:
     width = 14.4
     pitch = width / len(view.boxes)
     side = pitch - 0.74
-    figure = _dark_figure([view], width, side + 1.0)
+    figure = _dark_figure([view], width, side + 0.82)
     for index, estimator in enumerate(view.boxes):
         axes = _panel(figure, 0.66 + pitch * index, 0.4, side, side)
         draw_birdseye(axes, view, estimator, shown)

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from mast_zenoh.report.achievement import achieved_rows
+from mast_zenoh.report.driving import driving_rows
 from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
 from mast_zenoh.report.illustrations import how_chosen, run_figures, study_figures
 from mast_zenoh.report.interposers import BAD, EFFECTS, failures_of, interposers
@@ -101,6 +103,8 @@ def _write_run(run: RunFolder, view: FrameView | None, *, chosen: bool) -> tuple
         "figures": made,
         **(_score_rows(_scores({label: run})) if run.metrics else {"rows": []}),
         "interposers": interposers(run),
+        "achieved": achieved_rows(run),
+        "driving": driving_rows(run),
         "effects": EFFECTS,
         "bad_verdicts": BAD,
         "results": run.results,

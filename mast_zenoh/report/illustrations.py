@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from mast_zenoh.report.causes import causes_over_time
 from mast_zenoh.report.charts import SMOOTH, counts_over_time, means
 from mast_zenoh.report.diagram import draw_wiring
+from mast_zenoh.report.driving import driving_over_time
 from mast_zenoh.report.figures import Picture, birdseye_figure, camera_figure, picture, side_by_side_figure
 from mast_zenoh.report.interposers import interposers
 from mast_zenoh.report.runfolder import RunFolder
@@ -19,9 +20,13 @@ _HOW_CHOSEN_ATTACKED = (
 _HOW_CHOSEN_CLEAN = "The frame is the scored one in which the picture spares the ego the most errors"
 _COUNTS_CAPTION = (
     f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "
-    "adversary made. The vertical line is the frame shown."
+    "adversary made. The vertical line is the frame shown. The axes fit the scored frames; more is cut."
 )
 _BANDS_CAPTION = " Above: what was planned, each from its beginning to its end. Hatched: while any fault was on."
+_DRIVING_CAPTION = (
+    "Open loop: the ego keeps to the path that it drove in the scene, and at each moment looks at what is in its "
+    "corridor. Times to collision above 10 s are not drawn. Wrong objects: false and missed ones."
+)
 _WORDS = (("fn", "missed"), ("fp", "false"), ("tp", "matched"))
 _CAUSES_CAPTION = (
     "The common picture as the ego gets it, in every frame, stacked by cause: grey what happens anyway, hatched what "
@@ -61,6 +66,10 @@ def run_figures(run: RunFolder, view: FrameView | None, *, how: str) -> dict[str
     if causes is not None:
         alt = "Missed and false objects of the common picture over time, stacked by their causes."
         made.append(picture("causes", causes, alt, _CAUSES_CAPTION))
+    drive = driving_over_time(run, view.frame if view else None)
+    if drive is not None:
+        alt = "Time to collision, wrong objects in the corridor and braking over time: truth, ego alone, with picture."
+        made.append(picture("driving", drive, alt, _DRIVING_CAPTION))
     wires = draw_wiring(run)
     if wires is not None:
         hostile = [each for each in interposers(run) if not each.is_link]
