@@ -239,10 +239,16 @@ def _say_done(what: str, done: dict[str, Any]) -> None:
 def report(
     run_folder: Annotated[Path, typer.Argument(help="The folder of a run.")],
     frame: Annotated[int | None, typer.Option(min=0, help="The frame that the pictures show.")] = None,
+    measure: Annotated[bool, typer.Option("--measure", help="Measure the run anew, from its recording.")] = False,
 ) -> None:
-    """Write the report of a run again."""
+    """Write the report of a run again; a run that has no metrics is measured first, if it was recorded."""
+    from mast_zenoh.launch import measuring
     from mast_zenoh.report import html
 
+    if measure or measuring.can_fill_in(run_folder):
+        for refused in measuring.measure(run_folder):
+            _err.print(f"warning: {refused}", markup=False, highlight=False)
+        _out.print(f"measured: {run_folder / measuring.METRICS}", markup=False, highlight=False)
     _out.print(f"report: {html.write_report(run_folder, frame)}", highlight=False)
 
 

@@ -15,6 +15,7 @@ from matplotlib.patches import Patch, Wedge
 from matplotlib.ticker import MultipleLocator
 
 from mast_zenoh.geometry import box_corners, heading
+from mast_zenoh.report.interposers import adversaries_by_agent, interposers
 from mast_zenoh.report.style import (
     ADVERSARY,
     AGENT,
@@ -28,7 +29,7 @@ from mast_zenoh.report.style import (
     dark_axes,
     plain,
 )
-from mast_zenoh.report.view import Boxes, FrameView
+from mast_zenoh.report.view import Boxes, FrameView, Marks
 from mast_zenoh.states import Bools, Floats
 
 #: Boxes are drawn at least this long and wide, m, so that a pedestrian is more than a speck.
@@ -40,7 +41,7 @@ _HALO = [patheffects.withStroke(linewidth=2.5, foreground=GROUND)]
 
 
 def draw_birdseye(axes: Axes, view: FrameView, estimator: str, window: tuple[float, float, float]) -> None:
-    """Draw one estimator's boxes (`local` or `picture`) of a frame; `window` as from `view.window`, m."""
+    """Draw one estimator's boxes (one of `view.PANELS`) of a frame; `window` as from `view.window`, m."""
     x, y, half = window
     dark_axes(axes)
     axes.set_xlim(x - half, x + half)
@@ -59,8 +60,7 @@ def draw_birdseye(axes: Axes, view: FrameView, estimator: str, window: tuple[flo
         )
     for order, (outcome, colour) in enumerate(OUTCOME_COLOURS.items()):
         _draw_boxes(axes, view.boxes[estimator][outcome], outcome, colour, 3 + 0.1 * order)
-    if estimator == "picture":
-        _draw_attack(axes, view)
+    _draw_attack(axes, view.marks(estimator))
     _draw_agents(axes, view, window)
 
 
@@ -88,12 +88,12 @@ def _draw_boxes(axes: Axes, boxes: Boxes, outcome: str, colour: str, zorder: flo
     axes.add_collection(LineCollection(list(np.concatenate(lines)), colors=colour, linewidths=1.1, zorder=zorder))
 
 
-def _draw_attack(axes: Axes, view: FrameView) -> None:
-    if len(view.added):
-        axes.plot(*view.added[:, :2].T, "D", ms=12, mfc="none", mec=ADVERSARY, mew=1.3, zorder=4)
-    if len(view.removed):
-        axes.plot(*view.removed[:, :2].T, "x", ms=10, color=ADVERSARY, mew=2.0, zorder=4)
-    for before, after in view.moved:
+def _draw_attack(axes: Axes, marks: Marks) -> None:
+    if len(marks.added):
+        axes.plot(*marks.added[:, :2].T, "D", ms=12, mfc="none", mec=ADVERSARY, mew=1.3, zorder=4)
+    if len(marks.removed):
+        axes.plot(*marks.removed[:, :2].T, "x", ms=10, color=ADVERSARY, mew=2.0, zorder=4)
+    for before, after in marks.moved:
         arrow = {"arrowstyle": "->", "color": ADVERSARY, "lw": 1.5}
         axes.annotate("", after[:2], before[:2], arrowprops=arrow, annotation_clip=True, zorder=4)
 
@@ -104,11 +104,12 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
         return
     x, y, half = window
     taken: list[tuple[float, float, float, float]] = []
+    attacked = adversaries_by_agent(interposers(view.run))
     for index, agent in enumerate(recording.agents):
         at = recording.agent_position[view.frame, index]
         if max(abs(at[0] - x), abs(at[1] - y)) > half:
             continue
-        colour = ADVERSARY if agent.name in view.run.adversaries else AGENT
+        colour = ADVERSARY if agent.name in attacked else AGENT
         sector = agent.sensor.azimuth_max_deg - agent.sensor.azimuth_min_deg
         facing = recording.agent_rotation[view.frame, index] @ agent.sensor.mount_rotation
         turn = float(heading(facing))
@@ -169,13 +170,14 @@ def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:
     if agents and any(v.run.recording is not None for v in views):
         handles.append(_marker("o", AGENT, "vehicle with sensors", hollow=True))
         handles.append(_marker("^", AGENT, "roadside sensor"))
-        if any(v.run.adversaries for v in views):
+        if any(adversaries_by_agent(interposers(v.run)) for v in views):
             handles.append(_marker("^", ADVERSARY, "adversary on its wire"))
-    if any(len(v.added) for v in views):
+    marks = [v.before.joined(v.behind) for v in views]
+    if any(len(each.added) for each in marks):
         handles.append(_marker("D", ADVERSARY, "inserted by adversary", hollow=True))
-    if any(len(v.removed) for v in views):
+    if any(len(each.removed) for each in marks):
         handles.append(_marker("x", ADVERSARY, "removed by adversary"))
-    if any(len(v.moved) for v in views):
+    if any(len(each.moved) for each in marks):
         handles.append(_marker("$\\rightarrow$", ADVERSARY, "moved by adversary"))
     return handles
 

@@ -74,7 +74,7 @@ def ego_eye(view: FrameView) -> Eye | None:
 
 
 def draw_camera(axes: Axes, view: FrameView, estimator: str, eye: Eye) -> None:
-    """Draw one estimator's boxes (`local` or `picture`) of a frame as the ego's camera would see them."""
+    """Draw one estimator's boxes (one of `view.PANELS`) of a frame as the ego's camera would see them."""
     camera = eye.camera
     dark_axes(axes)
     axes.set_xlim(0, camera.width)
@@ -91,11 +91,11 @@ def draw_camera(axes: Axes, view: FrameView, estimator: str, eye: Eye) -> None:
         lines = eye.lines(corners[:, _EDGES].reshape(-1, 2, 3))
         width = 1.2 if outcome in ("truth matched", "unevaluated") else 1.7
         axes.add_collection(LineCollection(list(lines), colors=colour, linewidths=width, zorder=3 + 0.1 * order))
-    if estimator == "picture":
-        for points, marker, size in ((view.added, "D", 12.0), (view.removed, "x", 11.0)):
-            pixels, depth = eye.pixels(points)
-            pixels = pixels[depth > _NEAR]
-            axes.plot(*pixels.T, marker, ms=size, mfc="none", mec=ADVERSARY, mew=1.5, zorder=5)
+    marks = view.marks(estimator)
+    for points, marker, size in ((marks.added, "D", 12.0), (marks.removed, "x", 11.0)):
+        pixels, depth = eye.pixels(points)
+        pixels = pixels[depth > _NEAR]
+        axes.plot(*pixels.T, marker, ms=size, mfc="none", mec=ADVERSARY, mew=1.5, zorder=5)
 
 
 def _draw_ground(axes: Axes, eye: Eye) -> None:

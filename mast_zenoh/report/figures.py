@@ -14,10 +14,14 @@ from matplotlib.figure import Figure
 from mast_zenoh.report.birdseye import draw_birdseye, key
 from mast_zenoh.report.camera import STRIP, draw_camera, ego_eye
 from mast_zenoh.report.style import FAINT, GROUND, plain, png, svg
-from mast_zenoh.report.table import SummaryRow
+from mast_zenoh.report.table import MEASURES, ScoreTable, number
 from mast_zenoh.report.view import FrameView, clipped, window
 
-_PANELS = {"local": "the ego alone: its own tracks", "picture": "the common picture"}
+_PANELS = {
+    "local": "the ego alone: its own tracks",
+    "picture": "the common picture",
+    "mission": "the ego with the picture",
+}
 _WHITE = "#f2f5f9"
 
 
@@ -88,40 +92,47 @@ def _panel(figure: Figure, left: float, top: float, width: float, height: float)
 
 
 def birdseye_figure(view: FrameView) -> Figure:
-    """The ego's own tracks beside the picture, from above, on the same axes."""
+    """The ego's own tracks, the picture and both together, from above, on the same axes."""
     shown = window([view])
     view = clipped(view, shown)
-    figure = _dark_figure([view], 12.0, 6.4)
-    for index, (estimator, title) in enumerate(_PANELS.items()):
-        axes = _panel(figure, 0.7 + 5.82 * index, 0.4, 5.4, 5.4)
+    width = 14.4
+    pitch = width / len(view.boxes)
+    side = pitch - 0.74
+    figure = _dark_figure([view], width, side + 0.82)
+    for index, estimator in enumerate(view.boxes):
+        axes = _panel(figure, 0.66 + pitch * index, 0.4, side, side)
         draw_birdseye(axes, view, estimator, shown)
         if index:
             axes.set_ylabel("")
-        _title(axes, title, view)
+        _title(axes, _PANELS[estimator], view, when=index == 0)
     return figure
 
 
-def _title(axes: Axes, title: str, view: FrameView, size: float = 12.5) -> None:
+def _title(axes: Axes, title: str, view: FrameView, size: float = 12.5, *, when: bool = True) -> None:
     axes.set_title(plain(title), color=_WHITE, fontsize=size, loc="left", pad=6)
-    axes.set_title(view.time_label, color=FAINT, fontsize=10.5, loc="right", pad=6)
+    if when:
+        axes.set_title(view.time_label, color=FAINT, fontsize=10.5, loc="right", pad=6)
 
 
 def camera_figure(view: FrameView) -> Figure | None:
-    """The same two, one above the other, as the ego's camera would see them; None: the scene tells of no ego."""
+    """The ego alone above what it acts on, as its camera would see them; None: the ego is not in the scene."""
     eye = ego_eye(view)
     if eye is None:
         return None
     strip = 11.7 * eye.camera.height * (STRIP[1] - STRIP[0]) / eye.camera.width
-    view = replace(clipped(view, window([view])), moved=np.zeros((0, 2, 3)))  # arrows say nothing in perspective
+    view = clipped(view, window([view]))
+    still = [marks._replace(moved=np.zeros((0, 2, 3))) for marks in (view.before, view.behind)]
+    view = replace(view, before=still[0], behind=still[1])  # arrows say nothing in perspective
+    estimates = "local", ("mission" if "mission" in view.boxes else "picture")
     figure = _dark_figure([view], 12.0, 2 * (strip + 0.42) + 0.1, agents=False)
-    for index, (estimator, title) in enumerate(_PANELS.items()):
+    for index, estimator in enumerate(estimates):
         axes = _panel(figure, 0.15, 0.36 + index * (strip + 0.42), 11.7, strip)
         draw_camera(axes, view, estimator, eye)
-        _title(axes, title, view)
+        _title(axes, _PANELS[estimator], view)
     return figure
 
 
-def side_by_side_figure(views: Mapping[str, FrameView], rows: Sequence[SummaryRow]) -> Figure:
+def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable) -> Figure:
     """The pictures of several runs in the same frame from above, three in a row, their numbers under each."""
     columns = min(len(views), 3)
     shown = window(list(views.values()))
@@ -130,7 +141,6 @@ def side_by_side_figure(views: Mapping[str, FrameView], rows: Sequence[SummaryRo
     side, foot = pitch - 0.74, 1.62
     lines = -(-len(views) // columns)
     figure = _dark_figure(list(views.values()), 14.4, lines * (side + foot) + 0.05)
-    by_label = {row.run: row for row in rows}
     for index, (label, view) in enumerate(views.items()):
         line, column = divmod(index, columns)
         left, top = 0.66 + column * pitch, 0.38 + line * (side + foot)
@@ -139,20 +149,22 @@ def side_by_side_figure(views: Mapping[str, FrameView], rows: Sequence[SummaryRo
         _title(axes, label, view, 14.0)
         if column:
             axes.set_ylabel("")
-        if label in by_label:
-            _numbers(figure, by_label[label], left, top + side + 0.6, side)
+        if label in table.runs:
+            _numbers(figure, table, label, left, top + side + 0.6, side)
     return figure
 
 
-def _numbers(figure: Figure, row: SummaryRow, left: float, top: float, width: float) -> None:
+def _numbers(figure: Figure, table: ScoreTable, run: str, left: float, top: float, width: float) -> None:
     """Missed, false, matched and RMSE under a panel, in the colours of the key; in inches from the upper left."""
     w, h = figure.get_size_inches()
-    told = (
-        (str(row.picture.fn), "missed", "#ffd60a"),
-        (str(row.picture.fp), "false", "#ff6b6b"),
-        (str(row.picture.tp), "matched", "#7db2ff"),
-        (row.picture.rmse, "RMSE (m)", _WHITE),
+    shown = (
+        ("fn", "missed", "#ffd60a"),
+        ("fp", "false", "#ff6b6b"),
+        ("tp", "matched", "#7db2ff"),
+        ("rmse_m", "RMSE (m)", _WHITE),
     )
+    keys = {measure.key: measure for measure in MEASURES}
+    told = [(number(table.cell(key, run, "picture").value, keys[key]), name, colour) for key, name, colour in shown]
     for index, (value, name, colour) in enumerate(told):
         x = (left + width * (index + 0.5) / len(told)) / w
         figure.text(x, 1 - top / h, value, color=colour, fontsize=17, ha="center", va="top", fontweight="bold")

@@ -5,23 +5,23 @@ from __future__ import annotations
 import json
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from mast_zenoh.report.achievement import achieved_rows
+from mast_zenoh.report.driving import driving_rows
 from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
-from mast_zenoh.report.illustrations import run_figures, study_figures
+from mast_zenoh.report.illustrations import how_chosen, run_figures, study_figures
+from mast_zenoh.report.interposers import BAD, EFFECTS, failures_of, interposers
 from mast_zenoh.report.page import render
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.table import HEADINGS, Figures, SummaryRow, cells, summary_table
+from mast_zenoh.report.table import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view
 from mast_zenoh.report.wiring import wire_rows
 from mast_zenoh.report.words import headline, reading, study_headline, study_reading
 from mast_zenoh.runtime import failures
-
-#: Of HEADINGS, the groups that say something of a single run: there is no baseline to compare it with.
-_ONE_RUN = (0, 1, 3)
 
 
 def write_report(run_folder: Path, frame: int | None = None) -> Path:
@@ -46,24 +46,23 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     reference = "baseline" if "baseline" in folders else next(iter(folders))
     chosen = choose_common_frame(list(folders.values()), folders[reference])
     shown = {label: _shown(run, frame, chosen) for label, run in folders.items()}
-    rows = _summary(folders, reference)
+    table = _scores(folders, reference)
     pages: list[dict[str, Any]] = []
     for label, run in folders.items():
         page, path = _write_run(run, shown[label], chosen=False)
         link = quote(os.path.relpath(path, study_folder).replace(os.sep, "/"))
         pages.append({"label": label, "anchor": f"run-{len(pages) + 1}", "link": link} | page)
     views = {label: view for label, view in shown.items() if view is not None}
-    made = study_figures(folders, rows, views, reference, chosen=frame is None)
+    made = study_figures(folders, table, views, chosen=frame is None)
     for each in made.values():
         each.save(study_folder / "figures")
     content = {
         "title": "Runs compared",
-        "headline": study_headline(folders, rows),
-        "reading": study_reading(folders, rows),
+        "headline": study_headline(folders, table),
+        "reading": study_reading(folders, table),
         "facts": _study_facts(folders),
         "figures": made,
-        "rows": _table_rows(rows, range(len(HEADINGS))),
-        "headings": HEADINGS,
+        **_score_rows(table),
         "pages": pages,
     }
     return render("study.html.j2", content, study_folder)
@@ -77,25 +76,24 @@ def _shown(run: RunFolder, frame: int | None, common: int | None) -> FrameView |
     return None if chosen is None else frame_view(run, chosen)
 
 
-def _summary(runs: Mapping[str, RunFolder], baseline: str | None = None) -> list[SummaryRow]:
+def _scores(runs: Mapping[str, RunFolder], reference: str | None = None) -> ScoreTable:
     ego = next((run.ego for run in runs.values() if run.ego), "ego")
     metrics = {label: run.metrics for label, run in runs.items()}
     counts = {label: run.counts for label, run in runs.items()}
-    return summary_table(metrics, counts=counts, agent=ego, baseline=baseline)
+    return score_table(metrics, counts=counts, agent=ego, reference=reference)
 
 
 def _write_run(run: RunFolder, view: FrameView | None, *, chosen: bool) -> tuple[dict[str, Any], Path]:
     """Write a run's own report; returns what a page tells of the run, and the path."""
-    label = str(run.run.get("name") or run.run.get("id") or run.path.name)
-    row = _summary({label: run})[0]
-    made = run_figures(run, view, chosen=chosen)
+    label = run.label
+    made = run_figures(run, view, how=how_chosen(run, "picture") if chosen else "")
     for each in made.values():
         each.save(run.path / "figures")
     timings = run.run.get("timings")
     content = {
         "title": f"Run {run.run.get('id', label)}",
-        "headline": headline(run, row),
-        "reading": reading(run, row),
+        "headline": headline(run),
+        "reading": reading(run),
         "facts": _facts(run),
         "status": run.run.get("status", "unknown"),
         "message": run.run.get("message"),
@@ -103,8 +101,13 @@ def _write_run(run: RunFolder, view: FrameView | None, *, chosen: bool) -> tuple
         "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
         "missing": run.missing,
         "figures": made,
-        "rows": _table_rows([row], _ONE_RUN) if run.metrics else [],
-        "headings": [HEADINGS[group] for group in _ONE_RUN],
+        **(_score_rows(_scores({label: run})) if run.metrics else {"rows": []}),
+        "interposers": interposers(run),
+        "achieved": achieved_rows(run),
+        "driving": driving_rows(run),
+        "effects": EFFECTS,
+        "bad_verdicts": BAD,
+        "results": run.results,
         "blamed": BLAMED,
         "blame": blame_rows(run.metrics) if run.faulted else [],
         "checks": check_rows(run.checks),
@@ -121,22 +124,27 @@ def _write_run(run: RunFolder, view: FrameView | None, *, chosen: bool) -> tuple
     return content, render("run.html.j2", content, run.path)
 
 
-def _table_rows(
-    rows: Sequence[SummaryRow], groups: Sequence[int]
-) -> list[tuple[str, list[list[tuple[str, str | None]]]]]:
-    """Rows for the page: a label, and for each of `groups` of HEADINGS the texts with their spread."""
+def _score_rows(table: ScoreTable) -> dict[str, Any]:
+    """The table of scores for the page: its columns, and rows of texts with their spread and their change."""
 
-    def spread(values: Sequence[Figures]) -> list[str | None]:
-        return [None if value.std is None else f"{value.std:.2f}" for value in values]
+    def spread(value: Value) -> str | None:
+        return None if value.std is None else f"{value.std:.2f}"
 
-    found = []
-    for row in rows:
-        texts = cells(row)
-        counts = [spread((scores.fn, scores.fp, scores.tp)) for scores in (row.picture, row.local)]
-        nothing = (Figures(), Figures())
-        spreads = [counts[0] + spread(nothing), counts[1], spread(row.over_baseline or nothing), spread(row.over_local)]
-        found.append((row.run, [list(zip(texts[group], spreads[group], strict=True)) for group in groups]))
-    return found
+    rows = []
+    for row in table.rows:
+        cells = []
+        for name in table.estimates:
+            cell = row.cells.get(name, Cell(Value(), Value()))
+            change = None if cell.change.mean is None else signed(cell.change, row.measure)
+            cells.append((number(cell.value, row.measure), spread(cell.value), change))
+        over = signed(row.over_alone, row.measure), spread(row.over_alone), None
+        rows.append((row.measure.name, row.run, [*cells, over]))
+    return {
+        "estimates": [ESTIMATES[name] for name in table.estimates],
+        "rows": rows,
+        "runs": len(table.runs),
+        "reference": table.reference,
+    }
 
 
 def _facts(run: RunFolder) -> list[str]:
@@ -193,19 +201,29 @@ def _node(run: RunFolder, name: str) -> dict[str, Any]:
 def _failures(run: RunFolder) -> list[str]:
     """A line for each handler that failed."""
     nodes = run.run.get("nodes", {})
-    failed = {name: node["failures"] for name, node in nodes.items() if node.get("failures")}
-    return failures.lines(failed, {name: nodes[name].get("log") or "not written" for name in failed})
+    failed = {name: failures_of(node) for name, node in nodes.items() if node.get("failures")}
+    whole = {name: [entry for entry in entries if "where" in entry] for name, entries in failed.items()}
+    lines = failures.lines(whole, {name: nodes[name].get("log") or "not written" for name in whole})
+    brief = [(name, entry) for name, entries in failed.items() for entry in entries if "where" not in entry]
+    return lines + [
+        f"{name}.{entry['handler']} failed {entry['count']} times: {entry['exception']}" for name, entry in brief
+    ]
 
 
 def _troubles(told: Mapping[str, Any]) -> str:
     """What a node counted and lived through; empty: nothing."""
-    refused, foreign = (sum((told.get(key) or {}).values()) for key in ("rejected", "foreign"))
+    refused, foreign = (_total(told.get(key)) for key in ("rejected", "foreign"))
     counts = (
         (refused, "malformed messages refused"),
         (foreign, "messages from outside the run"),
-        (sum(entry["count"] for entry in told.get("failures") or ()), "handler failures"),
+        (sum(entry["count"] for entry in failures_of(told)), "handler failures"),
     )
     return ", ".join(f"{number} {what}" for number, what in counts if number)
+
+
+def _total(counts: object) -> int:
+    """Of counts by key, or in an older run the sum itself."""
+    return sum(counts.values()) if isinstance(counts, Mapping) else int(str(counts or 0))
 
 
 def _command(run: RunFolder) -> str | None:

@@ -7,47 +7,52 @@ from collections.abc import Mapping, Sequence
 from mast_zenoh.report.causes import causes_over_time
 from mast_zenoh.report.charts import SMOOTH, counts_over_time, means
 from mast_zenoh.report.diagram import draw_wiring
+from mast_zenoh.report.driving import driving_over_time
 from mast_zenoh.report.figures import Picture, birdseye_figure, camera_figure, picture, side_by_side_figure
+from mast_zenoh.report.interposers import interposers
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.table import Scores, SummaryRow
+from mast_zenoh.report.table import ESTIMATES, MEASURES, ScoreTable, number
 from mast_zenoh.report.view import FrameView
 
 _HOW_CHOSEN_ATTACKED = (
-    "The frame is the one, since the first change by an adversary, "
-    "with the most missed and false objects in the picture"
+    "The frame is the scored one, since the first change by an adversary, with the most errors {where}{beyond}"
 )
-_HOW_CHOSEN_CLEAN = "The frame is the one in which the picture spares the ego the most missed and false objects"
+_HOW_CHOSEN_CLEAN = "The frame is the scored one in which the picture spares the ego the most errors"
 _COUNTS_CAPTION = (
-    f"Bold: mean over the last {SMOOTH} frames; pale: the counts themselves. Shaded: from the first to the last change "
-    "that an adversary made. The vertical line is the frame shown."
+    f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "
+    "adversary made. The vertical line is the frame shown. The axes fit the scored frames; more is cut."
 )
 _BANDS_CAPTION = " Above: what was planned, each from its beginning to its end. Hatched: while any fault was on."
+_DRIVING_CAPTION = (
+    "Open loop: the ego keeps to the path that it drove in the scene, and at each moment looks at what is in its "
+    "corridor. Times to collision above 10 s are not drawn. Wrong objects: false and missed ones."
+)
+_WORDS = (("fn", "missed"), ("fp", "false"), ("tp", "matched"))
 _CAUSES_CAPTION = (
     "The common picture as the ego gets it, in every frame, stacked by cause: grey what happens anyway, hatched what "
     "links and faults have done, magenta what adversaries have. The axes fit the scored frames; more is cut."
 )
 
 
-def run_figures(run: RunFolder, view: FrameView | None, *, chosen: bool) -> dict[str, Picture]:
+def run_figures(run: RunFolder, view: FrameView | None, *, how: str) -> dict[str, Picture]:
     """The figures of one run by name; those whose data are absent are left out.
 
-    view:   the frame that the pictures show; None: none can be shown
-    chosen: the frame was chosen by rule, which the caption then states
+    view: the frame that the pictures show; None: none can be shown
+    how:  how the frame was chosen, in a sentence; empty: it is not said
     """
     made = []
     if view is not None:
-        how = f" {_HOW_CHOSEN_ATTACKED if run.attack_frames else _HOW_CHOSEN_CLEAN}." if chosen else ""
-        tally = {name: _tally(view, name) for name in ("local", "picture")}
-        above = birdseye_figure(view)
-        alt = f"Bird's-eye view, {view.time_label}. Own tracks: {tally['local']}. Picture: {tally['picture']}."
+        tally = ". ".join(f"{ESTIMATES[name].capitalize()}: {_tally(view, name)}" for name in view.boxes)
+        alt = f"Bird's-eye view, {view.time_label}. {tally}."
         caption = (
-            "From above, around the ego: what it tracks from its own sensors (left) and the common picture (right). "
-            f"The tick on a box points ahead; a wedge shows where a roadside sensor looks, not how far.{how}"
+            "From above, around the ego: what it tracks from its own sensors, the common picture, and both together, "
+            "by which it acts. The tick on a box points ahead; a wedge shows where a roadside sensor looks, not how "
+            "far."
         )
-        made.append(picture("birdseye", above, alt, caption))
+        made.append(picture("birdseye", birdseye_figure(view), alt, f"{caption} {how}".strip()))
         seat = camera_figure(view)
         if seat is not None:
-            alt = f"The ego's camera view, {view.time_label}, with the same boxes: own tracks above, picture below."
+            alt = f"The ego's camera view, {view.time_label}: its own tracks above, with the picture below."
             caption = (
                 "The same frame through the ego's camera (the middle strip of its image). Boxes are drawn through "
                 "walls and through each other: what the ego's own sensors cannot see, the picture can show."
@@ -55,22 +60,27 @@ def run_figures(run: RunFolder, view: FrameView | None, *, chosen: bool) -> dict
             made.append(picture("camera", seat, alt, caption))
     over_time = counts_over_time({"run": run}, view.frame if view else None)
     if over_time is not None:
-        alt = "Missed, false and matched objects per frame over time, for the ego alone and for the common picture."
+        alt = "Missed objects, false objects and RMSE over time, for the ego alone, the picture and both together."
         made.append(picture("counts", over_time, alt, _counts_caption([run])))
     causes = causes_over_time(run, view.frame if view else None)
     if causes is not None:
         alt = "Missed and false objects of the common picture over time, stacked by their causes."
         made.append(picture("causes", causes, alt, _CAUSES_CAPTION))
+    drive = driving_over_time(run, view.frame if view else None)
+    if drive is not None:
+        alt = "Time to collision, wrong objects in the corridor and braking over time: truth, ego alone, with picture."
+        made.append(picture("driving", drive, alt, _DRIVING_CAPTION))
     wires = draw_wiring(run)
     if wires is not None:
-        told = [f"{', '.join(nodes)} on a wire of {agent}" for agent, nodes in run.adversaries.items()]
-        alt = f"Diagram of the nodes and the data between them. {'; '.join(told) or 'No adversary'}."
+        hostile = [each for each in interposers(run) if not each.is_link]
+        places = [f"{each.description} on {', '.join(each.wires)}" for each in hostile]
+        alt = f"Diagram of the nodes and the data between them. {'; '.join(places) or 'No adversary'}."
         caption = "Not drawn: the clock, which every node gets, and the wires of nodes that only listen."
-        if told:
+        if hostile:
             caption = f"Bold: intercepted wires. {caption}"
-        if any(
-            run.role(node) == "link" for wire in run.wiring.get("wires", ()) for node in wire.get("interposers", ())
-        ):
+        if any(each.live is not None for each in hostile):
+            caption = f"{caption} Nodes with a broken edge were put on their wire while the run went on."
+        if any(each.is_link for each in interposers(run)):
             caption = f"Brown: wires with a link on them. {caption}"
         made.append(picture("wiring", wires, alt, caption, vector=True))
     return {each.name: each for each in made}
@@ -78,34 +88,48 @@ def run_figures(run: RunFolder, view: FrameView | None, *, chosen: bool) -> dict
 
 def study_figures(
     runs: Mapping[str, RunFolder],
-    rows: Sequence[SummaryRow],
+    table: ScoreTable,
     views: Mapping[str, FrameView],
-    reference: str,
     *,
     chosen: bool,
 ) -> dict[str, Picture]:
-    """The figures that compare runs, by name; `reference` labels the run that the others are compared with."""
+    """The figures that compare runs, by name."""
     made = []
     if views:
         told = "; ".join(f"{label}: {_tally(view, 'picture')}" for label, view in views.items())
         caption = "The common picture of the same frame in every run; under it, means per frame over the scored frames."
         if chosen:
-            caption += f" {_HOW_CHOSEN_ATTACKED}, less those of {reference} in the same frame."
+            beyond = f" less those of {table.reference} in the same frame"
+            caption += f" {_HOW_CHOSEN_ATTACKED.format(where='of the picture', beyond=beyond)}."
         alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {told}."
-        made.append(picture("side_by_side", side_by_side_figure(views, rows), alt, caption))
+        made.append(picture("side_by_side", side_by_side_figure(views, table), alt, caption))
     over_time = counts_over_time(runs, next(iter(views.values())).frame if views else None)
     if over_time is not None:
-        alt = (
-            "Missed, false and matched objects per frame over time, for the ego alone and for the picture of every run."
-        )
+        alt = "Missed objects, false objects and RMSE over time, for the ego alone and for the picture of every run."
         made.append(picture("counts", over_time, alt, _counts_caption(list(runs.values()))))
-    if any(row.picture != Scores() for row in rows):
-        alt = "; ".join(
-            f"{row.run}: {row.picture.fn} missed, {row.picture.fp} false, {row.picture.tp} matched" for row in rows
-        )
-        caption = "Means per frame; whiskers: ± one standard deviation over frames."
-        made.append(picture("means", means(rows, f"ego alone, {rows[0].run}"), f"Bar chart. {alt}.", caption))
+    if any(row.cells for row in table.rows):
+        keys = {measure.key: measure for measure in MEASURES}
+        texts = [
+            f"{run}: "
+            + ", ".join(f"{number(table.cell(key, run, 'picture').value, keys[key])} {word}" for key, word in _WORDS)
+            for run in table.runs
+        ]
+        caption = "Means per frame; whiskers: \u00b1 one standard deviation over frames."
+        made.append(picture("means", means(table), f"Bar chart. {'; '.join(texts)}.", caption))
     return {each.name: each for each in made}
+
+
+def how_chosen(run: RunFolder, estimate: str, reference: str = "") -> str:
+    """How a frame was chosen, in a sentence; reference: the run whose errors were taken off, in words."""
+    if not run.attack_frames and not reference:
+        return f"{_HOW_CHOSEN_CLEAN}."
+    beyond = f" beyond those of {reference} in the same frame" if reference else ""
+    sentence = _HOW_CHOSEN_ATTACKED.format(where=f"of the {ESTIMATES.get(estimate, estimate)}", beyond=beyond)
+    return (
+        sentence.replace(", since the first change by an adversary,", "") + "."
+        if not run.attack_frames
+        else f"{sentence}."
+    )
 
 
 def _counts_caption(runs: Sequence[RunFolder]) -> str:

@@ -2,37 +2,28 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow
-import pyarrow.parquet
 from numpy.typing import NDArray
 
-from mast_zenoh.errors import MastError, RunFolderError
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.report import files
 from mast_zenoh.report.faulted import with_faults
+from mast_zenoh.report.files import Reader, Table, rows
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.states import Bools, Floats
-
-#: A table: one array per column, all of one length.
-Table = dict[str, NDArray[Any]]
+from mast_zenoh.states import Floats
 
 _COUNTS = ("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches")
 _OBJECTS = ("frame", "agent", "estimator", "kind", "outcome", "id", "x", "y", "z", "l", "w", "h", "yaw")
-_ATTACKS = (
-    *("interposer", "role", "frame", "effect"),
-    *("before_x", "before_y", "before_z", "after_x", "after_y", "after_z"),
+_TARGETS = (
+    *("adversary", "kind", "object", "frame", "x", "y", "seen_by_others"),
+    *("believed_centre", "judged_centre", "error_m_centre", "believed_ego", "judged_ego", "error_m_ego"),
 )
-
-
-def rows(table: Table, mask: Bools) -> Table:
-    """The rows of a table that a mask (n,) picks."""
-    return {name: column[mask] for name, column in table.items()}
+_DRIVING = ("frame", "agent", "estimate", "false", "missed", "ttc_s", "brake", "needless", "omitted")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +36,14 @@ class RunFolder:
     wiring:    wiring.json
     metrics:   metrics.json
     counts:    metrics.parquet: a row per frame, agent and estimator
-    objects:   objects.parquet: a row per box; only those of the ego. `cause` where the run has told causes
-    attacks:   attacks.parquet: a row per measured effect of an interposer that is no link
+    objects:   objects.parquet: a row per box; only those of the ego. `cause` and `by` where the run has causes
+    effects:   attacks.parquet: a row per measured effect of an interposer
     recording: scene.npz
-    checks:    checks.json, of runs with links or faults
     missing:   one sentence for each file that is absent or unreadable, saying what the report lacks for it
+    checks:    checks.json, of runs that were checked
+    targets:   targets.parquet: a row per object that was manipulated in a frame
+    driving:   driving.parquet: a row per frame, vehicle and estimate
+    results:   by node, the names of its files under results/
     """
 
     path: Path
@@ -59,10 +53,13 @@ class RunFolder:
     metrics: dict[str, Any]
     counts: Table | None
     objects: Table | None
-    attacks: Table | None
+    effects: Table | None
     recording: Recording | None
     missing: tuple[str, ...]
     checks: dict[str, Any] = field(default_factory=dict)
+    targets: Table | None = None
+    driving: Table | None = None
+    results: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     @classmethod
     def load(cls, path: Path) -> RunFolder:
@@ -71,38 +68,34 @@ class RunFolder:
             raise RunFolderError(f"{path}: no such folder, expected the folder of a run")
         if not (path / "run.json").is_file() and not (path / "scenario.json").is_file():
             raise RunFolderError(f"{path}: holds neither run.json nor scenario.json, expected the folder of a run")
-        missing: list[str] = []
+        reader = Reader(path)
+        read = reader.read
+        run = read("run.json", files.json_object, "how the run and its nodes ended is not known", {})
+        scenario = read("scenario.json", files.json_object, "no configuration", {})
+        wiring = read("wiring.json", files.json_object, "the nodes on each wire are not known", {})
+        metrics = read("metrics.json", files.json_object, "no table of means", {})
+        counts = read("metrics.parquet", files.table(_COUNTS), "no counts over time", None)
+        recording = read("scene.npz", files.scene, "no buildings, agents and camera view in the pictures", None)
+        of_ego = [("agent", "==", _ego(metrics, counts, recording))]
+        objects = files.table(_OBJECTS, of_ego, optional=("cause", "by"))
+        boxes = read("objects.parquet", objects, "no bird's-eye and camera views", None)
+        lack = "what interposers changed is not marked"
+        expected = any(wire.get("interposers") for wire in wiring.get("wires", ()))
+        effects = (read if expected else reader.read_if_there)("attacks.parquet", files.effects, lack, None)
+        if metrics and "achieved" not in metrics and effects is not None:
+            reader.missing.append("metrics.json has no achievements: what attacks achieved is not known.")
+        optional = reader.read_if_there
+        checks = optional("checks.json", files.json_object, "what was checked is not known", {})
+        lack = "what attacks achieved is not explained"
+        targets = optional("targets.parquet", files.table(_TARGETS), lack, None)
+        driving = optional("driving.parquet", files.table(_DRIVING), "no chart of driving", None)
+        read_all = run, scenario, wiring, metrics, counts, boxes, effects, recording, tuple(reader.missing)
+        return cls(path, *read_all, checks, targets, driving, files.node_results(path / "results"))
 
-        def read(name: str, reader: Callable[[Path], Any], lack: str, default: Any) -> Any:
-            try:
-                return reader(path / name)
-            except FileNotFoundError:
-                missing.append(f"{name} is absent: {lack}.")
-            except (OSError, ValueError, KeyError, MastError, pyarrow.ArrowException) as error:
-                missing.append(f"{name} cannot be read ({str(error).removeprefix(f'{path / name}: ')}): {lack}.")
-            return default
-
-        run = read("run.json", _json, "how the run and its nodes ended is not known", {})
-        scenario = read("scenario.json", _json, "no configuration", {})
-        wiring = read("wiring.json", _json, "who sat on which wire is not known", {})
-        metrics = read("metrics.json", _json, "no table of means", {})
-        counts = read("metrics.parquet", _table(_COUNTS), "no counts over time", None)
-        recording = read("scene.npz", _scene, "no buildings, agents and camera view in the pictures", None)
-        ego = _ego(metrics, counts, recording)
-        mine = [("agent", "==", ego)]
-        objects = read(
-            "objects.parquet", _table(_OBJECTS, mine, optional=("cause",)), "no bird's-eye and camera views", None
-        )
-        attacks = None
-        if (path / "attacks.parquet").is_file():
-            attacks = read("attacks.parquet", _effects, "what the adversaries changed is not marked", None)
-        elif any(_role(run, wiring, name) == "adversary" for name in _interposers(wiring)):
-            missing.append("attacks.parquet is absent: what the adversaries changed is not marked.")
-        checks: dict[str, Any] = {}
-        if (path / "checks.json").is_file():
-            checks = read("checks.json", _json, "what was checked is not known", {})
-        found = run, scenario, wiring, metrics, counts, objects, attacks, recording
-        return cls(path, *found, tuple(missing), checks)
+    @cached_property
+    def label(self) -> str:
+        """What the run is called."""
+        return str(self.run.get("name") or self.run.get("id") or self.path.name)
 
     @cached_property
     def ego(self) -> str | None:
@@ -111,25 +104,40 @@ class RunFolder:
 
     def role(self, node: str) -> str:
         """The role of a node; where run.json does not say, a guess from its wires and its name (`adversary_1`)."""
-        return _role(self.run, self.wiring, node)
+        known = self.run.get("nodes", {}).get(node, {}).get("role")
+        known = known or self.metrics.get("interposers", {}).get(node, {}).get("role")
+        if known:
+            return str(known)
+        is_agent = any(agent_of(wire["key"]) == node for wire in self.wiring.get("wires", []))
+        return "agent" if is_agent else node.rstrip("0123456789").rstrip("_")
 
     @cached_property
-    def adversaries(self) -> dict[str, tuple[str, ...]]:
-        """The adversaries that sit on wires of an agent, by the agent's name."""
-        found: dict[str, list[str]] = {}
-        for wire in self.wiring.get("wires", []):
-            agent = _agent_of(wire["key"])
-            for node in wire.get("interposers", []):
-                if agent and self.role(node) == "adversary" and node not in found.setdefault(agent, []):
-                    found[agent].append(node)
-        return {agent: tuple(nodes) for agent, nodes in sorted(found.items()) if nodes}
+    def attacks(self) -> Table | None:
+        """The effects of interposers that are no links, in frames that are known; None: not measured."""
+        if self.effects is None:
+            return None
+        settled = (self.effects["effect"] != "unsettled") & (self.effects["frame"] >= 0)
+        return rows(self.effects, settled & (self.effects["role"] != "link"))
 
     @cached_property
     def attack_frames(self) -> tuple[int, int] | None:
-        """First and last frame in which an adversary changed something; None: nothing was changed, or nobody says."""
+        """First and last frame in which an adversary changed something; None: nothing was changed, or not measured."""
         if self.attacks is None or not len(self.attacks["frame"]):
             return None
         return int(self.attacks["frame"].min()), int(self.attacks["frame"].max())
+
+    @cached_property
+    def scored_frames(self) -> tuple[int, int] | None:
+        """First and last frame that the means are over; None: not known."""
+        frames = self.metrics.get("scored_frames")
+        return (int(frames[0]), int(frames[-1])) if frames else None
+
+    @cached_property
+    def unsettled_frames(self) -> frozenset[int]:
+        """Frames in which it could not be told what an interposer did: about a change of the wiring, and the last."""
+        if self.effects is None:
+            return frozenset()
+        return frozenset(self.effects["frame"][self.effects["effect"] == "unsettled"].tolist())
 
     @cached_property
     def timeline(self) -> tuple[dict[str, Any], ...]:
@@ -137,14 +145,23 @@ class RunFolder:
 
         Links that are as they are from beginning to end are not among them.
         """
-        told = [each for each in self.scenario.get("timeline", ()) if {"label", "kind", "at_s"} <= each.keys()]
-        always = [e["kind"] == "link" and e["at_s"] <= 0.0 and e.get("until_s") is None for e in told]
-        return tuple(each for each, whole in zip(told, always, strict=True) if not whole)
+        planned = [each for each in self.scenario.get("timeline", ()) if {"label", "kind", "at_s"} <= each.keys()]
+        always = [e["kind"] == "link" and e["at_s"] <= 0.0 and e.get("until_s") is None for e in planned]
+        return tuple(each for each, whole in zip(planned, always, strict=True) if not whole)
 
     @property
     def faulted(self) -> bool:
         """Whether links or faults are part of the run."""
         return with_faults(self.scenario, self.checks)
+
+    def summary(self, estimate: str, agent: str | None = None) -> dict[str, Any]:
+        """What metrics.json holds of one estimate of an agent, by default the ego; empty: nothing."""
+        found: dict[str, Any] = self.metrics.get("agents", {}).get(agent or self.ego or "", {}).get(estimate, {})
+        return found
+
+    def original(self, estimate: str) -> str:
+        """The estimate of the ego that has boxes: the one itself, or that which it is the same as."""
+        return str(self.metrics.get("same_as", {}).get(self.ego or "", {}).get(estimate, estimate))
 
     def counts_of(self, estimator: str) -> Table | None:
         """The ego's counts of one estimator, by ascending frame; None: there are none."""
@@ -161,50 +178,13 @@ class RunFolder:
         times = self.recording.times_ns
         return np.asarray((times[frames.astype(np.int64)] - times[0]) * 1e-9, np.float64)
 
-
-def _json(path: Path) -> dict[str, Any]:
-    data = json.loads(path.read_text("utf-8"))
-    if not isinstance(data, dict):
-        raise ValueError(f"found {type(data).__name__}, expected an object")
-    return data
+    @property
+    def period_s(self) -> float:
+        """s from frame to frame."""
+        return float(self.scenario.get("period_ns", 100_000_000)) * 1e-9
 
 
-def _scene(path: Path) -> Recording:
-    if not path.is_file():
-        raise FileNotFoundError(path)
-    return Recording.load(path)
-
-
-def _table(columns: tuple[str, ...], filters: Any = None, *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
-    def read(path: Path) -> Table:
-        table = pyarrow.parquet.read_table(path, filters=filters)
-        absent = sorted(set(columns) - set(table.column_names))
-        if absent:
-            raise ValueError(f"found no column {', '.join(absent)}")
-        there = (*columns, *(name for name in optional if name in table.column_names))
-        return {name: table.column(name).to_numpy() for name in there}
-
-    return read
-
-
-def _effects(path: Path) -> Table:
-    table = _table(_ATTACKS)(path)
-    return rows(table, (table["role"] != "link") & (table["effect"] != "unsettled") & (table["frame"] >= 0))
-
-
-def _role(run: dict[str, Any], wiring: dict[str, Any], node: str) -> str:
-    told = run.get("nodes", {}).get(node, {}).get("role")
-    if told:
-        return str(told)
-    is_agent = any(_agent_of(wire["key"]) == node for wire in wiring.get("wires", []))
-    return "agent" if is_agent else node.rstrip("0123456789").rstrip("_")
-
-
-def _interposers(wiring: dict[str, Any]) -> list[str]:
-    return [node for wire in wiring.get("wires", []) for node in wire.get("interposers", [])]
-
-
-def _agent_of(key: str) -> str | None:
+def agent_of(key: str) -> str | None:
     """The agent in a key expression such as `agent/infra_1/detections`, with or without a prefix."""
     chunks = key.split("/")
     place = chunks.index("agent") + 1 if "agent" in chunks else len(chunks)

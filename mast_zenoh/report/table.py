@@ -1,10 +1,10 @@
-"""The summary table of one or more runs: one row per run, for the terminal, Markdown and HTML alike."""
+"""The table of scores of one run or several: a row per metric and run, a column per estimate; for every output."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,175 +12,262 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
 
-from mast_zenoh.metrics import increments
+from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED, RECEIVED
+from mast_zenoh.metrics.scores import COLUMNS
 
 #: Stands for a number that is not known.
 DASH = "\u2013"
 
+#: The estimates that have a column, in the order in which one is made from another, and what they are called.
+ESTIMATES = {
+    LOCAL: "ego alone",
+    RECEIVED: "alone, as received",
+    PICTURE: "picture",
+    PICTURE_RECEIVED: "picture as received",
+    PICTURE_ON_ARRIVAL: "picture on arrival",
+    MISSION: "ego with picture",
+}
+#: Those that always have one. The others do where something on the way changed them.
+ALWAYS = (LOCAL, PICTURE, MISSION)
+
+
+class Measure(NamedTuple):
+    """A metric as a row: its key in metrics.json, its name, and whether it is among those that the terminal shows."""
+
+    key: str
+    name: str
+    brief: bool = True
+    digits: int = 2
+
+
+MEASURES = (
+    Measure("fn", "missed (FN)"),
+    Measure("fp", "false (FP)"),
+    Measure("tp", "matched (TP)"),
+    Measure("rmse_m", "RMSE m"),
+    Measure("id_switches", "ID switches", digits=0),
+    Measure("completeness", "completeness", brief=False),
+    Measure("ospa_m", "OSPA m", brief=False),
+    Measure("gospa_m", "GOSPA m", brief=False),
+)
+
 
 @dataclass(frozen=True, slots=True)
-class Figures:
-    """Mean and standard deviation over frames; None: not known."""
+class Value:
+    """A mean over frames and its standard deviation over frames, or a value of the whole run; None: not known."""
 
     mean: float | None = None
     std: float | None = None
 
-    def __str__(self) -> str:
-        return DASH if self.mean is None else f"{self.mean:.2f}"
-
-
-@dataclass(frozen=True, slots=True)
-class Scores:
-    """What one estimator scored: objects per frame missed (fn), false (fp), matched (tp); RMSE of the matched, m."""
-
-    fn: Figures = Figures()
-    fp: Figures = Figures()
-    tp: Figures = Figures()
-    rmse_m: float | None = None
-    id_switches: int | None = None
-
     @classmethod
-    def of(cls, summary: Mapping[str, Any]) -> Scores:
-        """From `metrics["agents"][agent][estimator]`; what is absent or null there is None here."""
-        told = [summary.get(name, {}) for name in ("fn", "fp", "tp")]
-        fn, fp, tp = (Figures(each.get("mean"), each.get("std")) for each in told)
-        return cls(fn, fp, tp, summary.get("rmse_m"), summary.get("id_switches"))
-
-    @property
-    def rmse(self) -> str:
-        """The RMSE as text, without its unit."""
-        return DASH if self.rmse_m is None else f"{self.rmse_m:.2f}"
+    def of(cls, summary: object) -> Value:
+        """From metrics.json: {"mean", "std"}, a number, or nothing."""
+        if isinstance(summary, Mapping):
+            return cls(summary.get("mean"), summary.get("std"))
+        return cls(float(summary)) if isinstance(summary, (int, float)) else cls()
 
 
-#: What is added to FN and FP per frame.
-Increment = tuple[Figures, Figures]
+class Cell(NamedTuple):
+    """What one estimate of one run scored, and how much more that is than in the reference run."""
+
+    value: Value
+    change: Value
 
 
 @dataclass(frozen=True, slots=True)
-class SummaryRow:
-    """One run, seen from one agent.
+class ScoreRow:
+    """One metric of one run: a cell per estimate, and how much more the picture scored than the ego alone (IoE)."""
 
-    picture, local:  what the command centre's picture and the agent's own tracks scored
-    over_baseline:   the picture less the baseline's picture (the paper's IoB); None in the baseline itself
-    over_local:      the picture less the agent's own tracks in the same run (IoE)
+    measure: Measure
+    run: str
+    cells: Mapping[str, Cell]
+    over_alone: Value
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreTable:
+    """The rows by metric, then by run.
+
+    estimates: that have a column, keys of ESTIMATES
+    runs:      labels, in order
+    reference: the run that changes are over; None: there is none
     """
 
-    run: str
-    picture: Scores
-    local: Scores
-    over_baseline: Increment | None
-    over_local: Increment
+    rows: tuple[ScoreRow, ...]
+    estimates: tuple[str, ...]
+    runs: tuple[str, ...]
+    reference: str | None
+
+    def cell(self, key: str, run: str, estimate: str) -> Cell:
+        """The cell of a metric, a run and an estimate; empty where there is none."""
+        for row in self.rows:
+            if (row.measure.key, row.run) == (key, run):
+                return row.cells.get(estimate, Cell(Value(), Value()))
+        return Cell(Value(), Value())
 
 
-def summary_table(
+#: The columns of metrics.parquet of a run.
+Counts = Mapping[str, NDArray[Any]]
+
+
+def score_table(
     metrics: Mapping[str, Mapping[str, Any]],
     *,
-    counts: Mapping[str, Mapping[str, NDArray[Any]] | None] | None = None,
+    counts: Mapping[str, Counts | None] | None = None,
     agent: str = "ego",
-    baseline: str | None = None,
-) -> list[SummaryRow]:
-    """One row per run, in order.
+    reference: str | None = None,
+) -> ScoreTable:
+    """The scores of one agent in one run or several.
 
-    metrics:  by the run's label, what metrics.json holds; `{}` gives a row of dashes
-    counts:   by the run's label, the columns of metrics.parquet: only these say how increments spread over frames
-    agent:    whose scores
-    baseline: label of the run that the others are compared with; by default `baseline` or, without it, the first
-    Raises ValueError when `baseline` is not among the runs.
+    metrics:   by the run's label, what metrics.json holds; `{}` gives rows of dashes
+    counts:    by the run's label, the columns of metrics.parquet: only these say how changes spread over frames
+    reference: label of the run that changes are over; by default, of several runs, `baseline` or else the first
+    Raises ValueError when `reference` is not among the runs.
     """
-    scores = {}
-    for label, summary in metrics.items():
-        mine = summary.get("agents", {}).get(agent, {})
-        scores[label] = Scores.of(mine.get("picture", {})), Scores.of(mine.get("local", {}))
-    reference = baseline or ("baseline" if "baseline" in scores else next(iter(scores), None))
-    if baseline is not None and baseline not in scores:
-        raise ValueError(f"baseline: found {baseline!r}, expected one of {', '.join(scores)}")
-    scored = {label: _scored(table, metrics[label]) for label, table in (counts or {}).items() if table is not None}
+    if reference is not None and reference not in metrics:
+        raise ValueError(f"reference: found {reference!r}, expected one of {', '.join(metrics)}")
+    if reference is None and len(metrics) > 1:
+        reference = "baseline" if "baseline" in metrics else next(iter(metrics))
+    scores = {label: summary.get("agents", {}).get(agent, {}) for label, summary in metrics.items()}
+    series = {
+        label: _scored(table, metrics[label], agent)
+        for label, table in (counts or {}).items()
+        if table is not None and label in metrics
+    }
     rows = []
-    for label, (picture, local) in scores.items():
-        over, alone = _difference(picture, scores[reference or label][0]), _difference(picture, local)
-        if label in scored and reference in scored:
-            over, alone = _with_spread(over, alone, scored[reference], scored[label], agent)
-        rows.append(SummaryRow(label, picture, local, None if label == reference else over, alone))
-    return rows
+    for measure in measures(scores.values()):
+        for label, own in scores.items():
+            others = scores[reference] if reference not in (None, label) else {}
+            spread = series.get(label, {}), series.get(reference or "", {})
+            cells = {
+                name: Cell(value, _difference(value, _value(others, name, measure), spread, (name, name), measure))
+                for name in ESTIMATES
+                if (value := _value(own, name, measure)) is not None
+            }
+            alone = cells[LOCAL].value if LOCAL in cells else None
+            both = series.get(label, {}), series.get(label, {})
+            of_picture = cells[PICTURE].value if PICTURE in cells else Value()
+            over_alone = _difference(of_picture, alone, both, (PICTURE, LOCAL), measure)
+            rows.append(ScoreRow(measure, label, cells, over_alone))
+    return ScoreTable(tuple(rows), shown_estimates(metrics.values(), agent), tuple(metrics), reference)
 
 
-def _scored(counts: Mapping[str, NDArray[Any]], metrics: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """The rows of the frames that the means are over: `scored_frames`, first and last, where metrics.json has them."""
+def measures(scores: Iterable[Mapping[str, Mapping[str, Any]]]) -> list[Measure]:
+    """The metrics of runs: our own, then the user-defined ones that any of them has."""
+    own = [name for of_run in scores for of_one in of_run.values() for name in of_one if name not in COLUMNS]
+    return [*MEASURES, *(Measure(name, name.replace("_", " ")) for name in dict.fromkeys(own))]
+
+
+def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[str, ...]:
+    """The estimates that have a column: the three that always do, and those that differ from all others in some run."""
+    shown = set(ALWAYS)
+    for summary in metrics:
+        same = summary.get("same_as", {}).get(agent, {})
+        own = {name for name in summary.get("agents", {}).get(agent, {}) if name not in same}
+        if same.get(PICTURE_RECEIVED) == PICTURE_ON_ARRIVAL:  # nothing was late: the cause is what was received
+            own = own - {PICTURE_ON_ARRIVAL} | {PICTURE_RECEIVED}
+        shown |= own
+    return tuple(name for name in ESTIMATES if name in shown)
+
+
+def _value(scores: Mapping[str, Any], estimate: str, measure: Measure) -> Value | None:
+    """None: the run does not have the estimate."""
+    return Value.of(scores[estimate].get(measure.key)) if estimate in scores else None
+
+
+def _scored(counts: Counts, metrics: Mapping[str, Any], agent: str) -> dict[str, dict[str, NDArray[Any]]]:
+    """By estimate the rows of an agent in the frames that the means are over, by frame."""
     first, last = metrics.get("scored_frames") or (-np.inf, np.inf)
-    inside = (counts["frame"] >= first) & (counts["frame"] <= last)
-    return {name: column[inside] for name, column in counts.items()}
+    mine = (counts["agent"] == agent) & (counts["frame"] >= first) & (counts["frame"] <= last)
+    result = {}
+    for estimate in ESTIMATES:
+        rows = np.flatnonzero(mine & (counts["estimator"] == estimate))
+        rows = rows[np.argsort(counts["frame"][rows], kind="stable")]
+        if len(rows):
+            result[estimate] = {name: column[rows] for name, column in counts.items()}
+    return result
 
 
-def _difference(one: Scores, other: Scores) -> Increment:
-    pairs = ((one.fn.mean, other.fn.mean), (one.fp.mean, other.fp.mean))
-    fn, fp = (Figures(None if a is None or b is None else a - b) for a, b in pairs)
-    return fn, fp
+def _difference(
+    value: Value,
+    other: Value | None,
+    series: tuple[Mapping[str, Counts], Mapping[str, Counts]],
+    estimates: tuple[str, str],
+    measure: Measure,
+) -> Value:
+    """`value` less `other`; its standard deviation over the frames that both have, where the counts tell."""
+    if other is None or value.mean is None or other.mean is None:
+        return Value()
+    one, two = (of_run.get(name) for of_run, name in zip(series, estimates, strict=True))
+    std = None
+    if one is not None and two is not None and value.std is not None and measure.key in one and measure.key in two:
+        _, here, there = np.intersect1d(one["frame"], two["frame"], return_indices=True)
+        apart = one[measure.key][here].astype(np.float64) - two[measure.key][there]
+        std = float(np.std(apart)) if len(apart) else None
+    return Value(value.mean - other.mean, std)
 
 
-def _with_spread(
-    over: Increment, alone: Increment, baseline: dict[str, NDArray[Any]], run: dict[str, NDArray[Any]], agent: str
-) -> tuple[Increment, Increment]:
-    """The two increments, with their standard deviation over frames where the counts tell."""
-    try:
-        spread = increments(baseline, run, agent=agent)
-    except ValueError:  # an interrupted run may lack a series
-        return over, alone
-    pairs = [
-        tuple(Figures(value.mean, spread[name][which]["std"]) for value, name in zip(pair, ("fn", "fp"), strict=True))
-        for pair, which in ((over, "iob"), (alone, "ioe"))
-    ]
-    return (pairs[0][0], pairs[0][1]), (pairs[1][0], pairs[1][1])
+def number(value: Value, measure: Measure) -> str:
+    """A value as text; a dash for what is not known."""
+    return DASH if value.mean is None else f"{value.mean:.{measure.digits}f}"
 
 
-#: Groups of columns and the columns in each; `cells` fills them.
-HEADINGS = (
-    ("picture", ("FN", "FP", "TP", "RMSE m", "ID sw.")),
-    ("ego alone", ("FN", "FP", "TP")),
-    ("over baseline", ("ΔFN", "ΔFP")),
-    ("over ego alone", ("ΔFN", "ΔFP")),
-)
+def signed(value: Value, measure: Measure) -> str:
+    """A difference as `+1.70` or `\u22120.23`; a dash for what is not known."""
+    return DASH if value.mean is None else f"{value.mean:+.{measure.digits}f}".replace("-", "\u2212")
 
 
-def signed(value: float | None) -> str:
-    """A difference as `+1.70` or `−0.23`; a dash for None."""
-    return DASH if value is None else f"{value:+.2f}".replace("-", "\u2212")
+NOTE = "FN, FP, TP: objects per frame, mean over the scored frames"
 
 
-def cells(row: SummaryRow) -> list[list[str]]:
-    """The texts of a row, by the groups of HEADINGS."""
-    p, q = row.picture, row.local
-    switches = DASH if p.id_switches is None else str(p.id_switches)
-    return [
-        [str(p.fn), str(p.fp), str(p.tp), p.rmse, switches],
-        [str(q.fn), str(q.fp), str(q.tp)],
-        [signed(value.mean) for value in row.over_baseline or (Figures(), Figures())],
-        [signed(value.mean) for value in row.over_local],
-    ]
+def as_rich(table: ScoreTable) -> Group:
+    """For a terminal of 80 columns: the main metrics; of several runs, the change over the reference beside each."""
+    if len(table.runs) < 2:
+        return Group(_terminal_table(table, table.estimates, NOTE))
+    others = [name for name in table.estimates if name not in ALWAYS]
+    tables = [_terminal_table(table, ALWAYS, f"{NOTE}; in brackets: more than {table.reference}")]
+    return Group(*tables, *([_terminal_table(table, others, "The same on its way")] if others else []))
 
 
-def as_rich(rows: Sequence[SummaryRow]) -> Group:
-    """Two tables that fit a terminal of 80 columns: scores, then increments (left out when there is one run)."""
-    tables = []
-    for groups in ((0, 1), (2, 3)) if len(rows) > 1 else ((0, 1),):
-        title = "FN, FP, TP: objects per frame, mean over frames" if groups[0] == 0 else None
-        table = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        table.add_column("", justify="left", no_wrap=True)
-        for group in groups:
-            name, columns = HEADINGS[group]
-            for index, column in enumerate(columns):
-                table.add_column(f"{name if index == 0 else ''}\n{column}", justify="right")
-        for row in rows:
-            texts = cells(row)
-            table.add_row(row.run, *(text for group in groups for text in texts[group]))
-        tables.append(table)
-    return Group(*tables)
+def _terminal_table(table: ScoreTable, estimates: Sequence[str], title: str) -> Table:
+    several = len(table.runs) > 1
+    result = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    result.add_column("")
+    if several:
+        result.add_column("run", no_wrap=True)
+    for name in estimates:
+        result.add_column(ESTIMATES[name], justify="right")
+    for index, row in enumerate(table.rows):
+        if row.measure.brief:
+            place = index % len(table.runs)
+            texts = [_terminal_cell(row, name, changes=several) for name in estimates]
+            last = several and place == len(table.runs) - 1
+            result.add_row(row.measure.name if place == 0 else "", *([row.run] * several), *texts, end_section=last)
+    return result
 
 
-def as_markdown(rows: Sequence[SummaryRow]) -> str:
-    """A Markdown table with all columns; ends with a newline."""
-    heads = ["run", *(f"{name} {column}" for name, columns in HEADINGS for column in columns)]
-    lines = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1)]
-    for row in rows:
-        label = row.run.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")
-        lines.append("| " + " | ".join([label, *(text for group in cells(row) for text in group)]) + " |")
+def _terminal_cell(row: ScoreRow, estimate: str, *, changes: bool) -> str:
+    cell = row.cells.get(estimate, Cell(Value(), Value()))
+    text = number(cell.value, row.measure)
+    return f"{text} ({signed(cell.change, row.measure)})" if changes and cell.change.mean is not None else text
+
+
+def as_markdown(table: ScoreTable) -> str:
+    """A Markdown table with all metrics; ends with a newline."""
+    heads = ["metric", "run"]
+    heads += [part for name in table.estimates for part in _heads(name, table)]
+    heads += ["picture over ego alone"]
+    lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "---:|" * (len(heads) - 2)]
+    for row in table.rows:
+        texts = [row.measure.name, row.run.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")]
+        for name in table.estimates:
+            cell = row.cells.get(name, Cell(Value(), Value()))
+            texts.append(number(cell.value, row.measure))
+            texts += [signed(cell.change, row.measure)] if table.reference else []
+        lines.append("| " + " | ".join([*texts, signed(row.over_alone, row.measure)]) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _heads(estimate: str, table: ScoreTable) -> Sequence[str]:
+    name = ESTIMATES[estimate]
+    return (name, f"{name} over {table.reference}") if table.reference else (name,)

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from mast_zenoh.report.faulted import blame_table, check_lines, with_faults
-from mast_zenoh.report.table import as_rich, summary_table
+from mast_zenoh.report.table import as_rich, score_table
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
@@ -23,7 +23,7 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
     metrics = {label: _read(folder / "metrics.json") for label, folder in runs.items()}
     agents = next((list(each["agents"]) for each in metrics.values() if each.get("agents")), ["ego"])
     agent = "ego" if "ego" in agents else agents[0]
-    console.print(as_rich(summary_table(metrics, agent=agent)))
+    console.print(as_rich(score_table(metrics, agent=agent)))
     checks = {label: _read(folder / "checks.json") for label, folder in runs.items()}
     faulted = {
         label: metrics[label]

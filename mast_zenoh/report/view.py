@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.report.runfolder import RunFolder, rows
+from mast_zenoh.report.changes import OBJECT_M2, SWITCH, scored
+from mast_zenoh.report.files import Table, rows
+from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import OUTCOME_COLOURS
 from mast_zenoh.states import Bools, Floats, Ints
 
+#: The estimates that pictures show, side by side.
+PANELS = ("local", "picture", "mission")
 #: Metres around the ego within which pictures look for something to show.
 _REACH = 105.0
 
@@ -28,22 +33,69 @@ class Boxes:
         return len(self.yaw)
 
 
+class Marks(NamedTuple):
+    """What adversaries did in a frame, m, world frame.
+
+    added:   (n, 3) where they inserted an object;  removed: (n, 3) where they took one away
+    moved:   (n, 2, 3) from where to where they moved one
+    """
+
+    added: Floats
+    removed: Floats
+    moved: Floats
+
+    @classmethod
+    def of(cls, effects: Table) -> Marks:
+        """Of rows of attacks.parquet."""
+
+        def places(effect: str, when: str) -> Floats:
+            some = rows(effects, effects["effect"] == effect)
+            return np.stack([some[f"{when}_{axis}"] for axis in "xyz"], axis=1).astype(np.float64)
+
+        moved = np.stack([places("moved", "before"), places("moved", "after")], axis=1)
+        return cls(places("inserted", "after"), places("removed", "before"), moved)
+
+    @classmethod
+    def none(cls) -> Marks:
+        """Nothing was done."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2, 3)))
+
+    def inside(self, window: tuple[float, float, float]) -> Marks:
+        """Those in a window, see `window`."""
+        x, y, half = window
+
+        def within(places: Floats) -> Bools:
+            return np.asarray(np.abs(places[..., :2] - [x, y]).max(axis=-1) <= half)
+
+        moved = self.moved[within(self.moved).any(axis=-1)]
+        return Marks(self.added[within(self.added)], self.removed[within(self.removed)], moved)
+
+    def joined(self, other: Marks) -> Marks:
+        """Both."""
+        return Marks(*(np.concatenate([mine, theirs]) for mine, theirs in zip(self, other, strict=True)))
+
+
 @dataclass(frozen=True, eq=False)
 class FrameView:
     """One frame of one run in the ego's eyes.
 
-    boxes:   by estimator (`local`, `picture`), then by outcome (the keys of OUTCOME_COLOURS)
-    added:   (n, 3) m, where adversaries inserted an object
-    removed: (n, 3) m, where they took one away
-    moved:   (n, 2, 3) m, from where to where they moved one
+    boxes:  by estimator (`local`, `picture`, and `mission` where it has boxes), then by outcome (the keys of
+            OUTCOME_COLOURS)
+    before: what adversaries did on the way to the command centre, seen in the picture and in what comes after it
+    behind: what they did to the picture on its way to the ego
     """
 
     run: RunFolder
     frame: int
     boxes: dict[str, dict[str, Boxes]]
-    added: Floats
-    removed: Floats
-    moved: Floats
+    before: Marks
+    behind: Marks
+
+    def marks(self, estimate: str) -> Marks:
+        """What adversaries did in this frame that an estimate can show."""
+        if estimate == "local":
+            return Marks.none()
+        return self.before.joined(self.behind) if estimate == "mission" else self.before
 
     @property
     def time_label(self) -> str:
@@ -57,30 +109,32 @@ def frame_view(run: RunFolder, frame: int) -> FrameView | None:
     if run.objects is None or not np.any(run.objects["frame"] == frame):
         return None
     table = rows(run.objects, run.objects["frame"] == frame)
-    boxes: dict[str, dict[str, Boxes]] = {}
-    for estimator in ("local", "picture"):
-        boxes[estimator] = {}
-        for outcome in OUTCOME_COLOURS:
-            kind, _, result = outcome.rpartition(" ")
-            mask = (table["estimator"] == estimator) & (table["outcome"] == result)
-            if kind:
-                mask &= table["kind"] == kind
-            some = rows(table, mask)
-            boxes[estimator][outcome] = Boxes(
-                np.stack([some["x"], some["y"], some["z"]], axis=1).astype(np.float64),
-                np.stack([some["l"], some["w"], some["h"]], axis=1).astype(np.float64),
-                some["yaw"].astype(np.float64),
-            )
-    attacks = run.attacks
+    boxes = {}
+    for estimate in PANELS:
+        mine = rows(table, table["estimator"] == run.original(estimate))
+        if estimate != "mission" or np.any(run.objects["estimator"] == run.original(estimate)):
+            boxes[estimate] = {outcome: _boxes(mine, outcome) for outcome in OUTCOME_COLOURS}
+    before, behind = Marks.none(), Marks.none()
+    if run.attacks is not None:
+        here = rows(run.attacks, run.attacks["frame"] == frame)
+        downlink = np.zeros(len(here["frame"]), bool)
+        for_ego = ~downlink
+        if "message" in here and "before_subscriber" in here:
+            downlink = here["message"] == "picture"
+            for_ego = np.isin(here["before_subscriber"], ("", run.ego or ""))
+        before, behind = Marks.of(rows(here, ~downlink)), Marks.of(rows(here, downlink & for_ego))
+    return FrameView(run, frame, boxes, before, behind)
 
-    def places(effect: str, when: str) -> Floats:
-        if attacks is None:
-            return np.zeros((0, 3))
-        some = rows(attacks, (attacks["frame"] == frame) & (attacks["effect"] == effect))
-        return np.stack([some[f"{when}_{axis}"] for axis in "xyz"], axis=1).astype(np.float64)
 
-    moved = np.stack([places("moved", "before"), places("moved", "after")], axis=1)
-    return FrameView(run, frame, boxes, places("inserted", "after"), places("removed", "before"), moved)
+def _boxes(table: Table, outcome: str) -> Boxes:
+    kind, _, result = outcome.rpartition(" ")
+    mask = table["outcome"] == result
+    some = rows(table, mask & (table["kind"] == kind) if kind else mask)
+    return Boxes(
+        np.stack([some["x"], some["y"], some["z"]], axis=1).astype(np.float64),
+        np.stack([some["l"], some["w"], some["h"]], axis=1).astype(np.float64),
+        some["yaw"].astype(np.float64),
+    )
 
 
 def ego_position(run: RunFolder, frame: int) -> Floats | None:
@@ -112,60 +166,61 @@ def window(views: Sequence[FrameView]) -> tuple[float, float, float]:
 
 def clipped(view: FrameView, window: tuple[float, float, float]) -> FrameView:
     """The view without the adversaries' doings outside a window."""
-    x, y, half = window
-
-    def inside(places: Floats) -> Bools:
-        return np.asarray(np.abs(places[..., :2] - [x, y]).max(axis=-1) <= half)
-
-    moved = view.moved[inside(view.moved).any(axis=-1)]
-    added, removed = view.added[inside(view.added)], view.removed[inside(view.removed)]
-    return replace(view, added=added, removed=removed, moved=moved)
+    return replace(view, before=view.before.inside(window), behind=view.behind.inside(window))
 
 
-def _errors(run: RunFolder, estimator: str) -> tuple[Ints, Floats] | None:
-    """Frames (n,) and the ego's FN + FP (n,) in each of them."""
-    counts = run.counts_of(estimator)
+def settled(run: RunFolder, frames: Ints) -> Bools:
+    """(n,) which of n frames may be shown: scored, and none in which it is unclear what interposers did."""
+    return scored(run, frames) & ~np.isin(frames, list(run.unsettled_frames))
+
+
+def _costs(run: RunFolder, estimate: str) -> tuple[Ints, Floats] | None:
+    """Frames (n,) and the ego's errors of all kinds in each of them (n,), weighed as `changes` does."""
+    counts = run.counts_of(estimate)
     if counts is None:
         return None
-    return counts["frame"].astype(np.int64), np.asarray(counts["fn"] + counts["fp"], np.float64)
+    squared = np.nan_to_num(counts["rmse_m"].astype(np.float64)) ** 2 * counts["tp"]
+    wrong = counts["fn"] + counts["fp"] + SWITCH * counts["id_switches"]
+    return counts["frame"].astype(np.int64), np.asarray(wrong + squared / OBJECT_M2, np.float64)
 
 
-def choose_frame(run: RunFolder, baseline: RunFolder | None = None) -> int | None:
-    """The frame to show, by rule; None when the run left no counts.
+def choose_frame(run: RunFolder, reference: RunFolder | None = None, estimate: str = "picture") -> int | None:
+    """The frame to show, by rule; None when no frame is both scored and settled.
 
-    Where an adversary changed something: among the frames since its first change, the one with the most FN + FP
-    in the ego's picture, less those of `baseline` in the same frame if it is given; the earliest of equals. Where
-    nobody did: the frame in which the picture spares the ego the most errors (FN + FP of its own tracks less those
-    of the picture).
+    With a reference: the frame in which the errors of `estimate` exceed those of the reference by most. Without one, in
+    an attacked run: the one with the most errors; in others, the one in which the picture spares the ego the most. Only
+    frames since the first change by an adversary count, where there are any; the earliest of equals wins. Errors are
+    missed and false objects, displacements and identity switches.
     """
-    picture = _errors(run, "picture")
-    if picture is None:
+    own = _costs(run, estimate)
+    if own is None:
         return None
-    frames, effect = picture
-    if run.attack_frames is not None:
-        other = _errors(baseline, "picture") if baseline is not None else None
-        sign, since = 1.0, run.attack_frames[0]
+    frames, cost = own
+    allowed = settled(run, frames)
+    attacked = (
+        allowed & (frames >= run.attack_frames[0]) if run.attack_frames is not None else np.zeros(len(frames), bool)
+    )
+    if reference is not None:
+        other, sign = _costs(reference, estimate), 1.0
     else:
-        other, sign, since = _errors(run, "local"), -1.0, int(frames[0])
+        other, sign = (None, 1.0) if attacked.any() else (_costs(run, "local"), -1.0)
+    allowed = attacked if attacked.any() else allowed
     if other is not None:
         _, here, there = np.intersect1d(frames, other[0], return_indices=True)
-        frames, effect = frames[here], effect[here] - other[1][there]
-    eligible = frames >= since
-    if not eligible.any():
-        return int(frames[-1]) if len(frames) else None
-    return int(frames[eligible][np.argmax(sign * effect[eligible])])
+        frames, cost, allowed = frames[here], cost[here] - other[1][there], allowed[here]
+    return int(frames[allowed][np.argmax(sign * cost[allowed])]) if allowed.any() else None
 
 
 def choose_common_frame(runs: Sequence[RunFolder], baseline: RunFolder) -> int | None:
     """The one frame to show of several runs: that of `choose_frame` for the run which differs most from `baseline`."""
     best: tuple[float, int] | None = None
-    ours = _errors(baseline, "picture")
+    ours = _costs(baseline, "picture")
     for run in runs:
-        frame, errors = choose_frame(run, baseline), _errors(run, "picture")
-        if run is baseline or run.attack_frames is None or frame is None or errors is None or ours is None:
+        frame, costs = choose_frame(run, baseline), _costs(run, "picture")
+        if run is baseline or run.attack_frames is None or frame is None or costs is None or ours is None:
             continue
         at_baseline = ours[1][ours[0] == frame]
-        effect = float(errors[1][errors[0] == frame][0] - (at_baseline[0] if len(at_baseline) else 0.0))
+        effect = float(costs[1][costs[0] == frame][0] - (at_baseline[0] if len(at_baseline) else 0.0))
         if best is None or effect > best[0]:
             best = effect, frame
     return best[1] if best else choose_frame(baseline)

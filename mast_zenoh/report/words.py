@@ -6,54 +6,207 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from mast_zenoh.report import changes, phrases
+from mast_zenoh.report.changes import Change
 from mast_zenoh.report.faulted import check_rows
-from mast_zenoh.report.runfolder import RunFolder, Table
-from mast_zenoh.report.table import SummaryRow
-
-_NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
-#: Differences per frame smaller than this are called none, objects.
-_NOTHING = 0.05
-
-
-def count(number: int) -> str:
-    """A small number as a word."""
-    return _NUMBERS[number] if 0 <= number < len(_NUMBERS) else str(number)
-
-
-def listed(names: Sequence[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+from mast_zenoh.report.files import Table
+from mast_zenoh.report.interposers import Interposer, failures_of, interposers
+from mast_zenoh.report.phrases import amount, capital, caused, count, listed, more_or_less, objects
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.table import ScoreTable
 
 
 def compromised(run: RunFolder) -> str:
-    """Whose wires adversaries sit on: `two of four roadside sensors`, `all four …`; empty: nobody's."""
+    """Where adversaries sit: `two of four roadside sensors`, `the picture's way to ego`; empty: nowhere."""
+    hostile = [each for each in interposers(run) if not each.is_link]
     kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
-    names = set(kinds) or set(run.metrics.get("agents", {})) | set(run.adversaries)
-    told = []
+    hit = {agent for each in hostile for agent in each.agents}
+    names = set(kinds) or set(run.metrics.get("agents", {})) | hit
+    places = []
     for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle")):
         group = {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind}
-        hit = len(group & set(run.adversaries))
-        if hit and len(group) == 1:
-            told.append(f"the {noun}")
-        elif hit:
-            told.append(f"{'all' if hit == len(group) else f'{count(hit)} of'} {count(len(group))} {noun}s")
-    return " and ".join(told)
+        number = len(group & hit)
+        if number and len(group) == 1:
+            places.append(f"the {noun}")
+        elif number:
+            places.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
+    places += dict.fromkeys(f"the picture's way to {agent}" for each in hostile for agent in each.before)
+    alone = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
+    places += dict.fromkeys(f"the wire {wire}" for wire in alone)
+    return " and ".join(places)
 
 
-def while_attacked(run: RunFolder, column: str, baseline: RunFolder | None = None) -> float | None:
-    """Mean per frame of the ego's picture from the first to the last frame in which an adversary changed something.
+def status(run: RunFolder) -> str:
+    """What did not end well, in a sentence without a full stop; empty: nothing."""
+    failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
+    if failed:
+        names = listed([f"{name} in {_frames(entries)}" for name, entries in failed.items()])
+        return f"Handlers failed, of {names}: the numbers may be wrong"
+    state = run.run.get("status", "ok")
+    if state == "running":
+        return "The run was cut off: its launcher did not live to write down how it ended"
+    return "" if state == "ok" else f"The run did not end well ({state}): read the numbers with that in mind"
 
-    column: `fn`, `fp` or `tp`; with `baseline`, less the mean of the baseline's picture over the same frames
+
+def _frames(entries: Sequence[Mapping[str, object]]) -> str:
+    frames = max(int(str(entry.get("frames", entry["count"]))) for entry in entries)
+    return "1 frame" if frames == 1 else f"{frames} frames"
+
+
+def headline(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> str:
+    """One sentence without a full stop on one run: what did not end well, or else the largest change.
+
+    reference: the run that it is compared with, `name` its name in words; None: the run's own measurements count
     """
-    counts = run.counts_of("picture")
+    return status(run) or result(run, reference, name)
+
+
+def result(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> str:
+    """The largest change of any kind, and its cause, in one sentence without a full stop."""
+    picture = run.summary("picture")
+    if not picture:
+        return "No scores: this run did not get as far as its evaluation"
+    hit, change = compromised(run), changes.largest_change(run, reference)
+    start = f"{hit} compromised: " if hit else ""
+    if change is None:
+        return _unchanged(run, hit, reference, name)
+    if reference is not None:
+        return capital(f"{start}{more_or_less(change, run.ego)} than {name}{caused(run, change)}")
+    return capital(f"{start}{amount(change, run.ego)} {phrases.due(run, change)}")
+
+
+def _unchanged(run: RunFolder, hit: str, reference: RunFolder | None, name: str) -> str:
+    """No score differs at all."""
+    active = [each for each in interposers(run) if each.changed]
+    scores = f"every score is that of {name}" if reference is not None else "no error is due to them"
+    if active:
+        did = "; ".join(f"{each.name}: {phrases.effects(each)}" for each in active)
+        return f"Interposers changed messages ({did}), but {scores}"
+    if hit:
+        unmeasured = any(each.effects is None for each in interposers(run))
+        nothing = "were not measured" if unmeasured else "passed every message on unchanged"
+        return capital(f"adversaries on {hit} {nothing}: {_missed(run)}")
+    if reference is not None:
+        return capital(f"{scores}: {_missed(run)}")
+    return capital(_missed(run))
+
+
+def _missed(run: RunFolder) -> str:
+    def missed(estimate: str) -> float | None:
+        found = run.summary(estimate).get("fn", {}).get("mean")
+        return None if found is None else float(found)
+
+    alone, picture, both = missed("local"), missed("picture"), missed("mission")
+    if picture is None:
+        return "missed objects were not scored"
+    parts = [f"the common picture misses {objects(picture)} a frame"]
+    parts += [f"the ego alone {alone:.1f}"] if alone is not None else []
+    parts += [f"the ego with the picture {both:.1f}"] if both is not None else []
+    return ", ".join(parts)
+
+
+def reading(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> list[str]:
+    """Sentences on one run."""
+    sentences = [f"{result(run, reference, name)}."] if status(run) else []
+    sentences += [f"{capital(_missed(run))}."] if run.summary("picture") and not _is_missed(run, reference) else []
+    sentences += _other_changes(run, reference, name) + _transit(run) + _blame(run)
+    if run.attack_frames is not None:
+        since = run.seconds(np.array(run.attack_frames[:1]))
+        when = f"frame {run.attack_frames[0]}" if since is None else f"t = {since[0]:.1f} s"
+        active = [each for each in interposers(run) if each.changed and not each.is_link]
+        main = changes.largest_change(run, reference)
+        estimate = main.estimate if main is not None and main.agent == run.ego else "picture"
+        during = while_attacked(run, "fp", estimate=estimate)
+        whose = phrases.OWNERS.get(estimate, "the picture has")
+        tail = f"; from then on {whose} {objects(during, 'false')} a frame" if during is not None else ""
+        sentences.append(f"{listed([each.description for each in active])} changed messages from {when} on{tail}.")
+    sentences += _verdicts(interposers(run))
+    failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
+    if failed:
+        sentences.append(f"Not everything that was checked holds: {listed(failed)}.")
+    return sentences
+
+
+def _is_missed(run: RunFolder, reference: RunFolder | None) -> bool:
+    """Whether the headline says what is missed already."""
+    return changes.largest_change(run, reference) is None and not any(each.changed for each in interposers(run))
+
+
+def _other_changes(run: RunFolder, reference: RunFolder | None, name: str) -> list[str]:
+    """The largest change of each kind that the headline does not name, where it is worth naming."""
+    found = changes.attributed(run) if reference is None else changes.against(run, reference)
+    main = changes.largest(found)
+    if main is None:
+        return []
+    others = []
+    for kind in changes.KEYS:
+        change = changes.largest([each for each in found if each.kind == kind and each.estimate != "local"])
+        if change is None or kind == main.kind or abs(change.weight) < phrases.NOTHING / 2:
+            continue
+        others.append(more_or_less(change, run.ego) if reference is not None else amount(change, run.ego))
+    if not others:
+        return []
+    tail = f"than {name}" if reference is not None else "due to the same causes"
+    return [f"{capital(listed(others))} {tail}."]
+
+
+def _transit(run: RunFolder) -> list[str]:
+    """How the picture differs for the ego from what the command centre sent."""
+    sent = run.summary("picture")
+    sentences = []
+    for estimate, where in (("picture_received", "as the ego receives it"), ("picture_on_arrival", "when it arrives")):
+        if run.original(estimate) != estimate or not run.summary(estimate) or not sent:
+            continue
+        found = [
+            each for each in changes.between(run, run.summary(estimate), sent) if abs(each.weight) >= phrases.NOTHING
+        ]
+        if found:
+            differs = listed([more_or_less(each, run.ego, where=False) for each in found])
+            sentences.append(f"The picture {where} has {differs} than when the command centre sent it.")
+    return sentences[-1:]
+
+
+def _verdicts(found: Sequence[Interposer]) -> list[str]:
+    """Which interposers do not say what they did."""
+    sentences = []
+    for verdict, text in (
+        ("silent", "{} changed messages and reported nothing"),
+        ("disagrees", "What {} reported is not what was measured"),
+        ("crashed", "{} crashed"),
+    ):
+        names = [each.name for each in found if each.verdict == verdict]
+        if names:
+            sentences.append(f"{text.format(listed(names))}.")
+    return sentences
+
+
+def _blame(run: RunFolder) -> list[str]:
+    """How much of what the ego's picture misses is due to what; nothing without links and faults."""
+    split = run.summary("picture").get("fn_split") or {}
+    if not run.faulted or split.get("fault") is None or split.get("attack") is None:
+        return []
+    attack = f", {split['attack']:.2f} because of attacks" if split["attack"] > 0.0 else ""
+    return [
+        f"Of the objects that the picture misses, {split['fault']:.2f} a frame are missed because of links and "
+        f"faults{attack}, and {split['natural']:.2f} would be missed anyway."
+    ]
+
+
+def while_attacked(
+    run: RunFolder, column: str, baseline: RunFolder | None = None, *, estimate: str = "picture"
+) -> float | None:
+    """Mean per frame of an estimate of the ego, from the first to the last frame in which adversaries changed anything.
+
+    column: `fn`, `fp` or `tp`; with `baseline`, less the mean of the baseline's estimate over the same frames
+    """
+    counts = run.counts_of(estimate)
     if counts is None or run.attack_frames is None:
         return None
-    first, last = run.attack_frames
-    mean = _mean(counts, column, first, last)
+    mean = _mean(counts, column, *run.attack_frames)
     if baseline is None or mean is None:
         return mean
-    others = baseline.counts_of("picture")
-    other = None if others is None else _mean(others, column, first, last)
+    others = baseline.counts_of(estimate)
+    other = None if others is None else _mean(others, column, *run.attack_frames)
     return None if other is None else mean - other
 
 
@@ -62,105 +215,48 @@ def _mean(counts: Table, column: str, first: int, last: int) -> float | None:
     return float(counts[column][during].mean()) if np.any(during) else None
 
 
-def headline(run: RunFolder, row: SummaryRow) -> str:
-    """One sentence without a full stop on one run."""
-    told, hit = row.picture, compromised(run)
-    if told.fp.mean is None or told.fn.mean is None:
-        return "No scores: this run did not get as far as its evaluation"
-    if hit and run.attack_frames:
-        return _capital(f"{hit} compromised: {_objects(told.fp.mean, 'false')} a frame in the common picture")
-    if hit:
-        return _capital(f"adversaries on the wires of {hit} changed nothing: {_missed(row)}")
-    return _capital(_missed(row))
-
-
-def _missed(row: SummaryRow) -> str:
-    alone, told = row.local.fn.mean, row.picture.fn.mean
-    start = f"the common picture misses {_objects(told or 0.0)} a frame"
-    return start if alone is None else f"{start}, the ego alone {alone:.1f}"
-
-
-def reading(run: RunFolder, row: SummaryRow) -> list[str]:
-    """Sentences on one run."""
-    told, alone = row.picture, row.local
-    sentences = []
-    if told.fn.mean is not None and told.fp.mean is not None:
-        if alone.fn.mean is not None and alone.fp.mean is not None:
-            sentences.append(
-                f"From its own sensors alone the ego misses {_objects(alone.fn.mean)} a frame and reports "
-                f"{_objects(alone.fp.mean, 'false')}."
-            )
-        sentences.append(
-            f"The common picture that the command centre sends back misses {told.fn.mean:.1f}, has "
-            f"{_objects(told.fp.mean, 'false')} a frame, and places what it matches with an RMSE of {told.rmse} m."
-        )
-    sentences += _blame(run)
-    if run.attack_frames is not None:
-        since = run.seconds(np.array(run.attack_frames[:1]))
-        when = f"frame {run.attack_frames[0]}" if since is None else f"t = {since[0]:.1f} s"
-        during = while_attacked(run, "fp")
-        who = listed([name for nodes in run.adversaries.values() for name in nodes]) or "An adversary"
-        tail = f"; from then on the picture has {_objects(during, 'false')} a frame" if during is not None else ""
-        sentences.append(f"{who} changed messages from {when} on{tail}.")
-    failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
+def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
+    """One sentence without a full stop on several runs: the largest change of any over the reference."""
+    failed = [label for label, run in runs.items() if status(run)]
     if failed:
-        sentences.append(f"Not everything that was checked holds: {listed(failed)}.")
-    if run.run.get("status") == "running":
-        sentences.append("The run was cut off: its launcher did not live to write down how it ended.")
-    elif run.run.get("status", "ok") != "ok":
-        sentences.append(f"The run did not end well ({run.run['status']}): read the numbers with that in mind.")
-    return sentences
+        return capital(f"{listed(failed)} did not end well: the numbers may be wrong")
+    found = _changes(runs, table)
+    if not found:
+        return f"{capital(count(len(runs)))} runs compared"
+    label, change = max(found.items(), key=lambda item: abs(item[1].weight))
+    hit = compromised(runs[label])
+    start = f"{hit} compromised ({label}): " if hit else f"{label}: "
+    return capital(f"{start}{more_or_less(change, runs[label].ego)} than {table.reference}")
 
 
-def _blame(run: RunFolder) -> list[str]:
-    """How much of what the ego's picture misses and has too many is whose doing; nothing without links and faults."""
-    told = run.metrics.get("agents", {}).get(run.ego or "", {}).get("picture", {}).get("fn_split") or {}
-    if not run.faulted or told.get("fault") is None or told.get("attack") is None:
-        return []
-    attack = f", {told['attack']:.2f} because of attacks" if told["attack"] > 0.0 else ""
-    return [
-        f"Of the objects that it misses, {told['fault']:.2f} a frame are missed because of links and faults{attack}, "
-        f"and {told['natural']:.2f} would be missed anyway."
-    ]
+def _changes(runs: Mapping[str, RunFolder], table: ScoreTable) -> dict[str, Change]:
+    """The largest change of each run over the reference; those without any are left out."""
+    if table.reference is None:
+        return {}
+    others = {label: run for label, run in runs.items() if label != table.reference}
+    found = {label: changes.largest_change(run, runs[table.reference]) for label, run in others.items()}
+    return {label: change for label, change in found.items() if change is not None}
 
 
-def study_headline(runs: Mapping[str, RunFolder], rows: Sequence[SummaryRow]) -> str:
-    """One sentence without a full stop on several runs: the one that adds the most false objects to the baseline."""
-    added = {row.run: row.over_baseline[1].mean for row in rows if row.over_baseline and row.run in runs}
-    more, worst = max(((mean, label) for label, mean in added.items() if mean is not None), default=(None, ""))
-    if more is None:
-        return f"{_capital(count(len(rows)))} runs compared"
-    hit = compromised(runs[worst])
-    subject = f"{hit} compromised" if hit else worst
-    if more < _NOTHING:
-        return _capital(f"{subject}: no more false objects a frame than unattacked")
-    return _capital(f"{subject}: {_objects(more, 'false')} a frame more than unattacked")
-
-
-def study_reading(runs: Mapping[str, RunFolder], rows: Sequence[SummaryRow]) -> list[str]:
+def study_reading(runs: Mapping[str, RunFolder], table: ScoreTable) -> list[str]:
     """Sentences on several runs."""
     sentences = []
-    base = next((row for row in rows if row.over_baseline is None), None)
-    if base and base.picture.fn.mean is not None and base.picture.fp.mean is not None:
-        alone = f", where the ego alone misses {base.local.fn.mean:.1f}" if base.local.fn.mean is not None else ""
-        sentences.append(
-            f"Unattacked, the common picture misses {_objects(base.picture.fn.mean)} a frame{alone}, "
-            f"and has {_objects(base.picture.fp.mean, 'false')}."
-        )
-    for row in rows:
-        if row.over_baseline is None:
+    reference = runs.get(table.reference or "")
+    if reference is not None and reference.summary("picture"):
+        sentences.append(f"In run {table.reference}, {_missed(reference)}.")
+    for label, run in runs.items():
+        if run is reference or reference is None or not run.summary("picture"):
             continue
-        fn, fp = (value.mean for value in row.over_baseline)
-        if fn is None or fp is None:
-            continue
-        hit = compromised(runs[row.run]) if row.run in runs else ""
+        hit, change = compromised(run), changes.largest_change(run, reference)
         where = f" ({hit} compromised)" if hit else ""
-        during = while_attacked(runs[row.run], "fp", runs[base.run]) if base and row.run in runs else None
-        lasts = f" ({during:+.1f} while the attack lasts)".replace("-", "\u2212") if during is not None else ""
-        more = f"{_change(fp, 'false')} a frame{lasts} and {_change(fn, 'missed')}"
-        sentences.append(f"In run {row.run}{where} the picture has {more}.")
-    if base and len(rows) > 1 and base.local.fn.mean is not None:
-        own = {(row.local.fn, row.local.fp, row.local.tp) for row in rows}
+        if change is None:
+            sentences.append(f"Run {label}{where}: every score is that of {table.reference}.")
+            continue
+        during = while_attacked(run, changes.KEYS[change.kind], reference, estimate=change.estimate)
+        lasts = f" ({during:+.1f} while the attack lasts)".replace("-", "\u2212") if _counts(change, during) else ""
+        sentences.append(f"In run {label}{where}, {more_or_less(change, run.ego)}{lasts}{caused(run, change)}.")
+    if reference is not None and len(runs) > 1 and reference.summary("local"):
+        own = {str([run.summary("local").get(key) for key in ("fn", "fp", "tp")]) for run in runs.values()}
         sentences.append(
             "The ego's own tracks score the same in every run: what comes from outside does not reach them."
             if len(own) == 1
@@ -169,19 +265,5 @@ def study_reading(runs: Mapping[str, RunFolder], rows: Sequence[SummaryRow]) -> 
     return sentences
 
 
-def _objects(number: float, kind: str = "") -> str:
-    """`9.4 false objects`; `no false object` for what rounds to none."""
-    noun = f"{kind} object".strip()
-    if number < _NOTHING:
-        return f"no {noun}" if number == 0.0 else f"hardly any {noun}s"
-    return f"{number:.1f} {noun}{'' if f'{number:.1f}' == '1.0' else 's'}"
-
-
-def _change(number: float, kind: str) -> str:
-    if abs(number) < _NOTHING:
-        return f"as many {kind} objects"
-    return f"{abs(number):.1f} {'more' if number > 0 else 'fewer'} {kind} objects"
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def _counts(change: Change, during: float | None) -> bool:
+    return during is not None and change.kind in (changes.FALSE, changes.MISSED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -88,9 +89,11 @@ def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.
         for estimator, seen in (("local", near), ("picture", rng.random(len(truth)) < 0.92)):
             tally = {"matched": 0, "missed": 0, "false": 0, "unevaluated": 0}
 
-            def add(kind, outcome, id, match, at, yaw, *, tally=tally, estimator=estimator, frame=frame):
+            def add(kind, outcome, id, match, at, yaw, by="", *, tally=tally, estimator=estimator, frame=frame):
                 tally[outcome] += kind == "truth" or outcome == "false"
-                objects.append((frame, "ego", estimator, kind, outcome, id, match, *at, 4.5, 1.8, 1.5, yaw, 0.9))
+                cause = "inserted" if by else "fusion" if outcome == "missed" else ""
+                box = (*at, 4.5, 1.8, 1.5, yaw, 0.9, cause, by)
+                objects.append((frame, "ego", estimator, kind, outcome, id, match, *box))
 
             for i in range(len(truth)):
                 if seen[i]:
@@ -104,7 +107,7 @@ def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.
                     for k, at in enumerate(starts):
                         now = at + np.array([0.3, 0.1, 0.0]) * (frame - ATTACK_START)
                         if estimator == "picture":
-                            add("track", "false", 900 + k, -1, now, 0.3 * k)
+                            add("track", "false", 900 + k, -1, now, 0.3 * k, adversary)
                             effect = (adversary, "adversary", frame, "inserted", k)
                             attacks.append((*effect, *nowhere, *now, 3.0, 1.0, 0.0))
                     if estimator == "picture":
@@ -127,16 +130,36 @@ def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.
     return objects, counts, attacks
 
 
-def summarise(counts: list[tuple[Any, ...]]) -> dict[str, Any]:
-    """metrics.json of the counts."""
+def summarise(counts: list[tuple[Any, ...]], attacks: list[tuple[Any, ...]]) -> dict[str, Any]:
+    """metrics.json of the counts and the effects: every false object is an adversary's; `mission` is the picture."""
     ego: dict[str, Any] = {}
     for estimator in ("local", "picture"):
         mine = np.array([row[3:6] for row in counts if row[2] == estimator], np.float64)
         ego[estimator] = {
             name: {"mean": mine[:, i].mean(), "std": mine[:, i].std()} for i, name in enumerate(("fn", "fp", "tp"))
         } | {"rmse_m": 0.412, "id_switches": 1}
+        fn, fp, _ = mine.mean(axis=0)
+        ego[estimator]["fn_split"] = {"fault": 0.0, "attack": 0.0, "natural": fn}
+        ego[estimator]["fp_split"] = {"fault": 0.0, "attack": fp, "natural": 0.0}
     latency = {"sim_to_picture": {"p50": 2.13, "p99": 4.9}}
-    return {"frames": FRAMES, "agents": {"ego": ego}, "latency_ms": latency, "frames_per_second": 231.4}
+    interposers = {}
+    for name, victim in VICTIMS.items():
+        done = Counter(row[3] for row in attacks if row[0] == name)
+        if done:
+            told = {"messages": FRAMES, "effects": dict(done), "reports": done.total(), "agreement": "agrees"}
+            told |= {"unreported": 0, "unfounded": 0}
+            interposers[name] = {"role": "adversary", "wires": [f"agent/{victim}/detections"]} | told
+    return {
+        "frames": FRAMES,
+        "scored_frames": [0, FRAMES - 1],
+        "agents": {"ego": ego | {"mission": ego["picture"]}},
+        "same_as": {"ego": {"mission": "picture"}},
+        "achieved": {},
+        "driving": {},
+        "interposers": interposers,
+        "latency_ms": latency,
+        "frames_per_second": 231.4,
+    }
 
 
 def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
@@ -204,15 +227,16 @@ def write_run(folder: Path, attack: str = "", *, nodes: dict[str, Any] | None = 
         | (nodes or {}),
     }
     message = "tracks" if attack == "coordinated" else "detections"
-    files = {"run": run, "scenario": {"seed": 3, "scene": {"type": "Crossing"}}, "metrics": summarise(counts)}
+    files = {"run": run, "scenario": {"seed": 3, "scene": {"type": "Crossing"}}, "metrics": summarise(counts, attacks)}
     for name, data in (files | {"wiring": wires(adversaries, message)}).items():
         (folder / f"{name}.json").write_text(json.dumps(data), "utf-8")
     recording.save(folder / "scene.npz")
+    counts += [(*row[:2], "mission", *row[3:]) for row in counts if row[2] == "picture"]
     save_table(folder / "metrics.parquet", counts, "frame agent estimator fn fp tp rmse_m id_switches")
     save_table(
         folder / "objects.parquet",
         objects,
-        "frame agent estimator kind outcome id match_id x y z l w h yaw score",
+        "frame agent estimator kind outcome id match_id x y z l w h yaw score cause by",
     )
     if attack:
         names = "interposer role frame effect label before_x before_y before_z after_x after_y after_z vx vy vz"

@@ -17,7 +17,7 @@ from mast_zenoh.report.charts import counts_over_time
 from mast_zenoh.report.figures import birdseye_figure, camera_figure, picture, side_by_side_figure
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import ADVERSARY, OUTCOME_COLOURS, png
-from mast_zenoh.report.table import summary_table
+from mast_zenoh.report.table import score_table
 from mast_zenoh.report.view import FrameView, frame_view
 from mast_zenoh.sensing.camera import Camera
 
@@ -33,9 +33,13 @@ def pixels(image: np.ndarray, colour: str) -> int:
 
 
 def panels(view: FrameView) -> Mapping[str, np.ndarray]:
-    """The insides of the two panels of the bird's-eye figure, without titles and key."""
+    """The insides of the three panels of the bird's-eye figure, without titles and key."""
     image = image_of(png(birdseye_figure(view)))
-    return {"local": image[48:640, 70:660], "picture": image[48:640, 715:1300]}
+    third = image.shape[1] // 3
+    return {
+        name: image[46:480, 74 + third * place : third * (place + 1) - 12]
+        for place, name in enumerate(("local", "picture", "mission"))
+    }
 
 
 @pytest.fixture
@@ -64,9 +68,10 @@ def test_the_colour_key_is_that_of_the_paper() -> None:
         assert np.abs(np.round(colour - 0.12) - [r, g, b]).max() == 0, outcome
 
 
-def test_false_tracks_and_what_was_inserted_are_seen_in_the_picture_only(attacked: FrameView) -> None:
+def test_false_tracks_and_what_was_inserted_are_not_seen_by_the_ego_alone(attacked: FrameView) -> None:
     shown = panels(attacked)
-    assert pixels(shown["picture"], "track false") > 500
+    assert pixels(shown["mission"], "track false") == pixels(shown["picture"], "track false")
+    assert pixels(shown["picture"], "track false") > 250
     assert pixels(shown["local"], "track false") == 0
     # The compromised sensors are marked in both panels, the inserted objects in the picture.
     assert pixels(shown["picture"], "adversary") > pixels(shown["local"], "adversary") + 300 > 300
@@ -76,7 +81,7 @@ def test_missed_and_matched_objects_are_seen_in_both(clean: FrameView) -> None:
     shown = panels(clean)
     for panel in shown.values():
         assert pixels(panel, "truth missed") > 50
-        assert pixels(panel, "truth matched") > 30
+        assert pixels(panel, "truth matched") > 15
         assert pixels(panel, "track matched") > 50
         assert pixels(panel, "track false") == 0
         assert pixels(panel, "adversary") == 0
@@ -103,8 +108,8 @@ def test_the_camera_sees_false_objects_ahead_in_the_picture_only(attacked: Frame
 
 def test_runs_side_by_side_have_a_panel_each(attacked: FrameView, clean: FrameView) -> None:
     views = {"baseline": clean, "uncoordinated": attacked}
-    rows = summary_table({label: view.run.metrics for label, view in views.items()})
-    image = image_of(png(side_by_side_figure(views, rows)))
+    table = score_table({label: view.run.metrics for label, view in views.items()})
+    image = image_of(png(side_by_side_figure(views, table)))
     width = image.shape[1]
     plots = image[60:700]
     assert pixels(plots[:, : width // 2], "track false") == 0
@@ -112,9 +117,9 @@ def test_runs_side_by_side_have_a_panel_each(attacked: FrameView, clean: FrameVi
 
 
 def test_four_runs_and_more_go_into_further_lines(clean: FrameView) -> None:
-    rows = summary_table({"a": clean.run.metrics})
-    three = side_by_side_figure(dict.fromkeys("abc", clean), rows)
-    seven = side_by_side_figure(dict.fromkeys("abcdefg", clean), rows)
+    table = score_table({"a": clean.run.metrics})
+    three = side_by_side_figure(dict.fromkeys("abc", clean), table)
+    seven = side_by_side_figure(dict.fromkeys("abcdefg", clean), table)
     assert seven.get_figheight() > 2.5 * three.get_figheight()
     assert len(seven.axes) == 7
 

@@ -1,4 +1,4 @@
-"""The summary table: one row per run, the same numbers everywhere."""
+"""The table of scores: a row per metric and run, a column per estimate, the same numbers everywhere."""
 
 from __future__ import annotations
 
@@ -10,110 +10,148 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from mast_zenoh.report import as_markdown, as_rich, summary_table
+from mast_zenoh.report import as_markdown, as_rich, score_table
+from mast_zenoh.report.table import ALWAYS, ScoreTable
 from mast_zenoh.report.terminal import show
 
+Counts = tuple[float, float, float]
 
-def metrics(picture: tuple[float, float, float], local: tuple[float, float, float] = (7.0, 0.5, 6.0)) -> dict[str, Any]:
-    def scores(values: tuple[float, float, float]) -> dict[str, Any]:
-        counts = {name: {"mean": value, "std": 0.5} for name, value in zip(("fn", "fp", "tp"), values, strict=True)}
-        return counts | {"rmse_m": 0.31, "id_switches": 2}
 
-    return {"frames": 3, "agents": {"ego": {"local": scores(local), "picture": scores(picture)}}}
+def scores(values: Counts, **more: Any) -> dict[str, Any]:
+    counts = {name: {"mean": value, "std": 0.5} for name, value in zip(("fn", "fp", "tp"), values, strict=True)}
+    return counts | {"rmse_m": 0.31, "id_switches": 2} | more
+
+
+def metrics(picture: Counts, local: Counts = (7.0, 0.5, 6.0), **others: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "agents": {"ego": {"local": scores(local), "picture": scores(picture), "mission": scores(picture)} | others}
+    }
 
 
 RUNS = {"baseline": metrics((1.2, 0.25, 12.0)), "uncoordinated": metrics((1.5, 9.65, 11.7))}
 
 
-def test_increments_are_over_the_baseline_and_over_the_ego_alone() -> None:
-    base, attacked = summary_table(RUNS)
-    assert base.over_baseline is None
-    assert attacked.over_baseline is not None
-    assert [value.mean for value in attacked.over_baseline] == pytest.approx([0.3, 9.4])
-    assert [value.mean for value in attacked.over_local] == pytest.approx([-5.5, 9.15])
+def change(table: ScoreTable, key: str, run: str = "uncoordinated", estimate: str = "picture") -> float | None:
+    return table.cell(key, run, estimate).change.mean
 
 
-def test_the_baseline_is_the_run_of_that_name_or_the_first_or_the_one_asked_for() -> None:
-    backwards = dict(reversed(RUNS.items()))
-    assert [row.over_baseline is None for row in summary_table(backwards)] == [False, True]
-    assert [row.over_baseline is None for row in summary_table({"x": RUNS["baseline"], "y": RUNS["baseline"]})] == [
-        True,
-        False,
-    ]
-    assert [row.over_baseline is None for row in summary_table(RUNS, baseline="uncoordinated")] == [False, True]
+def printed(table: ScoreTable) -> str:
+    page = io.StringIO()
+    Console(file=page, width=80).print(as_rich(table))
+    return page.getvalue()
 
 
-def test_counts_per_frame_say_how_increments_spread() -> None:
-    def table(fp: list[int]) -> dict[str, Any]:
-        n = len(fp)
-        return {
-            "frame": np.tile(np.arange(n), 2),
-            "agent": np.full(2 * n, "ego"),
-            "estimator": np.repeat(["local", "picture"], n),
-            "fn": np.zeros(2 * n, np.int64),
-            "fp": np.array([0] * n + fp),
-            "tp": np.ones(2 * n, np.int64),
-        }
+def test_every_estimate_has_its_change_over_the_reference_and_the_picture_over_the_ego_alone() -> None:
+    table = score_table(RUNS)
+    assert change(table, "fp") == pytest.approx(9.4)
+    assert change(table, "fn", estimate="mission") == pytest.approx(0.3)
+    assert change(table, "fp", estimate="local") == 0.0
+    assert change(table, "fp", run="baseline") is None
+    (row,) = (row for row in table.rows if (row.measure.key, row.run) == ("fp", "uncoordinated"))
+    assert row.over_alone.mean == pytest.approx(9.15)
 
-    counts = {"baseline": table([0, 1, 0]), "uncoordinated": table([0, 4, 6])}
-    attacked = summary_table(RUNS, counts=counts)[1]
-    assert attacked.over_baseline is not None
-    assert attacked.over_baseline[1].std == pytest.approx(np.std([0, 3, 6]))
-    assert attacked.over_local[1].std == pytest.approx(np.std([0, 4, 6]))
+
+def test_the_reference_is_the_baseline_or_the_first_run_or_the_one_asked_for() -> None:
+    assert score_table(dict(reversed(RUNS.items()))).reference == "baseline"
+    assert score_table({"x": RUNS["baseline"], "y": RUNS["baseline"]}).reference == "x"
+    assert score_table(RUNS, reference="uncoordinated").reference == "uncoordinated"
+    assert score_table({"only": RUNS["baseline"]}).reference is None
+    with pytest.raises(ValueError, match="expected one of baseline, uncoordinated"):
+        score_table(RUNS, reference="nosuch")
+
+
+def counts(fp: list[int], first: int = 0) -> dict[str, Any]:
+    n = len(fp)
+    return {
+        "frame": np.tile(np.arange(first, first + n), 2),
+        "agent": np.full(2 * n, "ego"),
+        "estimator": np.repeat(["local", "picture"], n),
+        "fn": np.zeros(2 * n, np.int64),
+        "fp": np.array([0] * n + fp),
+        "tp": np.ones(2 * n, np.int64),
+    }
+
+
+def test_counts_per_frame_say_how_changes_spread() -> None:
+    table = score_table(RUNS, counts={"baseline": counts([0, 1, 0]), "uncoordinated": counts([0, 4, 6])})
+    assert table.cell("fp", "uncoordinated", "picture").change.std == pytest.approx(np.std([0, 3, 6]))
+    (row,) = (row for row in table.rows if (row.measure.key, row.run) == ("fp", "uncoordinated"))
+    assert row.over_alone.std == pytest.approx(np.std([0, 4, 6]))
+
+
+def test_changes_spread_over_the_scored_frames_that_both_runs_have() -> None:
+    runs = {label: summary | {"scored_frames": [1, 3]} for label, summary in RUNS.items()}
+    table = score_table(runs, counts={"baseline": counts([9, 0, 1, 0]), "uncoordinated": counts([4, 6, 9], first=2)})
+    assert table.cell("fp", "uncoordinated", "picture").change.std == pytest.approx(np.std([3, 6]))
+
+
+def test_the_picture_on_its_way_has_a_column_where_something_changed_it() -> None:
+    late = scores((1.2, 0.25, 12.0), rmse_m=0.9)
+    run = metrics((1.2, 0.25, 12.0), picture_received=scores((1.2, 0.25, 12.0)), picture_on_arrival=late)
+    same = {"ego": {"picture_received": "picture"}}
+    assert score_table({"run": run | {"same_as": same}}).estimates == (
+        "local",
+        "picture",
+        "picture_on_arrival",
+        "mission",
+    )
+    both = {"ego": {"picture_received": "picture", "picture_on_arrival": "picture"}}
+    assert score_table({"run": run | {"same_as": both}}).estimates == ALWAYS
+
+
+def test_a_picture_that_was_changed_but_not_late_is_shown_as_received() -> None:
+    forged = scores((1.2, 5.25, 12.0))
+    run = metrics((1.2, 0.25, 12.0), picture_received=forged, picture_on_arrival=forged)
+    same = {"ego": {"picture_received": "picture_on_arrival"}}
+    table = score_table({"run": run | {"same_as": same}})
+    assert table.estimates == ("local", "picture", "picture_received", "mission")
+    assert table.cell("fp", "run", "picture_received").value.mean == 5.25
+
+
+def test_metrics_of_the_user_have_rows_of_their_own() -> None:
+    run = metrics((1.2, 0.25, 12.0))
+    run["agents"]["ego"]["picture"]["errors_nearby"] = {"mean": 3.5, "std": 1.0}
+    table = score_table({"run": run})
+    assert table.cell("errors_nearby", "run", "picture").value.mean == 3.5
+    assert "errors nearby" in printed(table)
+    assert "| errors nearby | run |" in as_markdown(table)
 
 
 def test_what_is_not_known_is_a_dash() -> None:
-    rows = summary_table({"baseline": {}, "uncoordinated": metrics((1.0, 2.0, 3.0)) | {"agents": {}}})
-    lines = as_markdown(rows).splitlines()
-    assert lines[2] == "| baseline |" + " \u2013 |" * 12
+    table = score_table({"baseline": {}, "uncoordinated": metrics((1.0, 2.0, 3.0)) | {"agents": {}}})
+    assert as_markdown(table).splitlines()[2] == "| missed (FN) | baseline |" + " \u2013 |" * 7
 
 
-def test_markdown_has_a_line_per_run() -> None:
-    head, rule, base, attacked = as_markdown(summary_table(RUNS)).splitlines()
-    assert head.count("|") == rule.count("|") == base.count("|") == attacked.count("|")
-    assert "| +9.40 | \u22125.50 | +9.15 |" in attacked
+def test_markdown_has_a_line_per_metric_and_run() -> None:
+    head, rule, *rows = as_markdown(score_table(RUNS)).splitlines()
+    assert {line.count("|") for line in (head, rule, *rows)} == {10}
+    assert "| false (FP) | uncoordinated | 0.50 | +0.00 | 9.65 | +9.40 | 9.65 | +9.40 | +9.15 |" in rows
 
 
 def test_a_label_cannot_break_the_markdown() -> None:
-    lines = as_markdown(summary_table({"a|b\nc": RUNS["baseline"]})).splitlines()
-    assert len(lines) == 3
-    assert lines[2].startswith("| a\\|b c |")
+    lines = as_markdown(score_table({"a|b\nc": RUNS["baseline"]})).splitlines()
+    assert lines[2].startswith("| missed (FN) | a\\|b c |")
 
 
-def test_the_terminal_table_fits_80_columns() -> None:
-    page = io.StringIO()
-    Console(file=page, width=80).print(as_rich(summary_table(RUNS | {"coordinated": metrics((1.4, 2.2, 11.8))})))
-    text = page.getvalue()
+def test_the_terminal_tables_fit_80_columns() -> None:
+    text = printed(score_table(RUNS | {"attack_during_partition": metrics((1.4, 2.2, 11.8))}))
     assert max(map(len, text.splitlines())) <= 80
-    for number in ("9.65", "+9.40", "\u22125.50", "12.00", "0.31"):
+    for number in ("9.65 (+9.40)", "12.00", "0.31"):
         assert number in text
     assert "…" not in text
 
 
-def test_of_one_run_the_terminal_shows_no_increments() -> None:
-    page = io.StringIO()
-    Console(file=page, width=80).print(as_rich(summary_table({"run": RUNS["baseline"]})))
-    assert "over" not in page.getvalue().replace("mean over frames", "")
+def test_of_one_run_the_terminal_shows_three_estimates_and_no_changes() -> None:
+    text = printed(score_table({"run": RUNS["baseline"]}))
+    for heading in ("ego alone", "picture", "ego with"):
+        assert heading in text
+    assert "(+" not in text
 
 
 def test_the_terminal_shows_run_folders(three_runs: dict[str, Path]) -> None:
     (three_runs["coordinated"] / "metrics.json").write_text("{")
     page = io.StringIO()
     show(Console(file=page, width=80), three_runs)
-    assert "6.25" in page.getvalue()
+    assert "6.25 (+6.25)" in page.getvalue()
     line = next(line for line in page.getvalue().splitlines() if "coordinated " in line and "unc" not in line)
-    assert line.split() == ["coordinated", *["\u2013"] * 8]
-
-
-def test_increments_spread_over_the_frames_that_the_means_are_over() -> None:
-    fp = np.array([0, 0, 0, 0, 9, 5, 7, 9])
-    counts = {
-        "frame": np.tile(np.arange(4), 2),
-        "agent": np.full(8, "ego"),
-        "estimator": np.repeat(["local", "picture"], 4),
-        "fn": fp * 0,
-        "fp": fp,
-        "tp": fp * 0,
-    }
-    row = summary_table({"run": RUNS["baseline"] | {"scored_frames": [1, 2]}}, counts={"run": counts})[0]
-    assert row.over_local[1].std == pytest.approx(1.0)
+    assert line.split()[-3:] == ["\u2013"] * 3

@@ -12,14 +12,25 @@ from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.view import choose_common_frame, choose_frame, clipped, frame_view, window
 
 
-def a_run(picture: list[tuple[int, int]], local: list[tuple[int, int]] | None = None, attack: Any = None) -> RunFolder:
+def a_run(
+    picture: list[tuple[int, int]],
+    local: list[tuple[int, int]] | None = None,
+    attack: Any = None,
+    scored: tuple[int, int] | None = None,
+) -> RunFolder:
     """A run of which only the (FN, FP) of each frame and the attacked frames are known; frames count from 10."""
     rows = [("picture", k, *counts) for k, counts in enumerate(picture)]
     rows += [("local", k, *counts) for k, counts in enumerate(local or picture)]
     estimator, frame, fn, fp = (np.array(column) for column in zip(*rows, strict=True))
+    nothing = np.zeros(len(fn))
     counts = {"agent": np.full(len(fn), "ego"), "estimator": estimator, "frame": frame + 10, "fn": fn, "fp": fp}
-    attacks = None if attack is None else {"frame": np.array(attack)}
-    return RunFolder(Path("run"), {}, {}, {}, {}, counts, None, attacks, None, ())
+    counts |= {"tp": nothing, "rmse_m": nothing, "id_switches": nothing}
+    effects = None
+    if attack is not None:
+        kinds = {"effect": np.full(len(attack), "inserted"), "role": np.full(len(attack), "adversary")}
+        effects = {"frame": np.array(attack)} | kinds
+    metrics = {} if scored is None else {"scored_frames": list(scored)}
+    return RunFolder(Path("run"), {}, {}, {}, metrics, counts, None, effects, None, ())
 
 
 def test_the_worst_frame_since_the_attack_began_is_shown() -> None:
@@ -35,8 +46,35 @@ def test_without_an_attack_it_is_the_frame_in_which_the_picture_helps_most() -> 
     assert choose_frame(a_run([(1, 0), (1, 0), (3, 0)], local=[(4, 0), (6, 0), (7, 0)])) == 11
 
 
-def test_an_attack_after_the_last_scored_frame_leaves_the_last() -> None:
-    assert choose_frame(a_run([(1, 0), (0, 0)], attack=[50])) == 11
+def test_an_attack_outside_the_scored_frames_leaves_the_rule_of_other_runs() -> None:
+    assert choose_frame(a_run([(1, 0), (0, 0), (0, 0)], local=[(1, 0), (2, 0), (9, 0)], attack=[50])) == 12
+
+
+def test_an_unscored_frame_is_never_chosen() -> None:
+    worst_first_and_last = [(9, 9), (1, 0), (2, 0), (9, 9)]
+    assert choose_frame(a_run(worst_first_and_last, attack=[10], scored=(11, 12))) == 12
+    assert choose_frame(a_run(worst_first_and_last, scored=(11, 12))) == 11
+    assert choose_frame(a_run([(9, 9)] * 2, scored=(20, 30))) is None
+
+
+def test_a_frame_in_which_effects_are_unsettled_is_never_chosen() -> None:
+    run = a_run([(0, 0), (1, 0), (9, 0), (2, 0)], attack=[11, 12, 13])
+    assert run.effects is not None
+    run.effects["effect"] = np.array(["inserted", "unsettled", "inserted"])
+    assert choose_frame(run) == 13
+
+
+def test_errors_of_all_kinds_count() -> None:
+    run = a_run([(0, 0)] * 4, attack=[10])
+    assert run.counts is not None
+    picture = np.flatnonzero(run.counts["estimator"] == "picture")
+    run.counts["tp"] = np.full(8, 20)
+    run.counts["rmse_m"] = np.zeros(8)
+    run.counts["rmse_m"][picture[1]] = 1.0
+    assert choose_frame(run) == 11
+    run.counts["id_switches"] = np.zeros(8)
+    run.counts["id_switches"][picture[3]] = 1
+    assert choose_frame(run) == 13
 
 
 def test_a_run_without_counts_has_no_frame_to_show() -> None:
@@ -67,6 +105,6 @@ def test_the_window_is_square_and_holds_all_that_is_near(run_folder: Callable[..
 def test_what_an_adversary_does_far_away_is_not_in_the_view(run_folder: Callable[..., Path]) -> None:
     view = frame_view(RunFolder.load(run_folder("uncoordinated")), 20)
     assert view is not None
-    assert len(view.added) == 10
-    x, y, _ = view.added[0]
-    assert len(clipped(view, (float(x), float(y), 0.5)).added) == 1
+    assert len(view.before.added) == 10
+    x, y, _ = view.before.added[0]
+    assert len(clipped(view, (float(x), float(y), 0.5)).before.added) == 1

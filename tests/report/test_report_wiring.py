@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh.report.diagram import draw_wiring
+from mast_zenoh.report.interposers import adversaries_by_agent, interposers
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import svg
 from mast_zenoh.report.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
@@ -146,10 +147,10 @@ def test_the_table_begins_with_the_intercepted_wires(run_folder: Callable[..., P
 
 def test_adversaries_are_known_by_the_agent_whose_wire_they_sit_on(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder("uncoordinated"))
-    assert run.adversaries == {"infra_1": ("adversary_1",), "infra_3": ("adversary_2",)}
-    assert mesh(2, 1, "tracks").adversaries == {}
-    nameless = replace(run, run={})  # run.json is lost: the name has to tell
-    assert nameless.adversaries == run.adversaries
+    assert adversaries_by_agent(interposers(run)) == {"infra_1": ("adversary_1",), "infra_3": ("adversary_2",)}
+    assert adversaries_by_agent(interposers(mesh(2, 1, "tracks"))) == {}
+    nameless = replace(run, run={}, metrics={})  # run.json is lost: the name has to tell
+    assert adversaries_by_agent(interposers(nameless)) == adversaries_by_agent(interposers(run))
     assert {nameless.role(node) for node in ("ego", "infra_2")} == {"agent"}
 
 

@@ -2,55 +2,141 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from mast_zenoh.report.phrases import listed
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.table import summary_table
-from mast_zenoh.report.words import (
-    compromised,
-    headline,
-    listed,
-    reading,
-    study_headline,
-    study_reading,
-    while_attacked,
-)
+from mast_zenoh.report.table import score_table
+from mast_zenoh.report.words import compromised, headline, reading, study_headline, study_reading, while_attacked
 
 
-def row_of(run: RunFolder):
-    return summary_table({"run": run.metrics})[0]
+def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
 
 
 def test_an_unattacked_run_is_summed_up_by_what_it_misses(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder())
-    assert headline(run, row_of(run)) == "The common picture misses 1.2 objects a frame, the ego alone 10.5"
-    assert "reports no false object." in reading(run, row_of(run))[0]
+    expected = "The common picture misses 1.2 objects a frame, the ego alone 10.5, the ego with the picture 1.2"
+    assert headline(run) == expected
 
 
-def test_an_attacked_run_is_summed_up_by_its_false_objects(run_folder: Callable[..., Path]) -> None:
+def test_an_attacked_run_is_summed_up_by_the_largest_change_and_who_made_it(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder("uncoordinated"))
     assert compromised(run) == "two of four roadside sensors"
-    assert headline(run, row_of(run)).startswith("Two of four roadside sensors compromised: 6.2 false objects a frame")
-    assert "adversary_1 and adversary_2 changed messages from t = 1.5 s on" in " ".join(reading(run, row_of(run)))
+    assert headline(run) == (
+        "Two of four roadside sensors compromised: 6.2 false objects a frame in the common picture are due to "
+        "adversary_1 and adversary_2"
+    )
+    text = " ".join(reading(run))
+    assert "adversary_1 and adversary_2 changed messages from t = 1.5 s on; from then on the picture has 10.0" in text
 
 
-def test_adversaries_that_change_nothing_are_told_apart(run_folder: Callable[..., Path]) -> None:
+def test_against_another_run_the_headline_names_the_difference(run_folder: Callable[..., Path]) -> None:
+    run, reference = RunFolder.load(run_folder("uncoordinated")), RunFolder.load(run_folder())
+    assert "6.2 more false objects a frame in the common picture than unattacked, due to adversary_1 and" in headline(
+        run, reference, "unattacked"
+    )
+    assert headline(reference, reference, "unattacked").startswith("Every score is that of unattacked")
+
+
+SCORES = {
+    "fn": ("5.0 fewer missed", {"mean": -5.0}),
+    "fp": ("5.0 more false", {"mean": 5.0}),
+    "rmse_m": ("0.40 m more RMSE", 0.4),
+    "id_switches": ("400 more identity switches", 400),
+}
+
+
+@pytest.mark.parametrize("estimate", ["local", "picture", "mission"])
+@pytest.mark.parametrize("key", sorted(SCORES))
+def test_no_change_of_any_kind_in_any_estimate_goes_unmentioned(
+    run_folder: Callable[..., Path], key: str, estimate: str
+) -> None:
+    folder, reference = run_folder("coordinated"), RunFolder.load(run_folder())
+    phrase, more = SCORES[key]
+
+    def change(metrics: dict[str, Any]) -> None:
+        metrics["agents"]["ego"] = json.loads(json.dumps(reference.metrics["agents"]["ego"]))
+        value = metrics["agents"]["ego"][estimate][key]
+        metrics["agents"]["ego"][estimate][key] = (
+            {"mean": value["mean"] + more["mean"], "std": 0.0} if isinstance(more, dict) else value + more
+        )
+
+    edit(folder / "metrics.json", change)
+    assert phrase in headline(RunFolder.load(folder), reference, "unattacked")
+
+
+def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: Callable[..., Path]) -> None:
+    folder, reference = run_folder("coordinated"), run_folder()
+
+    def change(more: float) -> Callable[[dict[str, Any]], None]:
+        def apply(metrics: dict[str, Any]) -> None:
+            ego = json.loads((reference / "metrics.json").read_text())["agents"]["ego"]
+            other = json.loads(json.dumps(ego))
+            other["mission"]["fp"]["mean"] += more
+            metrics["agents"] = {"ego": ego, "infra_1": other}
+
+        return apply
+
+    edit(folder / "metrics.json", change(2.0))
+    edit(reference / "metrics.json", change(0.0))
+    text = headline(RunFolder.load(folder), RunFolder.load(reference), "unattacked")
+    assert "2.0 more false objects a frame for infra_1 with the picture than unattacked" in text
+
+
+def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., Path]) -> None:
+    folder, reference = run_folder("uncoordinated"), RunFolder.load(run_folder())
+    edit(folder / "metrics.json", lambda metrics: metrics.update(agents=reference.metrics["agents"]))
+    text = headline(RunFolder.load(folder), reference, "unattacked")
+    assert text.startswith("Interposers changed messages (adversary_1: 125 inserted, 25 removed")
+    assert "nothing" not in text
+
+
+def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> None:
     folder = run_folder("uncoordinated")
-    (folder / "attacks.parquet").unlink()
+    failure = {"handler": "on_detections", "count": 19, "frames": 19, "first_frame": 11, "last_frame": 29}
+    failure |= {"exception": "ValueError: no", "where": "mine.py:3"}
+    edit(folder / "run.json", lambda run: run["nodes"]["adversary_1"].update(failures=[failure]))
     run = RunFolder.load(folder)
-    assert "changed nothing" in headline(run, row_of(run))
+    assert headline(run) == "Handlers failed, of adversary_1 in 19 frames: the numbers may be wrong"
+    assert "6.2 false objects" in reading(run)[0]
+    assert "adversary_1 crashed." in reading(run)
 
 
-def test_who_is_compromised_is_put_in_words(run_folder: Callable[..., Path]) -> None:
-    run = RunFolder.load(run_folder("uncoordinated"))
-    every = dict.fromkeys(("ego", "infra_1", "infra_2", "infra_3", "infra_4"), ("adversary_1",))
-    object.__setattr__(run, "adversaries", every)
-    assert compromised(run) == "all four roadside sensors and the vehicle"
-    object.__setattr__(run, "adversaries", {})
-    assert compromised(run) == ""
+def test_adversaries_that_pass_everything_on_are_told_from_those_that_were_not_measured(
+    run_folder: Callable[..., Path],
+) -> None:
+    folder, reference = run_folder("uncoordinated"), RunFolder.load(run_folder())
+
+    def change(metrics: dict[str, Any]) -> None:
+        metrics["agents"] = reference.metrics["agents"]
+        for each in metrics["interposers"].values():
+            each |= {"effects": {}, "agreement": "nothing to report"}
+
+    edit(folder / "metrics.json", change)
+    assert "passed every message on unchanged" in headline(RunFolder.load(folder))
+    edit(folder / "metrics.json", lambda metrics: metrics.pop("interposers"))
+    assert "were not measured" in headline(RunFolder.load(folder))
+
+
+def test_silent_and_lying_adversaries_are_named(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder("uncoordinated")
+
+    def change(metrics: dict[str, Any]) -> None:
+        metrics["interposers"]["adversary_1"]["agreement"] = "silent"
+        metrics["interposers"]["adversary_2"]["agreement"] = "disagrees"
+
+    edit(folder / "metrics.json", change)
+    sentences = reading(RunFolder.load(folder))
+    assert "adversary_1 changed messages and reported nothing." in sentences
+    assert "What adversary_2 reported is not what was measured." in sentences
 
 
 def test_false_objects_are_also_counted_while_the_attack_lasts(run_folder: Callable[..., Path]) -> None:
@@ -62,11 +148,13 @@ def test_false_objects_are_also_counted_while_the_attack_lasts(run_folder: Calla
 
 def test_a_study_names_the_strongest_attack_and_every_run(three_runs: dict[str, Path]) -> None:
     runs = {label: RunFolder.load(path) for label, path in three_runs.items()}
-    rows = summary_table({label: run.metrics for label, run in runs.items()})
-    assert "6.2 false objects a frame more than unattacked" in study_headline(runs, rows)
-    text = " ".join(study_reading(runs, rows))
-    assert "In run coordinated (two of four roadside sensors compromised) the picture has 2.5 more false" in text
-    assert "(+10.0 while the attack lasts) and as many missed objects" in text
+    table = score_table({label: run.metrics for label, run in runs.items()})
+    assert "(uncoordinated): 6.2 more false objects a frame in the common picture than baseline" in study_headline(
+        runs, table
+    )
+    text = " ".join(study_reading(runs, table))
+    assert "In run coordinated (two of four roadside sensors compromised), 2.5 more false" in text
+    assert "(+4.0 while the attack lasts), due to adversary_1 and adversary_2" in text
 
 
 def test_lists_read_like_lists() -> None:

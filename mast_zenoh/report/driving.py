@@ -1,0 +1,168 @@
+"""What the estimates would mean for driving: rows of a table, and a chart over time."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from mast_zenoh.report.bands import bands, shade
+from mast_zenoh.report.changes import scored
+from mast_zenoh.report.files import Table, rows
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.style import ADVERSARY_ON_LIGHT, INK, LOCAL, RUN_COLOURS, light_axes
+from mast_zenoh.report.table import DASH
+from mast_zenoh.report.timeaxis import padded, rows_over_time
+
+#: By what a vehicle might drive, and what it is called.
+ESTIMATES = {"truth": "truth", "local": "ego alone", "mission": "ego with picture"}
+_COLOURS = {"truth": INK, "local": LOCAL, "mission": RUN_COLOURS[1]}
+_STYLES = {"truth": (0, (4, 2)), "local": (0, (1, 1)), "mission": "-"}
+#: s, beyond which a time to collision is of no concern, and the chart ends.
+_LONGEST_S = 10.0
+#: Whether to brake, by estimate and truth: colour and words.
+_BRAKING = {
+    "brake": ("#9aa3ad", "brakes, as by the truth"),
+    "needless": ("#d62839", "brakes needlessly"),
+    "omitted": ("#e0a800", "does not brake where it must"),
+}
+
+
+class DrivingRow(NamedTuple):
+    """What an estimate would mean for driving, over the scored frames.
+
+    false, missed: objects per frame in the vehicle's corridor;  ttc_s: least time to collision, s
+    brake: share of the frames in which it would brake;  needless, omitted: in which it would and need not, and the
+           reverse, with what of it is due to attacks
+    """
+
+    estimate: str
+    objects: str
+    false: str
+    missed: str
+    ttc_s: str
+    brake: str
+    needless: str
+    omitted: str
+
+
+def driving_rows(run: RunFolder) -> list[DrivingRow]:
+    """A row for the truth, the ego alone and the ego with the picture; none where the ego is no vehicle."""
+    found = run.metrics.get("driving", {}).get(run.ego or "", {})
+    return [_row(name, found[estimate]) for estimate, name in ESTIMATES.items() if estimate in found]
+
+
+def _row(name: str, each: dict[str, Any]) -> DrivingRow:
+    def text(key: str, form: str, nothing: str = DASH) -> str:
+        value = each.get(key)
+        return nothing if value is None else form.format(value)
+
+    def share(key: str) -> str:
+        attack = each.get(f"{key}_attack")
+        return text(key, "{:.1%}") + (f" ({attack:.1%} by attack)" if attack else "")
+
+    return DrivingRow(
+        name,
+        text("corridor_objects", "{:.2f}"),
+        text("corridor_false", "{:.2f}"),
+        text("corridor_missed", "{:.2f}"),
+        text("min_ttc_s", "{:.1f}", "never"),
+        text("brake_share", "{:.1%}"),
+        share("needless_brake_share"),
+        share("missed_brake_share"),
+    )
+
+
+def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:
+    """Time to collision, wrong objects in the corridor, and braking by time; None: the ego is no vehicle."""
+    if run.driving is None or not np.any(run.driving["agent"] == run.ego):
+        return None
+    mine = rows(run.driving, run.driving["agent"] == run.ego)
+    parts = {name: rows(mine, mine["estimate"] == name) for name in ESTIMATES if np.any(mine["estimate"] == name)}
+    frames = parts[next(iter(parts))]["frame"].astype(np.int64)
+    seconds = run.seconds(frames)
+    times = frames.astype(np.float64) if seconds is None else seconds
+    marked = bands([run], timed=seconds is not None)
+    extent = float(times[0]), float(times[-1])
+    figure, axes = rows_over_time(3, 1.5, marked, *extent)
+    for axis in axes:
+        light_axes(axis)
+        shade(axis, marked, *extent, hatch=False)
+        axis.set_xlim(*padded(*extent))
+        if frame is not None:
+            axis.axvline(float(np.interp(frame, frames, times)), color=INK, linewidth=0.9)
+        if run.attack_frames is not None:
+            first, last = np.interp(run.attack_frames, frames, times)
+            axis.axvspan(float(first), float(last), color=ADVERSARY_ON_LIGHT, alpha=0.07, linewidth=0)
+    _draw_collision(axes[0], times, parts)
+    _draw_corridor(axes[1], times, parts, scored(run, frames))
+    _draw_braking(axes[2], times, parts)
+    axes[-1].set_xlabel("frame" if seconds is None else "time (s)", fontsize=10, color=INK)
+    handles: dict[str, Any] = {}
+    for axis in axes:
+        handles |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(
+        list(handles.values()),
+        list(handles),
+        loc="upper left",
+        bbox_to_anchor=(0.055, 1.0),
+        ncols=8,
+        frameon=False,
+        fontsize=9,
+        columnspacing=1.0,
+        handlelength=1.6,
+    )
+    return figure
+
+
+def _draw_collision(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> None:
+    for name, part in parts.items():
+        ttc = np.nan_to_num(part["ttc_s"].astype(np.float64), nan=np.inf)
+        shown = np.where(ttc <= _LONGEST_S, ttc, np.nan)
+        axis.plot(
+            times,
+            shown,
+            color=_COLOURS[name],
+            linestyle=_STYLES[name],
+            linewidth=1.8,
+            marker=".",
+            markersize=3,
+            label=ESTIMATES[name],
+        )
+    axis.set_ylim(0.0, _LONGEST_S)
+    axis.set_ylabel("time to\ncollision (s)", fontsize=10, color=INK)
+
+
+def _draw_corridor(axis: Axes, times: np.ndarray, parts: dict[str, Table], counted: np.ndarray) -> None:
+    most = 1.0
+    for name, part in parts.items():
+        wrong = (part["false"] + part["missed"]).astype(np.float64)
+        if name != "truth":
+            axis.plot(times, wrong, color=_COLOURS[name], linestyle=_STYLES[name], drawstyle="steps-mid", linewidth=1.6)
+            most = max(most, float(wrong[counted].max(initial=0.0)))
+    axis.set_ylim(0.0, 1.1 * most)
+    axis.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+    axis.set_ylabel("wrong objects\nin corridor", fontsize=10, color=INK)
+
+
+def _draw_braking(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> None:
+    """A lane for each estimate: when it would brake, and whether it should."""
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    labelled: set[str] = set()
+    for lane, part in enumerate(reversed(list(parts.values()))):
+        wrong = part["needless"].astype(bool) | part["omitted"].astype(bool)
+        for kind, (colour, words) in _BRAKING.items():
+            mask = part[kind].astype(bool) & (~wrong if kind == "brake" else True)
+            spans = [(float(at) - step / 2, step) for at in times[mask]]
+            axis.broken_barh(spans, (lane + 0.12, 0.76), facecolors=colour, label="" if kind in labelled else words)
+            labelled.add(kind)
+    axis.set_yticks(
+        np.arange(len(parts)) + 0.5,
+        [ESTIMATES[name].replace(" with ", "\nwith ") for name in reversed(parts)],
+        fontsize=8,
+    )
+    axis.set_ylim(0.0, len(parts))
+    axis.grid(visible=False)

@@ -1,0 +1,171 @@
+"""Why what an adversary did had no effect: each reason is derived from what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.report.changes import scored
+from mast_zenoh.report.files import Table, rows
+from mast_zenoh.report.interposers import Interposer, interposers
+from mast_zenoh.report.phrases import effects
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.states import Bools
+
+#: Shares at or above this count as "always", at or below its rest as "never".
+_NEARLY = 0.95
+#: m, half the gate of the metrics: an estimate that is off by less was not displaced.
+_DISPLACED_M = 1.0
+#: m, the gate of the metrics: what is inserted nearer to a real object than this is taken for it.
+_GATE_M = 2.0
+
+
+def explanations(run: RunFolder) -> dict[str, tuple[str, ...]]:
+    """By interposer that is no link, why something that it did had no effect on the picture or the ego."""
+    found = {}
+    for each in interposers(run):
+        reasons = () if each.is_link else tuple(_reasons(run, each))
+        if reasons:
+            found[each.name] = reasons
+    return found
+
+
+def _reasons(run: RunFolder, interposer: Interposer) -> list[str]:
+    if interposer.effects is None:
+        return ["what it did was not measured"]
+    if not interposer.changed:
+        return [_idle(run, interposer)]
+    if interposer.before and run.ego not in interposer.before:
+        return [
+            f"it sat on the picture's way to {', '.join(interposer.before)}: the ego got the picture as it was sent"
+        ]
+    if run.targets is None:
+        return []
+    targets = rows(run.targets, run.targets["adversary"] == interposer.name)
+    if not len(targets["frame"]):
+        return [f"no object was manipulated that can be judged: {effects(interposer)}"]
+    achieved = run.metrics.get("achieved", {}).get(interposer.name, {})
+    inside = scored(run, targets["frame"])
+    reasons = [] if inside.any() else ["everything that it did was in frames that are not scored"]
+    for kinds, explain in (
+        (("inserted",), _inserted),
+        (("removed",), _hidden),
+        (("moved", "altered"), _moved),
+    ):
+        mine = rows(targets, np.isin(targets["kind"], kinds))
+        if len(mine["frame"]):
+            reasons += explain(run, mine, achieved)
+    return reasons
+
+
+def _idle(run: RunFolder, interposer: Interposer) -> str:
+    """Why an interposer changed nothing."""
+    if interposer.failures:
+        return f"it crashed before it changed anything: {interposer.failures}"
+    if interposer.received == 0:
+        return "no message reached it"
+    duration = run.metrics.get("frames", 0) * run.period_s
+    planned = [
+        each for each in run.timeline if each["kind"] == "attack" and interposer.name in (each.get("nodes") or ())
+    ]
+    late = [each["at_s"] for each in planned if each["at_s"] >= duration]
+    if late and len(late) == len(planned):
+        return f"its attack was to begin at {min(late):g} s, after the end of the run at {duration:.1f} s"
+    return f"it passed all {interposer.received} messages on unchanged"
+
+
+def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+    """Why inserted objects were not believed."""
+    reasons = []
+    if not achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
+        far = _beyond_range(run, targets)
+        if far is not None and far.mean() >= _NEARLY:
+            return [f"what it inserted was more than {_range_m(run):g} m from the ego, outside scoring"]
+        beside = _on_real_objects(run, targets)
+        if beside is not None and beside.mean() >= 0.5:
+            near = f"within {_GATE_M:g} m of a real object"
+            return [f"{beside.mean():.0%} of what it inserted was {near}, and was taken for it"]
+        if _only_downlink(run, targets):
+            return ["the ego's fusion rejected everything that it inserted: no track followed it"]
+        return ["the fusion rejected everything that it inserted: no track of the picture followed it"]
+    if achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
+        reasons.append("the picture had what it inserted, but the ego did not take it over")
+    return reasons
+
+
+def _hidden(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+    """Why removed objects were not missed."""
+    if achieved.get("hidden_share_centre") or achieved.get("hidden_share_ego"):
+        return []
+    known = targets["object"] >= 0
+    if not known.any():
+        return ["what it removed was no object of the scene, but clutter"]
+    judged = targets["judged_centre"].astype(bool) | targets["judged_ego"].astype(bool)
+    if not judged.any():
+        return ["what it removed is not scored: no agent sees it, or it is out of the ego's range"]
+    others = targets["seen_by_others"].astype(bool)[known].mean()
+    if others >= 0.5:
+        when = "all the time" if others >= _NEARLY else f"{others:.0%} of the time"
+        return [f"other agents still saw what it removed, {when}"]
+    missed = achieved.get("hidden_time_share_centre") or 0.0
+    if missed > 0.0:
+        return [f"what it removed was missed only {missed:.0%} of the time: tracks outlive a short gap"]
+    return ["what it removed was still tracked: tracks outlive a gap, or the ego sees it itself"]
+
+
+def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+    """Why moved objects are not off."""
+    if achieved.get("moved_share_centre") or achieved.get("moved_share_ego"):
+        return []
+    errors = [achieved.get(f"moved_error_m_{who}") for who in ("centre", "ego")]
+    known = [error for error in errors if error is not None]
+    if not known:
+        return ["what it moved is not scored: no agent sees it, or it is out of the ego's range"]
+    if max(known) < _DISPLACED_M:
+        return [f"the tracks of what it moved are {max(known):.2f} m off on average, which is no displacement"]
+    return []
+
+
+def _only_downlink(run: RunFolder, targets: Table) -> bool:
+    """Whether an adversary changed nothing but pictures on their way."""
+    if run.attacks is None or "message" not in run.attacks or not len(targets["frame"]):
+        return False
+    mine = run.attacks["interposer"] == targets["adversary"][0]
+    return bool(np.all(run.attacks["message"][mine] == "picture"))
+
+
+def _range_m(run: RunFolder) -> float:
+    config = run.scenario.get("nodes", {}).get("evaluator", {}).get("config", {})
+    return float((config.get("scorer") or {}).get("range_m", 100.0))
+
+
+def _beyond_range(run: RunFolder, targets: Table) -> Bools | None:
+    """(n,) which targets are out of the ego's range; None: where the ego is, is not known."""
+    recording = run.recording
+    if recording is None or run.ego not in recording.agent_names or targets["frame"].max() >= len(recording):
+        return None
+    at = recording.agent_position[targets["frame"], recording.agent_names.index(run.ego)]
+    return np.asarray(np.hypot(targets["x"] - at[:, 0], targets["y"] - at[:, 1]) > _range_m(run))
+
+
+def _on_real_objects(run: RunFolder, targets: Table) -> Bools | None:
+    """(n,) which targets stand on a truth object of the same frame; None: there is no truth."""
+    if run.objects is None:
+        return None
+    truth = rows(run.objects, (run.objects["kind"] == "truth") & (run.objects["estimator"] == "picture"))
+    result = np.zeros(len(targets["frame"]), bool)
+    for frame in np.unique(targets["frame"]):
+        there, here = truth["frame"] == frame, np.flatnonzero(targets["frame"] == frame)
+        apart = np.hypot(
+            _column(targets, "x")[here, None] - _column(truth, "x")[there],
+            _column(targets, "y")[here, None] - _column(truth, "y")[there],
+        )
+        result[here] = (apart <= _GATE_M).any(axis=1)
+    return result
+
+
+def _column(table: Table, name: str) -> NDArray[np.float64]:
+    return np.asarray(table[name], np.float64)

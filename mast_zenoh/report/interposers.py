@@ -1,0 +1,149 @@
+"""The interposers of a run: where each sat, what it did by measurement, and whether its own reports agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mast_zenoh.report.runfolder import RunFolder, agent_of
+
+#: Effects with a column of their own; all others are counted together.
+EFFECTS = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")
+#: Verdicts that call for attention.
+BAD = ("crashed", "silent", "disagrees")
+
+
+@dataclass(frozen=True, slots=True)
+class Interposer:
+    """A node on wires.
+
+    wires:    keys;  agents: on whose wires it sits;  before: agents before which alone it stands, on the picture's way
+    live:     the frame from which on it was on its wire, if it was put there while the run went on
+    released: the frame from which on it was not any more, if it was taken off
+    effects:  what it did, by measurement: objects and messages by effect; None: not measured
+    received: messages that came in; reports: changes that it reported; unreported: measured, and not reported;
+              unfounded: reported, and not measured
+    verdict:  "agrees", "silent", "disagrees", "nothing to report", "crashed" or "not measured"
+    failures: of its handlers, in words; empty: none
+    """
+
+    name: str
+    role: str
+    wires: tuple[str, ...]
+    agents: tuple[str, ...] = ()
+    before: tuple[str, ...] = ()
+    live: int | None = None
+    released: int | None = None
+    effects: Mapping[str, int] | None = None
+    received: int | None = None
+    reports: int = 0
+    unreported: int = 0
+    unfounded: int = 0
+    verdict: str = "not measured"
+    failures: str = ""
+
+    @property
+    def is_link(self) -> bool:
+        """Whether it does what a network does; all others count as adversaries, whatever they call themselves."""
+        return self.role == "link"
+
+    @property
+    def changed(self) -> int:
+        """How many changes it made, by measurement."""
+        return sum(count for name, count in (self.effects or {}).items() if name != "unsettled")
+
+    @property
+    def other(self) -> str:
+        """Its further effects in words."""
+        more = {name: n for name, n in (self.effects or {}).items() if name not in EFFECTS}
+        return ", ".join(f"{count} {name}" for name, count in more.items())
+
+    @property
+    def said(self) -> str:
+        """What it reported, held against what was measured."""
+        if not self.reports:
+            return "nothing"
+        contradictions = [f"{self.unreported} unreported"] * bool(self.unreported)
+        contradictions += [f"{self.unfounded} unfounded"] * bool(self.unfounded)
+        return f"{self.reports} changes" + (f" ({', '.join(contradictions)})" if contradictions else "")
+
+    @property
+    def description(self) -> str:
+        """Its name, and how it came where that is not from the start."""
+        return f"{self.name} (inserted live in frame {self.live})" if self.live is not None else self.name
+
+
+def interposers(run: RunFolder) -> tuple[Interposer, ...]:
+    """Every interposer of a run, also those that came and went while it went on: adversaries first, then links."""
+    wires: dict[str, dict[str, None]] = {}
+    before: dict[str, dict[str, None]] = {}
+    for wire in run.wiring.get("wires", []):
+        for node in wire.get("interposers", ()):
+            wires.setdefault(node, {})[wire["key"]] = None
+        for leg in wire.get("legs", ()):
+            if leg.get("before"):
+                before.setdefault(leg["from"], {})[leg["before"]] = None
+    measured = run.metrics.get("interposers", {})
+    for node, summary in measured.items():
+        wires.setdefault(node, {}).update(dict.fromkeys(summary.get("wires", ())))
+    live: dict[str, int] = {}
+    released: dict[str, int] = {}
+    for done in run.run.get("interceptions", ()):
+        node = done["node"]
+        wires.setdefault(node, {}).update(dict.fromkeys(done.get("wires", ())))
+        (live if done["action"] == "intercept" else released)[node] = done["frame"]
+    found = []
+    for node, keys in wires.items():
+        crash, summary = _crash(run, node), measured.get(node, {})
+        agents = dict.fromkeys(agent for agent in map(agent_of, keys) if agent)
+        found.append(
+            Interposer(
+                name=node,
+                role=run.role(node),
+                wires=tuple(keys),
+                agents=tuple(agents),
+                before=tuple(before.get(node, ())),
+                live=live.get(node),
+                released=released.get(node),
+                effects=summary.get("effects"),
+                received=summary.get("messages"),
+                reports=summary.get("reports", 0),
+                unreported=summary.get("unreported", 0),
+                unfounded=summary.get("unfounded", 0),
+                verdict="crashed" if crash else summary.get("agreement", "not measured"),
+                failures=crash,
+            )
+        )
+    return tuple(sorted(found, key=lambda each: (each.is_link, not each.changed and not each.failures)))
+
+
+def adversaries_by_agent(found: tuple[Interposer, ...]) -> dict[str, tuple[str, ...]]:
+    """By agent, the interposers that are no links and sit on its wires, or before it on the picture's way."""
+    result: dict[str, list[str]] = {}
+    for each in found:
+        for agent in () if each.is_link else (*each.agents, *each.before):
+            result.setdefault(agent, []).append(each.name)
+    return {agent: tuple(names) for agent, names in sorted(result.items())}
+
+
+def _crash(run: RunFolder, node: str) -> str:
+    """How a node crashed, in words; empty: it did not, or was ended by the scenario or on request."""
+    told = run.run.get("nodes", {}).get(node, {})
+    entries = failures_of(told)
+    if entries:
+        first = entries[0]
+        return f"{first['handler']} failed {first['count']} times, see above"
+    expected = any(word in str(told.get("ended")) for word in ("scenario", "released", "told to leave"))
+    if told.get("exit") and not expected and run.run.get("status") != "interrupted":
+        return str(told.get("ended") or f"exit code {told['exit']}")
+    return ""
+
+
+def failures_of(node: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The failed handlers of a node of run.json; of an older run, in which only their number was kept, without more."""
+    failures = node.get("failures") or []
+    if isinstance(failures, Mapping):
+        unknown = "the exception is in the node's log, in a run of an older version"
+        return [{"handler": name, "count": count, "exception": unknown} for name, count in failures.items()]
+    return [dict(entry) for entry in failures]
