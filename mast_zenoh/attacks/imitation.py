@@ -56,14 +56,19 @@ class Exact(Imitation):
         self, frame: int, false: ObjectStates, real: ObjectStates, coverage: Coverage, view: SensorView
     ) -> ObjectStates:
         """See Imitation."""
-        if len(false) == 0:
-            return false
-        covariance, score = np.diag(DEFAULT_STD**2), DEFAULT_SCORE
-        if len(real):
-            by_trace = np.argsort(np.trace(real.covariance, axis1=1, axis2=2), kind="stable")
-            covariance = real.covariance[by_trace[(len(real) - 1) // 2]]
-            score = median(real.score.tolist())
-        return false.with_(covariance=np.repeat(covariance[None], len(false), 0), score=np.full(len(false), score))
+        return typical(false, real)
+
+
+def typical(false: ObjectStates, real: ObjectStates) -> ObjectStates:
+    """False objects with the covariance and the score that are typical of real ones in canonical order, see Exact."""
+    if len(false) == 0:
+        return false
+    covariance, score = np.diag(DEFAULT_STD**2), DEFAULT_SCORE
+    if len(real):
+        by_trace = np.argsort(np.trace(real.covariance, axis1=1, axis2=2), kind="stable")
+        covariance = real.covariance[by_trace[(len(real) - 1) // 2]]
+        score = median(real.score.tolist())
+    return false.with_(covariance=np.repeat(covariance[None], len(false), 0), score=np.full(len(false), score))
 
 
 class VictimLike(Imitation):
