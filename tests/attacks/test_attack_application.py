@@ -52,7 +52,8 @@ def test_a_displaced_object_keeps_all_but_its_position_and_its_target_stays_with
 
 
 def test_an_attack_that_knows_where_its_targets_are_takes_the_nearest_object_to_each():
-    objects = at((0.0, 0.0), (4.0, 0.0), (20.0, 0.0), (0.0, 90.0))
+    typical = {"score": np.full(4, 0.7), "covariance": np.tile(np.eye(9), (4, 1, 1))}
+    objects = at((0.0, 0.0), (4.0, 0.0), (20.0, 0.0), (0.0, 90.0), **typical)
     wanted = targets(
         add=at((10.0, 0.0), (200.0, 0.0)),
         remove=at((3.0, 0.0), (1.5, 0.0), (40.0, 0.0)),
@@ -63,8 +64,7 @@ def test_an_attack_that_knows_where_its_targets_are_takes_the_nearest_object_to_
     tampering = apply(wanted, objects.select(order), np.zeros(3), assign_radius_m=3.0)
     seen = tampering.applied_to(objects.select(order))
     assert sorted(map(tuple, seen.position[:, :2].tolist())) == [(0.0, 90.0), (10.0, 0.0), (20.0, 5.0)]
-    assert seen.score[-1] > 0.0, "a false object has a typical score"
-    assert np.all(np.diagonal(seen.covariance[-1])[:2] > 0.0)
+    assert (seen.score[-1], seen.covariance[-1].tolist()) == (0.7, np.eye(9).tolist()), "typical of the others"
 
 
 def test_the_report_says_what_was_done_before_and_after():
