@@ -21,7 +21,7 @@ from mast_zenoh.messages import Body
 from mast_zenoh.resolved import Resolved
 
 DOCS = Path(__file__).parents[2] / "docs"
-FRAMES = 40
+FRAMES = 36
 
 
 @dataclass(frozen=True)

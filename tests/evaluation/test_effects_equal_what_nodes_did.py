@@ -104,7 +104,7 @@ def chain(seed: int) -> dict[str, Any]:
     if rng.random() < 0.4:
         rewrites.insert(0, "network.toml")
     content |= dict(name=f"chain_{seed}", adversaries=adversaries, keyexpr=dict(map="testbed.toml", rewrites=rewrites))
-    return scenario.resolve(path, content, frames=30, seed=seed, record=True)
+    return scenario.resolve(path, content, frames=24, seed=seed, record=True)
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from played import Played
+from played import FRAMES, Played
 
 Once = Callable[..., Played]
 
@@ -108,7 +108,7 @@ def test_an_attack_on_what_agents_send_leaves_their_own_estimates_as_they_comput
 def test_a_late_picture_scores_as_before_by_its_stamp_and_worse_when_it_arrives(once: Once, baseline: Played) -> None:
     late = once("baseline", "broker.latency_s=0.3")
     assert late.metrics["latency_ms"]["sim_to_picture"]["p50"] == pytest.approx(300.0)
-    first = slice(0, 37)  # pictures of the last three frames are never sent
+    first = slice(0, FRAMES - 3)  # pictures of the last three frames are never sent
     for name, values in counts(late, "ego", "picture").items():
         assert values[first] == counts(baseline, "ego", "picture")[name][first], name
     stamped, arrived = (late.agents["ego"][name] for name in ("picture", "picture_on_arrival"))
