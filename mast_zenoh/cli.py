@@ -12,6 +12,7 @@ import typer
 from mast_zenoh import deploying, scenario
 from mast_zenoh.errors import Interrupted, MastError
 from mast_zenoh.options import (
+    Against,
     AllowFailures,
     Frames,
     Mode,
@@ -24,7 +25,9 @@ from mast_zenoh.options import (
     SecureCommand,
     Seed,
     Settings,
+    check_run_folder,
     conclude,
+    reference_folder,
     show_notices,
 )
 from mast_zenoh.options import err as _err
@@ -59,9 +62,13 @@ def run(
     report: Report = True,
     record: Record = True,
     allow_failures: AllowFailures = False,
+    against: Against = None,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh.launch import local
+
+    if against not in (None, "twin"):
+        check_run_folder(Path(against))
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
@@ -73,7 +80,9 @@ def run(
         where = f"the router at {endpoint} is another's" if endpoint else "one process has no mesh"
         raise typer.BadParameter(f"a secure mesh has a router of its own: {where}", param_hint="--secure")
     place: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
-    conclude(local.run(resolved, out, **place, allow_failures=allow_failures, console=_out), report=report)
+    conclude(
+        local.run(resolved, out, **place, allow_failures=allow_failures, console=_out), report=report, against=against
+    )
 
 
 @app.command()
@@ -239,17 +248,24 @@ def _say_done(what: str, done: dict[str, Any]) -> None:
 def report(
     run_folder: Annotated[Path, typer.Argument(help="The folder of a run.")],
     frame: Annotated[int | None, typer.Option(min=0, help="The frame that the pictures show.")] = None,
+    against: Against = None,
     measure: Annotated[bool, typer.Option("--measure", help="Measure the run anew, from its recording.")] = False,
 ) -> None:
-    """Write the report of a run again; a run that has no metrics is measured first, if it was recorded."""
+    """Write the report of a run again, compared with another run if one is named.
+
+    A run that has no metrics is measured first, if it was recorded.
+    """
     from mast_zenoh.launch import measuring
-    from mast_zenoh.report import html
+    from mast_zenoh.report import html, terminal
 
     if measure or measuring.can_fill_in(run_folder):
         for refused in measuring.measure(run_folder):
             _err.print(f"warning: {refused}", markup=False, highlight=False)
         _out.print(f"measured: {run_folder / measuring.METRICS}", markup=False, highlight=False)
-    _out.print(f"report: {html.write_report(run_folder, frame)}", highlight=False)
+    other = None if against is None else reference_folder(run_folder, against)
+    if other is not None:
+        terminal.show_run(_out, run_folder, other)
+    _out.print(f"report: {html.write_report(run_folder, frame, other)}", highlight=False)
 
 
 def main() -> None:

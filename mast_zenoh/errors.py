@@ -7,6 +7,7 @@
     ├── SceneError               13   a scene's data is missing, truncated or inconsistent
     ├── MessageError             14   bytes that are not a message of the expected schema
     ├── RunFolderError           15   a run folder is missing, incomplete or already in use
+    │   └── NotComparable        17   two runs cannot be compared
     ├── CredentialsError         16   a certificate or key is missing, expired or refused
     └── RunError                 20   a run ended badly
         ├── StartError           21   the nodes did not all come up in time
@@ -70,6 +71,12 @@ class RunFolderError(MastError):
     """A run folder is missing, incomplete or already in use."""
 
     exit_code = 15
+
+
+class NotComparable(RunFolderError):
+    """Two runs cannot be compared: they play different scenes or lengths, or one has no results. Says in what."""
+
+    exit_code = 17
 
 
 class CredentialsError(MastError):

@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 from mast_zenoh.errors import WiringError, nearest
-from mast_zenoh.wiring import TAP, Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring import TAP, Branch, Endpoint, Leg, Wire, Wiring
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
@@ -82,6 +82,14 @@ def remove(wiring: Wiring, node: str) -> Wiring:
     )
 
 
+def never_inserted(wiring: Wiring, nodes: Collection[str]) -> Wiring:
+    """The wiring of a run in which some nodes have no part at all: neither on wires, nor as publishers or listeners."""
+    return Wiring(
+        tuple(_without_all(wire, nodes) for wire in wiring.wires if wire.legs[0].publisher.node not in nodes),
+        tuple(end for end in wiring.overhearers if end.node not in nodes),
+    )
+
+
 def interposer_of(wiring: Wiring, wire: str) -> str:
     """The one node that sits on a wire; raises WiringError where there is none, or more than one."""
     wires = {found.key: found for found in wiring.wires}
@@ -110,6 +118,35 @@ def parties(wire: Wire) -> set[str]:
     return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in wire.hearers(leg)}
 
 
+def _without_all(wire: Wire, nodes: Collection[str]) -> Wire:
+    trunk = _shortened(wire.legs, nodes)
+    branches, entrances = [], {}
+    for branch in wire.branches:
+        ways = [branch.entrance, *(leg.subscribers[0] for leg in branch.legs)]
+        kept = [i for i, leg in enumerate(branch.legs) if leg.publisher.node not in nodes]
+        entrances[branch.entrance] = ways[kept[0]] if kept else branch.subscriber
+        if kept:  # each node that stays publishes on the key that the next one hears
+            before = [i - 1 for i in (*kept[1:], len(branch.legs))]
+            legs = [
+                replace(branch.legs[j], publisher=branch.legs[i].publisher) for i, j in zip(kept, before, strict=True)
+            ]
+            branches.append(Branch(ways[kept[0]], branch.subscriber, tuple(legs)))
+    heard_by = tuple(entrances.get(end, end) for end in trunk[-1].subscribers)
+    last = replace(trunk[-1], subscribers=tuple(end for end in heard_by if end.node not in nodes))
+    listeners = tuple(listener for listener in wire.listeners if listener.end.node not in nodes)
+    return replace(wire, legs=(*trunk[:-1], last), branches=tuple(branches), listeners=listeners)
+
+
+def _shortened(trunk: tuple[Leg, ...], nodes: Collection[str]) -> list[Leg]:
+    """A trunk without some of its interposers."""
+    legs: list[Leg] = []
+    for leg in trunk:
+        if leg.publisher.node in nodes:  # the leg before leads to it, and to nobody else
+            leg = replace(leg, publisher=legs.pop().publisher)
+        legs.append(leg)
+    return legs
+
+
 def _check_source(wire: Wire) -> None:
     """Raise WiringError where nodes listen at the source: those that hear a wire keep their key while a run goes on."""
     names = ", ".join(listener.end.node for listener in wire.listeners if listener.source)
@@ -126,12 +163,10 @@ def _without(wire: Wire, node: str) -> Wire:
     wire = replace(wire, listeners=tuple(ear for ear in wire.listeners if ear.end.node != node))
     if len(wire.legs) > 1 and wire.legs[1].publisher.node == node:
         _check_source(wire)
-    legs: list[Leg] = []
-    for leg in wire.legs:
-        if leg.publisher.node == node:  # the leg before leads to it, and to nobody else
-            leg = replace(leg, publisher=legs.pop().publisher)
-        legs.append(leg)
     return replace(
         wire,
-        legs=tuple(replace(leg, subscribers=tuple(end for end in leg.subscribers if end.node != node)) for leg in legs),
+        legs=tuple(
+            replace(leg, subscribers=tuple(end for end in leg.subscribers if end.node != node))
+            for leg in _shortened(wire.legs, {node})
+        ),
     )

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperCommand
 
-from mast_zenoh.errors import HandlerFailed
+from mast_zenoh.errors import HandlerFailed, NotComparable
 from mast_zenoh.runtime import failures
 from mast_zenoh.security import levels
 
@@ -35,6 +35,10 @@ Secure = Annotated[
 ]
 Mode = Annotated[Literal["lockstep", "realtime"] | None, typer.Option(help="Exact, or paced by the clock.")]
 Rate = Annotated[float | None, typer.Option(help="Real time: how many times faster than the wall clock.")]
+Against = Annotated[
+    str | None,
+    typer.Option(metavar="RUN|twin", help="Compare with another run, or with the same run without its adversaries."),
+]
 Report = Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")]
 AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn when a handler of a node has failed.")]
 Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
@@ -52,19 +56,34 @@ class SecureCommand(TyperCommand):
         return super().parse_args(ctx, spelt)
 
 
-def conclude(ended: Run, *, report: bool) -> None:
-    """Show what a run has found, and raise what it failed by."""
+def conclude(ended: Run, *, report: bool, against: str | None = None) -> None:
+    """Show the results of a run, compared with another if one is named, and raise what it failed by."""
     from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
 
-    if (ended.folder / "metrics.json").is_file():
-        terminal.show(out, {ended.record["name"]: ended.folder})
+    scored = (ended.folder / "metrics.json").is_file()
+    other = reference_folder(ended.folder, against) if against is not None and scored else None
+    if scored:
+        terminal.show_run(out, ended.folder, other)
     if report:
-        out.print(f"report: {html.write_report(ended.folder)}", highlight=False)
+        out.print(f"report: {html.write_report(ended.folder, against=other)}", highlight=False)
     else:
         out.print(f"run folder: {ended.folder}", highlight=False)
     show_notices(ended)
     if ended.error:
         raise ended.error
+
+
+def check_run_folder(folder: Path) -> None:
+    """Raise NotComparable unless a folder holds the results of a run: before another one is played for a comparison."""
+    if not (folder / "metrics.json").is_file():
+        raise NotComparable(f"{folder}: has no metrics.json: expected the folder of a run with results, or twin")
+
+
+def reference_folder(run_folder: Path, against: str) -> Path:
+    """The folder of the run that another one is compared with: `twin` is its own unattacked twin, played if need be."""
+    from mast_zenoh.launch import twin
+
+    return twin.of(run_folder, out) if against == twin.FOLDER else Path(against)
 
 
 def show_notices(ended: Run, label: str = "") -> None:

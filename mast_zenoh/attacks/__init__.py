@@ -18,6 +18,7 @@ Everything is in the world frame; nodes convert. See docs/attacks.md.
 """
 
 from mast_zenoh.attacks.adversary import Attack, CoordinatedAttack, PassThrough, UncoordinatedAttack
+from mast_zenoh.attacks.application import apply
 from mast_zenoh.attacks.coordination import Coordination, Coordinator
 from mast_zenoh.attacks.coverage import Coverage, coverage_of
 from mast_zenoh.attacks.imitation import Exact, Imitation, VictimLike
@@ -49,5 +50,6 @@ __all__ = [
     "UncoordinatedAttack",
     "UncoordinatedSelection",
     "VictimLike",
+    "apply",
     "coverage_of",
 ]

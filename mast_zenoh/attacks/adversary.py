@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mast_zenoh.attacks.application import apply
+from mast_zenoh.attacks.application import carry_out
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.following import Follower
@@ -140,7 +140,7 @@ class _TargetedAttack(Attack):
         targets, remove_row, move_row = self._locate(targets)
         near = targets.add.select(within_range(targets.add.position, agent_position, self._max_range_m))
         shown = self._imitation.show(frame, near, seen, coverage, view)
-        tampering = apply(targets, shown, seen, order, remove_row, move_row)
+        tampering = carry_out(targets, shown, seen, order, remove_row, move_row)
         self._hold(tampering.targets, time_ns)
         return replace(tampering, added=shown.with_(id=self._ids.of(shown.id)))
 

@@ -4,14 +4,45 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.attacks.imitation import typical
+from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.targets import Changes, Tampering, Targets
-from mast_zenoh.states import Ints, ObjectStates
+from mast_zenoh.geometry import within_range
+from mast_zenoh.matching import greedy
+from mast_zenoh.states import Floats, Ints, ObjectStates
+from mast_zenoh.tracking.neighbours import neighbours
 
 
 def apply(
+    targets: Targets,
+    objects: ObjectStates,
+    agent_position: Floats,
+    *,
+    max_range_m: float = 70.0,
+    assign_radius_m: float = 6.0,
+) -> Tampering:
+    """Insert, hide and displace objects of a victim at `agent_position` (3,) m, all in the world frame.
+
+    For attacks that know at each message where their targets are. False objects farther than `max_range_m` from the
+    victim (bird's-eye view) wait. Each target to hide or displace takes the nearest object within `assign_radius_m`:
+    the nearest pair first, no object twice. False objects get the covariance and the score that are typical here.
+    """
+    order = canonical_order(objects)
+    seen = objects.select(order)
+    believed = np.concatenate([targets.remove.position, targets.move.position])
+    i, j, dx, dy = neighbours(believed, seen.position, np.full(len(believed), assign_radius_m))
+    chosen = greedy(i, j, dx * dx + dy * dy)
+    row = np.full(len(believed), -1, np.int64)
+    row[i[chosen]] = j[chosen]
+    inserted = targets.add.select(within_range(targets.add.position, agent_position, max_range_m))
+    n = len(targets.remove)
+    return carry_out(targets, typical(inserted, seen), seen, order, row[:n], row[n:])
+
+
+def carry_out(
     targets: Targets, inserted: ObjectStates, objects: ObjectStates, order: Ints, remove_row: Ints, move_row: Ints
 ) -> Tampering:
-    """Insert, hide and displace objects of a victim, all in the world frame.
+    """Insert, hide and displace objects that have been found among those of a victim, all in the world frame.
 
     targets:    where they are now
     inserted:   false objects as they are to be shown; their ids are the numbers of the targets

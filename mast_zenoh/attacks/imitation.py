@@ -24,6 +24,8 @@ TYPICAL = 3.0
 MOST_SIZE_ERROR = 0.3
 #: Columns of the noise: position, size, velocity, yaw, and the score's rank.
 _COLUMNS = 11
+#: Frames whose noise is drawn together.
+_BLOCK = 32
 
 
 class Imitation(ABC):
@@ -56,14 +58,19 @@ class Exact(Imitation):
         self, frame: int, false: ObjectStates, real: ObjectStates, coverage: Coverage, view: SensorView
     ) -> ObjectStates:
         """See Imitation."""
-        if len(false) == 0:
-            return false
-        covariance, score = np.diag(DEFAULT_STD**2), DEFAULT_SCORE
-        if len(real):
-            by_trace = np.argsort(np.trace(real.covariance, axis1=1, axis2=2), kind="stable")
-            covariance = real.covariance[by_trace[(len(real) - 1) // 2]]
-            score = median(real.score.tolist())
-        return false.with_(covariance=np.repeat(covariance[None], len(false), 0), score=np.full(len(false), score))
+        return typical(false, real)
+
+
+def typical(false: ObjectStates, real: ObjectStates) -> ObjectStates:
+    """False objects with the covariance and the score that are typical of real ones in canonical order, see Exact."""
+    if len(false) == 0:
+        return false
+    covariance, score = np.diag(DEFAULT_STD**2), DEFAULT_SCORE
+    if len(real):
+        by_trace = np.argsort(np.trace(real.covariance, axis1=1, axis2=2), kind="stable")
+        covariance = real.covariance[by_trace[(len(real) - 1) // 2]]
+        score = median(real.score.tolist())
+    return false.with_(covariance=np.repeat(covariance[None], len(false), 0), score=np.full(len(false), score))
 
 
 class VictimLike(Imitation):
@@ -84,6 +91,7 @@ class VictimLike(Imitation):
         self._statistics = VictimStatistics()
         self._numbers: Ints = np.zeros(0, np.int64)
         self._errors = np.zeros((0, _COLUMNS))
+        self._block: tuple[tuple[int, int], Floats, Floats] | None = None  # (block, objects), noise, luck
         self._seed, self._scene, self._name = 0, "", ""
 
     def bind(self, seed: int, scene: str, name: str) -> None:
@@ -101,25 +109,36 @@ class VictimLike(Imitation):
         """See Imitation."""
         if len(false) == 0:
             return false
-        rng = stream(self._seed, self._scene, self._name, "imitation", frame)
-        missed = rng.random(len(false))  # drawn for every object, shown or not: what is shown moves no other draw
-        errors = self._next_errors(false.id, rng.standard_normal((len(false), _COLUMNS)))
+        fresh, luck = self._draws(frame, len(false))  # for every object, so that what is shown moves no other draw
+        errors = self._next_errors(false.id, fresh)
         offset = false.position - view.position
-        range_m = np.hypot(offset[:, 0], offset[:, 1])
+        range_m = np.sqrt(offset[:, 0] * offset[:, 0] + offset[:, 1] * offset[:, 1])
         false = self._like_the_victims(false, errors, real, range_m, view)
         shown = coverage.plausible(false, real, view)
         if self._misses:
-            shown &= missed < self._statistics.share_detected(range_m)
+            shown &= luck < self._statistics.share_detected(range_m)
         return false if shown.all() else false.select(shown)
+
+    def _draws(self, frame: int, n: int) -> tuple[Floats, Floats]:
+        """(n, _COLUMNS) standard normal and (n,) uniform draws of a frame."""
+        block = (frame // _BLOCK, n)
+        if self._block is None or self._block[0] != block:
+            rng = stream(self._seed, self._scene, self._name, "imitation", *block)
+            self._block = (block, rng.standard_normal((_BLOCK, n, _COLUMNS)), rng.random((_BLOCK, n)))
+        return self._block[1][frame % _BLOCK], self._block[2][frame % _BLOCK]
 
     def _next_errors(self, numbers: Ints, fresh: Floats) -> Floats:
         """(k, _COLUMNS) errors in units of σ: correlated with those of the frame before for objects that go on."""
         correlation = self._statistics.correlation
         errors = fresh
         if correlation > 0.0 and len(self._numbers):
-            k, before = (numbers[:, None] == self._numbers).nonzero()
-            errors = fresh.copy()
-            errors[k] = correlation * self._errors[before] + sqrt(1.0 - correlation**2) * fresh[k]
+            innovation = sqrt(1.0 - correlation * correlation)
+            if np.array_equal(numbers, self._numbers):
+                errors = correlation * self._errors + innovation * fresh
+            else:
+                k, before = (numbers[:, None] == self._numbers).nonzero()
+                errors = fresh.copy()
+                errors[k] = correlation * self._errors[before] + innovation * fresh[k]
         self._numbers, self._errors = numbers, errors
         return errors
 
@@ -131,19 +150,19 @@ class VictimLike(Imitation):
         if not self._noise:
             return false.with_(**columns)
         usual_std, size_std, yaw_std = self._statistics.std
-        variance = np.diagonal(covariance, axis1=1, axis2=2)
-        stated = np.sqrt(variance)
-        position_std = np.where(variance[:, :3] > 0.0, stated[:, :3], usual_std)
-        size = false.size + np.clip(
-            errors[:, 3:6] * size_std, -MOST_SIZE_ERROR * false.size, MOST_SIZE_ERROR * false.size
-        )
+        stated = np.sqrt(np.einsum("nii->ni", covariance))
+        noise = errors[:, :10].copy()
+        noise[:, :3] *= np.where(stated[:, :3] > 0.0, stated[:, :3], usual_std)
+        noise[:, 3:6] *= size_std
+        noise[:, 9] *= yaw_std
+        limit = MOST_SIZE_ERROR * false.size
         columns |= {
-            "position": false.position + errors[:, :3] * position_std,
-            "size": size,
-            "yaw": wrap_angle(false.yaw + errors[:, 9] * yaw_std),
+            "position": false.position + noise[:, :3],
+            "size": false.size + np.minimum(np.maximum(noise[:, 3:6], -limit), limit),
+            "yaw": wrap_angle(false.yaw + noise[:, 9]),
         }
-        if real.velocity.any():  # detections show none
-            columns["velocity"] = false.velocity + errors[:, 6:9] * stated[:, 6:9]
+        if len(real) and real.velocity.any():  # detections show none
+            columns["velocity"] = false.velocity + noise[:, 6:9] * stated[:, 6:9]
         return false.with_(**columns)
 
     @staticmethod

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from mast_zenoh.geometry import wrap_angle
-from mast_zenoh.states import Floats, ObjectStates
+from mast_zenoh.states import Floats, ObjectStates, propagate
 
 #: m/s^2, of braking and of accelerating; comfortable in traffic (Bae et al., 2019: 2 to 3).
 MAX_ACCELERATION_MPS2 = 3.0
@@ -84,6 +84,8 @@ class TrajectoryPropagation(Propagation):
         self.braking_mps2 = braking_mps2
 
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
+        if age_s > 0.0 and age_s + elapsed_s <= self.duration_s:
+            return propagate(states, elapsed_s)  # heading where it goes since its first step
         speed, yaw = _speed_and_heading(states)
         cruising = min(max(self.duration_s - age_s, 0.0), elapsed_s)
         after = np.maximum(speed - self.braking_mps2 * (elapsed_s - cruising), 0.0)

@@ -14,7 +14,7 @@ BIN_M, BINS = 20.0, 5
 #: m, an object moves less than this in two frames; its place between two frames is known to about this.
 STEP_M, BETWEEN_M = 5.0, 2.0
 #: Objects met in three frames in a row after which nothing more is learned.
-ENOUGH = 600
+ENOUGH = 400
 #: Objects' worth of belief in the usual values: share of detections and of tracks that are there in a frame; σ of
 #: position, size (m) and yaw (rad).
 PRIOR_WEIGHT = 10.0

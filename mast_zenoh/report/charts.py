@@ -31,16 +31,16 @@ _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)), "-", (0, (6, 1.5)
 SMOOTH = 5
 
 
-def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None) -> Figure | None:
+def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None, estimate: str = "picture") -> Figure | None:
     """The ego's missed and false objects and its RMSE by time; None: no run left counts.
 
-    Of one run, every estimate that has a column in the table; of several, the ego alone in the first and the picture of
+    Of one run, every estimate that has a column in the table; of several, the ego alone in the first, and `estimate` of
     each. Bold lines are means over the last SMOOTH frames, pale ones the values of single frames.
     """
     told = {label: run for label, run in runs.items() if run.counts_of("picture") is not None}
     if not told:
         return None
-    lines = _lines(told)
+    lines = _lines(told, estimate)
     timed = all(run.seconds(counts["frame"]) is not None for _, run, counts, _ in lines)
 
     def times(run: RunFolder, frames: NDArray[Any]) -> NDArray[np.float64]:
@@ -95,7 +95,7 @@ class _Look(NamedTuple):
 _ALONE = _Look(LOCAL, (0, (1, 1)))
 
 
-def _lines(runs: Mapping[str, RunFolder]) -> list[tuple[str, RunFolder, Table, _Look]]:
+def _lines(runs: Mapping[str, RunFolder], estimate: str) -> list[tuple[str, RunFolder, Table, _Look]]:
     """What is drawn: name, run, counts and look of each line."""
     first = next(iter(runs.values()))
     found = [("ego alone", first, first.counts_of("local"), _ALONE)]
@@ -109,7 +109,7 @@ def _lines(runs: Mapping[str, RunFolder]) -> list[tuple[str, RunFolder, Table, _
     else:
         for index, (label, run) in enumerate(runs.items()):
             look = _Look(RUN_COLOURS[index % len(RUN_COLOURS)], _STYLES[index % len(_STYLES)])
-            found.append((f"picture, {label}", run, run.counts_of("picture"), look))
+            found.append((f"{ESTIMATES[estimate]}, {label}", run, run.counts_of(estimate), look))
     return [(name, run, counts, look) for name, run, counts, look in found if counts is not None]
 
 

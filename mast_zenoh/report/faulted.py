@@ -111,14 +111,8 @@ def blame_table(metrics: Mapping[str, Mapping[str, Any]], agent: str) -> Table |
 
 
 def check_lines(checks: Mapping[str, Any]) -> list[str]:
-    """For the terminal: each failed check in a line, and how many hold."""
-    rows = check_rows(checks)
-    checked = [row for row in rows if row.outcome != "not checked"]
-    failed = [row for row in checked if row.outcome == "failed"]
-    if not checked:
-        return []
-    lines = [f"check failed: {row.name}: {row.detail}" for row in failed]
-    return [*lines, f"{len(checked) - len(failed)} of {len(checked)} checks hold"]
+    """For the terminal: each check by name in a line, failed ones first."""
+    return [f"check {row.name}: {row.outcome}{f' ({row.detail})' if row.detail else ''}" for row in check_rows(checks)]
 
 
 def _two(value: float | None) -> str:

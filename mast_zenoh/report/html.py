@@ -10,7 +10,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
+
+from mast_zenoh.report import comparison
 from mast_zenoh.report.achievement import achieved_rows
+from mast_zenoh.report.changes import largest_change
+from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.driving import driving_rows
 from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
 from mast_zenoh.report.illustrations import how_chosen, run_figures, study_figures
@@ -18,20 +23,38 @@ from mast_zenoh.report.interposers import BAD, EFFECTS, failures_of, interposers
 from mast_zenoh.report.page import render
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
-from mast_zenoh.report.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view
+from mast_zenoh.report.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view, settled
 from mast_zenoh.report.wiring import wire_rows
 from mast_zenoh.report.words import headline, reading, study_headline, study_reading
 from mast_zenoh.runtime import failures
 
 
-def write_report(run_folder: Path, frame: int | None = None) -> Path:
+def write_report(run_folder: Path, frame: int | None = None, against: Path | None = None) -> Path:
     """Write `report.html` and `figures/*.png` into the folder of a run, from whatever the run left there.
 
-    frame: which frame the pictures show; by default the one that `view.choose_frame` picks
-    Returns the path of the report. Raises RunFolderError if the folder is not that of a run, or has no such frame.
+    frame:   which frame the pictures show; by default the one that `view.choose_frame` picks
+    against: the folder of another run of the same scene, with which it is compared
+    Returns the path of the report. Raises RunFolderError if the folder is not that of a run, or has no such frame;
+    NotComparable if the runs cannot be compared.
     """
     run = RunFolder.load(run_folder)
-    return _write_run(run, _shown(run, frame, None), chosen=frame is None)[1]
+    reference = None if against is None else comparison.reference(run, against)
+    estimate = _estimate(run, reference)
+    if frame is None:
+        chosen = choose_frame(run, reference.run if reference else None, estimate)
+        how = how_chosen(run, estimate, reference.name if reference else "")
+    else:
+        chosen, how = check_frame(run, frame), ""
+        if not settled(run, np.array([frame])).all():
+            how = "This frame was asked for; it is not among those that are scored."
+    view = None if chosen is None else frame_view(run, chosen)
+    return _write_run(run, view, how=how, reference=reference, estimate=estimate)[1]
+
+
+def _estimate(run: RunFolder, reference: Reference | None) -> str:
+    """The estimate of the ego in which the largest change is: what pictures and charts show."""
+    change = largest_change(run, reference.run if reference else None)
+    return change.estimate if change is not None and change.agent == run.ego else "picture"
 
 
 def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int | None = None) -> Path:
@@ -49,7 +72,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     table = _scores(folders, reference)
     pages: list[dict[str, Any]] = []
     for label, run in folders.items():
-        page, path = _write_run(run, shown[label], chosen=False)
+        page, path = _write_run(run, shown[label])
         link = quote(os.path.relpath(path, study_folder).replace(os.sep, "/"))
         pages.append({"label": label, "anchor": f"run-{len(pages) + 1}", "link": link} | page)
     views = {label: view for label, view in shown.items() if view is not None}
@@ -83,25 +106,33 @@ def _scores(runs: Mapping[str, RunFolder], reference: str | None = None) -> Scor
     return score_table(metrics, counts=counts, agent=ego, reference=reference)
 
 
-def _write_run(run: RunFolder, view: FrameView | None, *, chosen: bool) -> tuple[dict[str, Any], Path]:
+def _write_run(
+    run: RunFolder,
+    view: FrameView | None,
+    *,
+    how: str = "",
+    reference: Reference | None = None,
+    estimate: str = "picture",
+) -> tuple[dict[str, Any], Path]:
     """Write a run's own report; returns what a page tells of the run, and the path."""
-    label = run.label
-    made = run_figures(run, view, how=how_chosen(run, "picture") if chosen else "")
+    made = run_figures(run, view, how=how, reference=reference, estimate=estimate)
+    runs = {reference.name: reference.run, run.label: run} if reference is not None else {run.label: run}
+    scores = _scores(runs, reference.name if reference else None)
     for each in made.values():
         each.save(run.path / "figures")
     timings = run.run.get("timings")
     content = {
-        "title": f"Run {run.run.get('id', label)}",
-        "headline": headline(run),
-        "reading": reading(run),
-        "facts": _facts(run),
+        "title": f"Run {run.run.get('id', run.label)}",
+        "headline": headline(run, reference),
+        "reading": reading(run, reference),
+        "facts": _facts(run) + ([f"compared with {reference.name}"] if reference else []),
         "status": run.run.get("status", "unknown"),
         "message": run.run.get("message"),
         "failures": _failures(run),
         "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
         "missing": run.missing,
         "figures": made,
-        **(_score_rows(_scores({label: run})) if run.metrics else {"rows": []}),
+        **(_score_rows(scores) if run.metrics else {"rows": []}),
         "interposers": interposers(run),
         "achieved": achieved_rows(run),
         "driving": driving_rows(run),

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from mast_zenoh.report.causes import causes_over_time
 from mast_zenoh.report.charts import SMOOTH, counts_over_time, means
+from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.diagram import draw_wiring
 from mast_zenoh.report.driving import driving_over_time
 from mast_zenoh.report.figures import Picture, birdseye_figure, camera_figure, picture, side_by_side_figure
@@ -34,11 +35,14 @@ _CAUSES_CAPTION = (
 )
 
 
-def run_figures(run: RunFolder, view: FrameView | None, *, how: str) -> dict[str, Picture]:
+def run_figures(
+    run: RunFolder, view: FrameView | None, *, how: str, reference: Reference | None = None, estimate: str = "picture"
+) -> dict[str, Picture]:
     """The figures of one run by name; those whose data are absent are left out.
 
     view: the frame that the pictures show; None: none can be shown
     how:  how the frame was chosen, in a sentence; empty: it is not said
+    reference: the run that it is compared with, over time in `estimate`
     """
     made = []
     if view is not None:
@@ -58,7 +62,8 @@ def run_figures(run: RunFolder, view: FrameView | None, *, how: str) -> dict[str
                 "walls and through each other: what the ego's own sensors cannot see, the picture can show."
             )
             made.append(picture("camera", seat, alt, caption))
-    over_time = counts_over_time({"run": run}, view.frame if view else None)
+    runs = {reference.name: reference.run, run.label: run} if reference is not None else {run.label: run}
+    over_time = counts_over_time(runs, view.frame if view else None, estimate)
     if over_time is not None:
         alt = "Missed objects, false objects and RMSE over time, for the ego alone, the picture and both together."
         made.append(picture("counts", over_time, alt, _counts_caption([run])))

@@ -214,7 +214,10 @@ def number(value: Value, measure: Measure) -> str:
 
 def signed(value: Value, measure: Measure) -> str:
     """A difference as `+1.70` or `\u22120.23`; a dash for what is not known."""
-    return DASH if value.mean is None else f"{value.mean:+.{measure.digits}f}".replace("-", "\u2212")
+    if value.mean is None:
+        return DASH
+    rounded = round(value.mean, measure.digits) + 0.0  # not a negative zero
+    return f"{rounded:+.{measure.digits}f}".replace("-", "\u2212")
 
 
 NOTE = "FN, FP, TP: objects per frame, mean over the scored frames"

@@ -1,47 +1,68 @@
-"""The summary table on the terminal. Draws nothing, so it costs no time."""
+"""The results of runs on the terminal. Draws nothing, so it costs no time."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
 
-from mast_zenoh.report.faulted import blame_table, check_lines, with_faults
+from mast_zenoh.report import comparison
+from mast_zenoh.report.explanations import explanations
+from mast_zenoh.report.faulted import blame_table, check_lines
+from mast_zenoh.report.interposers import BAD, interposers
+from mast_zenoh.report.phrases import effects
+from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import as_rich, score_table
+from mast_zenoh.report.words import headline
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
-    """Print the summary of runs, given as run folders by label; the first or `baseline` is what others are held to.
+    """Print the results of runs, given as run folders by label; the first or `baseline` is what others are held to.
 
-    A run without a readable metrics.json gets a row of dashes. Runs with links or faults also tell who is to blame, and
-    what their checks have found.
+    A run without a readable metrics.json gets dashes. Runs with links or faults also get the causes of their errors;
+    those that were checked, every check by name.
     """
-    metrics = {label: _read(folder / "metrics.json") for label, folder in runs.items()}
-    agents = next((list(each["agents"]) for each in metrics.values() if each.get("agents")), ["ego"])
-    agent = "ego" if "ego" in agents else agents[0]
-    console.print(as_rich(score_table(metrics, agent=agent)))
-    checks = {label: _read(folder / "checks.json") for label, folder in runs.items()}
-    faulted = {
-        label: metrics[label]
-        for label, folder in runs.items()
-        if with_faults(_read(folder / "scenario.json"), checks[label])
-    }
-    blame = blame_table(faulted, agent)
-    if blame is not None:
-        console.print(blame)
-    for label, found in checks.items():
-        for line in check_lines(found):
-            console.print(escape(f"{label}: {line}" if len(runs) > 1 else line))
+    folders = {label: RunFolder.load(path) for label, path in runs.items()}
+    agent = next((run.ego for run in folders.values() if run.ego), "ego")
+    console.print(as_rich(score_table({label: run.metrics for label, run in folders.items()}, agent=agent)))
+    _show_causes(console, folders, agent)
+    for label, run in folders.items():
+        _show_lines(console, f"{label}: " if len(runs) > 1 else "", run)
 
 
-def _read(path: Path) -> dict[str, Any]:
-    """The content of a JSON file; {}: there is none that can be read."""
-    try:
-        content = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
+def show_run(console: Console, run_folder: Path, against: Path | None = None) -> None:
+    """Print the results of one run, and in one sentence what changed: against another run, or by its own measurements.
+
+    Raises NotComparable if the two cannot be compared.
+    """
+    run = RunFolder.load(run_folder)
+    reference = None if against is None else comparison.reference(run, against)
+    runs = {run.label: run} if reference is None else {reference.name: reference.run, run.label: run}
+    metrics = {label: each.metrics for label, each in runs.items()}
+    table = score_table(metrics, agent=run.ego or "ego", reference=reference.name if reference else None)
+    console.print(as_rich(table))
+    _show_causes(console, {run.label: run}, run.ego or "ego")
+    _show_lines(console, "", run)
+    console.print(escape(f"{headline(run, reference)}."), highlight=False, style="bold")
+
+
+def _show_causes(console: Console, runs: Mapping[str, RunFolder], agent: str) -> None:
+    causes = blame_table({label: run.metrics for label, run in runs.items() if run.faulted}, agent)
+    if causes is not None:
+        console.print(causes)
+
+
+def _show_lines(console: Console, label: str, run: RunFolder) -> None:
+    """What interposers did, why it had no effect, and every check."""
+    lines = []
+    found = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]
+    why = explanations(run)
+    for each in found:
+        verdict = f"; {each.verdict}" if each.verdict in BAD else ""
+        measured = "not measured" if each.effects is None else effects(each)
+        lines.append(f"{each.description} on {', '.join(each.wires)}: {measured}{verdict}")
+        lines += [f"  no effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
+    for line in (*lines, *check_lines(run.checks)):
+        console.print(escape(f"{label}{line}"), highlight=False)

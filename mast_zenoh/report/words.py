@@ -8,6 +8,7 @@ import numpy as np
 
 from mast_zenoh.report import changes, phrases
 from mast_zenoh.report.changes import Change
+from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.faulted import check_rows
 from mast_zenoh.report.files import Table
 from mast_zenoh.report.interposers import Interposer, failures_of, interposers
@@ -53,32 +54,36 @@ def _frames(entries: Sequence[Mapping[str, object]]) -> str:
     return "1 frame" if frames == 1 else f"{frames} frames"
 
 
-def headline(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> str:
+def headline(run: RunFolder, reference: Reference | None = None) -> str:
     """One sentence without a full stop on one run: what did not end well, or else the largest change.
 
-    reference: the run that it is compared with, `name` its name in words; None: the run's own measurements count
+    reference: what it is compared with; None: the run's own measurements count
     """
-    return status(run) or result(run, reference, name)
+    return status(run) or result(run, reference)
 
 
-def result(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> str:
+def result(run: RunFolder, reference: Reference | None = None) -> str:
     """The largest change of any kind, and its cause, in one sentence without a full stop."""
     picture = run.summary("picture")
     if not picture:
         return "No scores: this run did not get as far as its evaluation"
-    hit, change = compromised(run), changes.largest_change(run, reference)
+    hit, change = compromised(run), _largest(run, reference)
     start = f"{hit} compromised: " if hit else ""
     if change is None:
-        return _unchanged(run, hit, reference, name)
+        return _unchanged(run, hit, reference)
     if reference is not None:
-        return capital(f"{start}{more_or_less(change, run.ego)} than {name}{caused(run, change)}")
+        return capital(f"{start}{more_or_less(change, run.ego)} than {reference.name}{caused(run, change)}")
     return capital(f"{start}{amount(change, run.ego)} {phrases.due(run, change)}")
 
 
-def _unchanged(run: RunFolder, hit: str, reference: RunFolder | None, name: str) -> str:
+def _largest(run: RunFolder, reference: Reference | None) -> Change | None:
+    return changes.largest_change(run, reference.run if reference else None)
+
+
+def _unchanged(run: RunFolder, hit: str, reference: Reference | None) -> str:
     """No score differs at all."""
-    active = [each for each in interposers(run) if each.changed]
-    scores = f"every score is that of {name}" if reference is not None else "no error is due to them"
+    active = [each for each in interposers(run) if each.changed and not (reference and each.is_link)]
+    scores = f"every score is that of {reference.name}" if reference is not None else "no error is due to them"
     if active:
         did = "; ".join(f"{each.name}: {phrases.effects(each)}" for each in active)
         return f"Interposers changed messages ({did}), but {scores}"
@@ -105,16 +110,16 @@ def _missed(run: RunFolder) -> str:
     return ", ".join(parts)
 
 
-def reading(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> list[str]:
+def reading(run: RunFolder, reference: Reference | None = None) -> list[str]:
     """Sentences on one run."""
-    sentences = [f"{result(run, reference, name)}."] if status(run) else []
+    sentences = [f"{result(run, reference)}."] if status(run) else []
     sentences += [f"{capital(_missed(run))}."] if run.summary("picture") and not _is_missed(run, reference) else []
-    sentences += _other_changes(run, reference, name) + _transit(run) + _blame(run)
+    sentences += _other_changes(run, reference) + _transit(run) + _blame(run)
     if run.attack_frames is not None:
         since = run.seconds(np.array(run.attack_frames[:1]))
         when = f"frame {run.attack_frames[0]}" if since is None else f"t = {since[0]:.1f} s"
         active = [each for each in interposers(run) if each.changed and not each.is_link]
-        main = changes.largest_change(run, reference)
+        main = _largest(run, reference)
         estimate = main.estimate if main is not None and main.agent == run.ego else "picture"
         during = while_attacked(run, "fp", estimate=estimate)
         whose = phrases.OWNERS.get(estimate, "the picture has")
@@ -127,14 +132,14 @@ def reading(run: RunFolder, reference: RunFolder | None = None, name: str = "") 
     return sentences
 
 
-def _is_missed(run: RunFolder, reference: RunFolder | None) -> bool:
+def _is_missed(run: RunFolder, reference: Reference | None) -> bool:
     """Whether the headline says what is missed already."""
-    return changes.largest_change(run, reference) is None and not any(each.changed for each in interposers(run))
+    return _largest(run, reference) is None and not any(each.changed for each in interposers(run))
 
 
-def _other_changes(run: RunFolder, reference: RunFolder | None, name: str) -> list[str]:
+def _other_changes(run: RunFolder, reference: Reference | None) -> list[str]:
     """The largest change of each kind that the headline does not name, where it is worth naming."""
-    found = changes.attributed(run) if reference is None else changes.against(run, reference)
+    found = changes.attributed(run) if reference is None else changes.against(run, reference.run)
     main = changes.largest(found)
     if main is None:
         return []
@@ -146,7 +151,7 @@ def _other_changes(run: RunFolder, reference: RunFolder | None, name: str) -> li
         others.append(more_or_less(change, run.ego) if reference is not None else amount(change, run.ego))
     if not others:
         return []
-    tail = f"than {name}" if reference is not None else "due to the same causes"
+    tail = f"than {reference.name}" if reference is not None else "due to the same causes"
     return [f"{capital(listed(others))} {tail}."]
 
 

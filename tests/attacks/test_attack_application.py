@@ -7,8 +7,8 @@ from attack_worlds import at, equal, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.attacks import ACTIONS, Targets
-from mast_zenoh.attacks.application import apply
+from mast_zenoh.attacks import ACTIONS, Targets, apply
+from mast_zenoh.attacks.application import carry_out
 from mast_zenoh.messages import SCHEMAS
 from mast_zenoh.states import ObjectStates
 
@@ -25,7 +25,7 @@ def applied(wanted: Targets, objects: ObjectStates, remove=(), move=(), order=No
     """Apply to objects in order; remove, move: the row of each target."""
     order = np.arange(len(objects)) if order is None else np.asarray(order, int)
     rows = (np.asarray(remove, np.int64), np.asarray(move, np.int64))
-    return apply(wanted, wanted.add, objects.select(order), order, *rows)
+    return carry_out(wanted, wanted.add, objects.select(order), order, *rows)
 
 
 def test_no_targets_change_nothing():
@@ -49,6 +49,22 @@ def test_a_displaced_object_keeps_all_but_its_position_and_its_target_stays_with
     assert np.allclose(seen.position[2] - objects.position[2], [0.0, 3.0, 0.0])
     assert equal(seen.with_(position=objects.position), objects)
     assert np.array_equal(tampering.targets.move.position, goal.position)
+
+
+def test_an_attack_that_knows_where_its_targets_are_takes_the_nearest_object_to_each():
+    typical = {"score": np.full(4, 0.7), "covariance": np.tile(np.eye(9), (4, 1, 1))}
+    objects = at((0.0, 0.0), (4.0, 0.0), (20.0, 0.0), (0.0, 90.0), **typical)
+    wanted = targets(
+        add=at((10.0, 0.0), (200.0, 0.0)),
+        remove=at((3.0, 0.0), (1.5, 0.0), (40.0, 0.0)),
+        move=at((21.0, 0.0)),
+        offset=[[0.0, 5.0, 0.0]],
+    )
+    order = np.array([2, 0, 3, 1])
+    tampering = apply(wanted, objects.select(order), np.zeros(3), assign_radius_m=3.0)
+    seen = tampering.applied_to(objects.select(order))
+    assert sorted(map(tuple, seen.position[:, :2].tolist())) == [(0.0, 90.0), (10.0, 0.0), (20.0, 5.0)]
+    assert (seen.score[-1], seen.covariance[-1].tolist()) == (0.7, np.eye(9).tolist()), "typical of the others"
 
 
 def test_the_report_says_what_was_done_before_and_after():

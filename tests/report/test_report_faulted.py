@@ -201,7 +201,11 @@ def test_failed_checks_come_first_and_what_was_not_checked_last() -> None:
         ("processes", "not checked"),
     ]
     assert check_rows(CHECKS)[2].detail == "one process"
-    assert check_lines(CHECKS) == ["check failed: collation: 2 tracks <lost>", "1 of 2 checks hold"]
+    assert check_lines(CHECKS) == [
+        "check collation: failed (2 tracks <lost>)",
+        "check sequence numbers: ok (no hole in 400 messages)",
+        "check processes: not checked (one process)",
+    ]
     assert check_lines({}) == []
 
 
@@ -226,7 +230,7 @@ def test_the_terminal_tells_of_runs_with_faults_who_is_to_blame(
 ) -> None:
     text = shown(attacked_and_faulted)
     assert "0.75    0.25     0.50   0.00    7.50     0.12" in text
-    assert "check failed: collation: 2 tracks <lost>" in text
+    assert "check collation: failed (2 tracks <lost>)" in text
     plain = shown(run_folder())
     assert "Whose doing" not in plain
     assert "check" not in plain

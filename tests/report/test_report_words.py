@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.phrases import listed
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import score_table
@@ -41,9 +42,9 @@ def test_an_attacked_run_is_summed_up_by_the_largest_change_and_who_made_it(run_
 def test_against_another_run_the_headline_names_the_difference(run_folder: Callable[..., Path]) -> None:
     run, reference = RunFolder.load(run_folder("uncoordinated")), RunFolder.load(run_folder())
     assert "6.2 more false objects a frame in the common picture than unattacked, due to adversary_1 and" in headline(
-        run, reference, "unattacked"
+        run, Reference(reference, "unattacked")
     )
-    assert headline(reference, reference, "unattacked").startswith("Every score is that of unattacked")
+    assert headline(reference, Reference(reference, "unattacked")).startswith("Every score is that of unattacked")
 
 
 SCORES = {
@@ -70,7 +71,7 @@ def test_no_change_of_any_kind_in_any_estimate_goes_unmentioned(
         )
 
     edit(folder / "metrics.json", change)
-    assert phrase in headline(RunFolder.load(folder), reference, "unattacked")
+    assert phrase in headline(RunFolder.load(folder), Reference(reference, "unattacked"))
 
 
 def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: Callable[..., Path]) -> None:
@@ -87,14 +88,14 @@ def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: C
 
     edit(folder / "metrics.json", change(2.0))
     edit(reference / "metrics.json", change(0.0))
-    text = headline(RunFolder.load(folder), RunFolder.load(reference), "unattacked")
+    text = headline(RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked"))
     assert "2.0 more false objects a frame for infra_1 with the picture than unattacked" in text
 
 
 def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., Path]) -> None:
     folder, reference = run_folder("uncoordinated"), RunFolder.load(run_folder())
     edit(folder / "metrics.json", lambda metrics: metrics.update(agents=reference.metrics["agents"]))
-    text = headline(RunFolder.load(folder), reference, "unattacked")
+    text = headline(RunFolder.load(folder), Reference(reference, "unattacked"))
     assert text.startswith("Interposers changed messages (adversary_1: 125 inserted, 25 removed")
     assert "nothing" not in text
 

@@ -1,0 +1,112 @@
+"""The unattacked twin of a run: the same scenario and seed without its adversaries, played in this process."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from mast_zenoh import interposition, loading
+from mast_zenoh.errors import MastError, NotComparable
+from mast_zenoh.launch import local
+from mast_zenoh.resolved import RECORDING, Resolved
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.wiring import Wiring
+
+#: Where it lies in the folder of its run, and what it is called.
+FOLDER, NAME = "twin", "unattacked"
+_ATTACKERS = ("adversary", "coordinator")
+
+
+def unattacked(resolved: Resolved) -> Resolved:
+    """The scenario without adversaries, without what directs them, and without other interposers that are no links.
+
+    It is played in lock-step, and not recorded. Links and faults stay.
+    """
+    wiring = Wiring.from_json(resolved.wiring)
+    sitting = {name for wire in wiring.wires for name in wire.interposers}
+    gone = {
+        name
+        for name, spec in resolved.nodes.items()
+        if spec.role in (*_ATTACKERS, "recorder") or (name in sitting and spec.role != "link")
+    }
+    nodes = {name: spec for name, spec in resolved.nodes.items() if name not in gone}
+    return replace(
+        resolved,
+        name=NAME,
+        mode="lockstep",
+        nodes=nodes,
+        wiring=interposition.never_inserted(wiring, gone).to_json(),
+        timeline=tuple(each for each in resolved.timeline if each["kind"] != "attack"),
+        steps=tuple(step for step in resolved.steps if step.node not in gone),
+    )
+
+
+def of(run_folder: Path, console: Console | None = None) -> Path:
+    """The folder of the unattacked twin of a run, which is played if it is not there yet.
+
+    Raises NotComparable when the run's scenario cannot be read, or cannot be played in one process.
+    """
+    twin = unattacked(_read(run_folder))
+    folder = run_folder / FOLDER
+    if _is_played(folder, twin):
+        return folder
+    if folder.exists():
+        if _json(folder / "run.json").get("name") != NAME:
+            raise NotComparable(f"{folder}: is not the twin of {run_folder}: remove it, or name a run with --against")
+        shutil.rmtree(folder)
+    if twin.network.get("faults"):
+        raise NotComparable(
+            f"{run_folder}: its unattacked twin would be played in one process, which has no host network for its "
+            "faults: run the scenario without adversaries yourself, and name that folder with --against"
+        )
+    try:
+        ended = local.run(replace(twin, network={}), folder, runtime="inproc", console=console)
+    except MastError as error:
+        raise NotComparable(f"the unattacked twin of {run_folder} cannot be played: {error}") from error
+    if ended.error:
+        raise NotComparable(f"the unattacked twin of {run_folder} failed: {ended.error}")
+    return folder
+
+
+def _read(run_folder: Path) -> Resolved:
+    """The scenario of a run, with its scene where the nodes know it by name."""
+    try:
+        resolved = Resolved.read(run_folder)
+        recording = Recording.load(run_folder / RECORDING)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise NotComparable(
+            f"{run_folder}: its unattacked twin needs scenario.json, wiring.json and {RECORDING}: {error}"
+        ) from None
+    for module in resolved.modules:
+        loading.module(Path(module))
+
+    def with_scene(config: dict[str, Any]) -> dict[str, Any]:
+        return {
+            key: recording if isinstance(value, str) and value == RECORDING else value for key, value in config.items()
+        }
+
+    nodes = {name: replace(spec, config=with_scene(spec.config)) for name, spec in resolved.nodes.items()}
+    return replace(resolved, nodes=nodes, recording=recording)
+
+
+def _is_played(folder: Path, twin: Resolved) -> bool:
+    """Whether a folder holds the results of this twin."""
+    if _json(folder / "run.json").get("status") != "ok" or not (folder / "metrics.json").is_file():
+        return False
+    return bool(
+        _json(folder / "scenario.json") == json.loads(json.dumps(replace(twin, network={}).to_json()))
+        and _json(folder / "wiring.json") == json.loads(json.dumps(twin.wiring))
+    )
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
