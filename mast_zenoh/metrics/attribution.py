@@ -172,6 +172,8 @@ class _Case:
         for later in (False, True):
             found = t.adjacent(cause >= 0, (cause >= 0) | (t.outcome == MATCHED), self.coast, later=later)
             filled = (false & (cause < 0) & (found >= 0)).nonzero()[0]
+            if later:  # nothing is due to what began after it
+                filled = filled[t.frame[filled] >= self._begun(t.series[filled], by[found[filled]])]
             cause[filled], by[filled] = cause[found[filled]], by[found[filled]]
         # A track of a real object that is being hidden, moved or altered goes astray.
         matched = t.outcome == MATCHED
@@ -180,6 +182,22 @@ class _Case:
         lone, last = lone[last >= 0], last[last >= 0]
         self._blame_hiding(t.match[last], t.frame[lone], t.series[lone], lone, cause, by)
         return cause, by
+
+    def _begun(self, series: Ints, by: Bools) -> Ints:
+        """(n,) frame in which the first of some culprits (n, c) first showed an object that can be seen in a series.
+
+        Where there is no culprit: the first of all links.
+        """
+        done = self.done
+        begun = np.full((len(done.culprits) + 1, len(self.scores.series)), self.span)  # links come last
+        shows = np.isin(done.kind, (INSERTED, MOVED))
+        for culprit in range(-1, len(done.culprits)):
+            rows = (shows & (done.culprit == culprit)).nonzero()[0]
+            if len(rows):
+                frame = np.where(done.reach[done.passage[rows]], done.frame[rows, None], self.span)
+                begun[culprit] = frame.min(axis=0)
+        whose = np.column_stack([by, ~by.any(axis=1)])
+        return np.asarray(np.where(whose, begun[:, series].T, self.span).min(axis=1))
 
     def _blame_hiding(self, truth_id: Ints, frame: Ints, series: Ints, rows: Ints, cause: Ints, by: Bools) -> None:
         """Set cause and culprits of `rows`, which are about these objects, where these were hidden lately."""
