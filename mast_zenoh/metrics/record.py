@@ -120,7 +120,8 @@ class Record:
         ):
             if array.shape != expected:
                 raise ValueError(f"truth of frame {frame}, {name}: found shape {array.shape}, expected {expected}")
-        self._truth[frame] = (Snapshot.of(objects, views=True), points.copy(), agent_position.copy(), agent_object.copy())
+        boxes = Snapshot.of(objects, views=True)
+        self._truth[frame] = (boxes, points.copy(), agent_position.copy(), agent_object.copy())
 
     def add(self, frame: int, series: Sequence[Series], objects: Snapshot, step: int | None = None) -> None:
         """An estimate of a frame, which belongs to several series: it is scored only once.
