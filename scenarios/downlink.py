@@ -1,6 +1,6 @@
 """An adversary on the way from the command centre to the ego: it alone is shown a false picture.
 
-False objects stand or drive in the ego's lane, ahead of it. The command centre, and all other agents, see nothing of it.
+False objects stand or drive in the ego's lane, ahead of it. The command centre and all other agents see none of them.
 """
 
 from baseline import scenario as baseline

@@ -25,13 +25,13 @@ class ConflictSelection(Selection):
 
     n_objects:        how many to hide
     horizon_s:        s, how far ahead the attacker looks
-    unseen_by_ego:    choose among the objects that the ego cannot see itself for most of that time, if there are any: it
-                      learns of them from others alone
+    unseen_by_ego:    choose among the objects that the ego cannot see itself for most of that time, if there are any:
+                      it learns of them from others alone
     near:             (x, y) m, world frame: choose the objects nearest to this place instead
     cluster_radius_m: m, within which rows of different adversaries are one object
 
-    The ego's place is that of its known route. Without one, and without `near`, nothing is hidden. Raises ValueError for
-    values that make no sense.
+    The ego's place is that of its known route. Without one, and without `near`, nothing is hidden. Raises ValueError
+    for values that make no sense.
     """
 
     def __init__(

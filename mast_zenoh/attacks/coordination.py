@@ -19,7 +19,6 @@ from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.tracking.view import SensorView
 
-
 #: Frames in which an object must have been reported to be a target.
 ESTABLISHED = 10
 

@@ -88,7 +88,7 @@ class Follower:
         return targets.with_(position=position, velocity=velocity), row
 
     def established(self, messages: int) -> Bools:
-        """(n,) which rows of the newest message are of objects seen in so many messages: what is false does not last."""
+        """(n,) which rows of the newest message are of objects seen in so many messages: clutter does not last."""
         tracks = self._tracks
         rows = tracks[(tracks[:, ROW] >= 0) & (tracks[:, HITS] >= min(messages, self._messages)), ROW]
         result = np.zeros(len(self._objects), bool)
