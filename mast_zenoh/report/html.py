@@ -19,7 +19,7 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.driving import driving_rows
 from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
 from mast_zenoh.report.illustrations import how_chosen, run_figures, study_figures
-from mast_zenoh.report.interposers import BAD, EFFECTS, failures_of, interposers
+from mast_zenoh.report.interposers import BAD, EFFECTS, exit_expected, failures_of, interposers
 from mast_zenoh.report.page import render
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
@@ -224,6 +224,7 @@ def _node(run: RunFolder, name: str) -> dict[str, Any]:
     return {key: told.get(key) for key in ("pid", "exit", "restarts")} | {
         "role": run.role(name),
         "ended": told.get("ended") or "not known",
+        "bad": told.get("ended") != "ok" and not exit_expected(told),
         "last_frame": told.get("last_frame"),
         "troubles": _troubles(told),
     }
