@@ -249,10 +249,19 @@ def report(
     run_folder: Annotated[Path, typer.Argument(help="The folder of a run.")],
     frame: Annotated[int | None, typer.Option(min=0, help="The frame that the pictures show.")] = None,
     against: Against = None,
+    measure: Annotated[bool, typer.Option("--measure", help="Measure the run anew, from its recording.")] = False,
 ) -> None:
-    """Write the report of a run again, compared with another run if one is named."""
+    """Write the report of a run again, compared with another run if one is named.
+
+    A run that has no metrics is measured first, if it was recorded.
+    """
+    from mast_zenoh.launch import measuring
     from mast_zenoh.report import html, terminal
 
+    if measure or measuring.can_fill_in(run_folder):
+        for refused in measuring.measure(run_folder):
+            _err.print(f"warning: {refused}", markup=False, highlight=False)
+        _out.print(f"measured: {run_folder / measuring.METRICS}", markup=False, highlight=False)
     other = None if against is None else reference_folder(run_folder, against)
     if other is not None:
         terminal.show_run(_out, run_folder, other)

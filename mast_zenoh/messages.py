@@ -162,7 +162,7 @@ SCHEMAS: dict[str, Schema] = {
             (
                 Column("action", "uint8", ("n",), "", "index into mast_zenoh.attacks.ACTIONS"),
                 Column("target", "int64", ("n",), "", "the adversary's own number of the target"),
-                Column("before_position", "float64", ("n", 3), "m", "zero where an object was added"),
+                Column("before_position", "float64", ("n", 3), "m", "zero where an object was inserted"),
                 Column("after_position", "float64", ("n", 3), "m", "zero where an object was removed"),
                 Column("velocity", "float64", ("n", 3), "m/s", "of the object afterwards, or before its removal"),
             ),
@@ -182,9 +182,17 @@ SCHEMAS: dict[str, Schema] = {
         ),
         Schema(
             "observation",
-            1,
+            2,
             "what an adversary sees on its wire, for its coordinator, world frame",
-            (*_states(), Column("agent_position", "float64", (3,), "m", "of the compromised agent")),
+            (
+                *_states(),
+                Column("agent_position", "float64", (3,), "m", "of the compromised agent"),
+                Column("sensor_position", "float64", (3,), "m", "of its sensor"),
+                Column("sensor_rotation", "float64", (3, 3), "", "active, sensor to world"),
+                Column("azimuth", "float64", (2,), "rad", "that its sensor covers, from and to, in the sensor frame"),
+                Column("elevation", "float64", (2,), "rad", "that its sensor covers, in the sensor frame"),
+                Column("max_range", "float64", (1,), "m", "that its sensor covers"),
+            ),
         ),
         Schema(
             "directive",

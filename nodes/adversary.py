@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mast_zenoh.attacks import Attack, PassThrough, Tampering, Targets
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.attacks import Attack, PassThrough, Surroundings, Tampering, Targets
+from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.fusion.collation import LatestBefore
 from mast_zenoh.geometry import rotation_from_quaternion, states_to_local, states_to_world
 from mast_zenoh.messages import Body
@@ -21,12 +21,16 @@ from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.process import main
 from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
 from mast_zenoh.states import Detections, ObjectStates
+from mast_zenoh.tracking.view import SensorView
 
 POSES_KEPT = 16  #: frames for which a message may be late on its wire and still be attacked
 
 
 class Adversary(Node):
-    """attack: what it does; agent: the compromised agent, on whose wire it sits."""
+    """attack: what it does; agent: the compromised agent, on whose wire it sits;
+
+    surroundings: what the attacker knows of the scene in advance
+    """
 
     role = "adversary"
     inputs = {
@@ -45,19 +49,17 @@ class Adversary(Node):
         "report": "attack_report",
     }
 
-    def __init__(self, attack: Attack, agent: str) -> None:
+    def __init__(self, attack: Attack, agent: str, surroundings: Surroundings = UNKNOWN) -> None:
         self.attack = attack
         self.agent = agent
+        self.surroundings = surroundings
         self.poses: dict[int, Body] = {}
-        self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque()}
+        self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque(), "picture": deque()}
         self.directives: LatestBefore[Targets] = LatestBefore()
 
     def start(self, context: Context) -> None:
-        """Its draws are its own. Raises ConfigurationError on a picture's wire for an attack that would change it."""
-        if context.connected("picture_out") and not isinstance(self.attack, PassThrough):
-            raise ConfigurationError(
-                f"{context.name}: {type(self.attack).__name__} cannot change pictures: expected PassThrough"
-            )
+        """Its draws are its own."""
+        self.attack.inform(self.surroundings)
         self.attack.bind(context.seed, context.name)
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -113,7 +115,7 @@ class Adversary(Node):
         elif schema == "detections":
             self.attack_detections(message, pose, context)
         else:
-            self.attack_tracks(message, pose, context)
+            self.attack_states(schema, message, pose, context)
 
     def attack_detections(self, received: Received, pose: Body, context: Context) -> None:
         """Tamper in the world frame; rows left alone keep their bytes."""
@@ -129,12 +131,14 @@ class Adversary(Node):
         covariance[:, :3, :3] = seen.covariance
         objects = ObjectStates.of(
             seen.position,
+            id=np.full(len(seen), -1),  # detections have no identity
             size=seen.size,
             yaw=seen.yaw,
             score=seen.score,
             class_id=seen.class_id,
             covariance=covariance,
         )
+        self.attack.look(self.view(pose), fused=False)
         tampering = self.tamper(received, objects, pose, context)
         if len(tampering.report) == 0:
             context.relay("detections_out", received)
@@ -156,19 +160,26 @@ class Adversary(Node):
         mount = {name: body[name] for name in ("mount_position", "mount_rotation")}
         context.relay("detections_out", received, columns | mount)
 
-    def attack_tracks(self, received: Received, pose: Body, context: Context) -> None:
-        """Tell the coordinator what there is, then tamper."""
+    def attack_states(self, schema: str, received: Received, pose: Body, context: Context) -> None:
+        """Tell the coordinator what there is, then tamper with tracks or with a picture."""
         body = received.body
-        objects = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
-        context.publish(
-            "observation",
-            objects.columns() | {"agent_position": pose["position"]},
-            frame=received.frame,
-            time_ns=received.time_ns,
-        )
+        states, view = ObjectStates.from_columns(body), self.view(pose)
+        in_world = "origin" not in body
+        objects = states if in_world else states_to_world(states, body["origin"], body["rotation"])
+        if context.connected("observation"):
+            context.publish(
+                "observation",
+                objects.columns() | {"agent_position": pose["position"]} | view_columns(view),
+                frame=received.frame,
+                time_ns=received.time_ns,
+            )
+        self.attack.look(view, fused=schema == "picture")
         tampering = self.tamper(received, objects, pose, context)
         if len(tampering.report) == 0:
-            context.relay("tracks_out", received)
+            context.relay(f"{schema}_out", received)
+        elif in_world:
+            columns = tampering.applied_to(states).columns()
+            context.relay(f"{schema}_out", received, columns | {"support": self.support(body["support"], tampering)})
         else:
             reference = {name: body[name] for name in ("origin", "rotation")}
             forged = replace(
@@ -176,8 +187,16 @@ class Adversary(Node):
                 moved=states_to_local(tampering.moved, **reference),
                 added=states_to_local(tampering.added, **reference),
             )
-            sent = forged.applied_to(ObjectStates.from_columns(body))
-            context.relay("tracks_out", received, sent.columns() | reference)
+            context.relay(f"{schema}_out", received, forged.applied_to(states).columns() | reference)
+
+    def view(self, pose: Body) -> SensorView:
+        """What the victim's sensor covers."""
+        return self.surroundings.view(self.agent, pose["position"], rotation_from_quaternion(pose["rotation"]))
+
+    def support(self, support: np.ndarray, tampering: Tampering) -> np.ndarray:
+        """By how many agents each object of a forged picture is said to be seen: false ones by as many as usual."""
+        usual = int(np.median(support)) if len(support) else 1
+        return np.concatenate([support[tampering.keep], np.full(len(tampering.added), usual, np.int64)])
 
     def tamper(self, received: Received, objects: ObjectStates, pose: Body, context: Context) -> Tampering:
         """What the attack does to one message, and a report of it."""
@@ -187,6 +206,17 @@ class Adversary(Node):
         if len(tampering.report):
             context.publish("report", tampering.report.columns(), frame=received.frame, time_ns=received.time_ns)
         return tampering
+
+
+def view_columns(view: SensorView) -> dict[str, np.ndarray]:
+    """A view as columns of an observation."""
+    return {
+        "sensor_position": view.position,
+        "sensor_rotation": view.rotation,
+        "azimuth": np.array([view.azimuth_min, view.azimuth_max]),
+        "elevation": np.array([view.elevation_min, view.elevation_max]),
+        "max_range": np.array([view.max_range]),
+    }
 
 
 def targets_of(received: Received) -> Targets:

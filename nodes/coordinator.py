@@ -4,27 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.attacks import Coordination, Targets
+from mast_zenoh.attacks import Coordination, Surroundings, Targets
+from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.fusion.collation import Gather
+from mast_zenoh.messages import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.process import main
 from mast_zenoh.states import ObjectStates, concatenate
+from mast_zenoh.tracking.view import SensorView
 
 
 class Coordinator(Node):
-    """coordination: how targets are chosen and moved; adversaries: the names of those it directs."""
+    """coordination: how targets are chosen and moved; adversaries: the names of those it directs;
+
+    surroundings: what the attackers know of the scene in advance
+    """
 
     role = "coordinator"
     inputs = {"clock": "clock", "observations": "observation"}
     outputs = {"directive": "directive"}
 
-    def __init__(self, coordination: Coordination, adversaries: tuple[str, ...]) -> None:
+    def __init__(
+        self, coordination: Coordination, adversaries: tuple[str, ...], surroundings: Surroundings = UNKNOWN
+    ) -> None:
         self.coordination = coordination
+        self.surroundings = surroundings
         self.adversaries = frozenset(adversaries)
         self.observed: Gather[str, Received] = Gather()  # grows and shrinks with those who are there
 
     def start(self, context: Context) -> None:
         """Its draws are its own."""
+        self.coordination.inform(self.surroundings)
         self.coordination.bind(context.seed, context.name)
 
     def left(self, node: str, role: str, context: Context) -> None:
@@ -54,6 +64,7 @@ class Coordinator(Node):
         names = sorted(items)
         seen = [ObjectStates.from_columns(items[name].body) for name in names]
         time_ns = items[names[0]].time_ns
+        self.coordination.look(tuple(view_of(items[name].body) for name in names))
         plans = self.coordination.step(
             frame,
             time_ns,
@@ -63,6 +74,12 @@ class Coordinator(Node):
         )
         for name, targets in zip(names, plans, strict=True):
             context.publish("directive", directive(targets), subject=name, frame=frame, time_ns=time_ns)
+
+
+def view_of(body: Body) -> SensorView:
+    """The view in an observation."""
+    limits = *body["azimuth"].tolist(), *body["elevation"].tolist(), float(body["max_range"][0])
+    return SensorView(body["sensor_position"], body["sensor_rotation"], *limits)
 
 
 def directive(targets: Targets) -> dict[str, np.ndarray]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
+from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.process import main
@@ -28,6 +29,19 @@ class Recorder(Node):
     def start(self, context: Context) -> None:
         """All keys are known before the first message, but those of who is put on a wire later."""
         self.log.begin(context.hears)
+        self.rewired(context)
+
+    def rewired(self, context: Context) -> None:
+        """From the next frame on messages take other ways."""
+        self.log.add_event(Event(REWIRED, context.frame, wiring=context.wiring.to_json()))
+
+    def joined(self, node: str, role: str, context: Context) -> None:
+        """Another node is there from the next frame on."""
+        self.log.add_event(Event(JOINED, context.frame, node, role))
+
+    def left(self, node: str, role: str, context: Context) -> None:
+        """Another node has gone."""
+        self.log.add_event(Event(LEFT, context.frame, node, role))
 
     def on_everything(self, overheard: Overheard, context: Context) -> None:
         """A message, sound or not; of its body it is only asked that it is whole."""
@@ -36,9 +50,9 @@ class Recorder(Node):
             header = overheard.header
             codec.decode_header(payload, overheard.wire.message)
         except MessageError:
-            self.log.add_malformed(overheard.key, payload, max(context.frame, 0), context.time_ns)
+            self.log.add_malformed(overheard.key, payload, max(context.frame, 0), context.time_ns, overheard.step)
         else:
-            self.log.add(overheard.key, payload, header)
+            self.log.add(overheard.key, payload, header, overheard.step)
 
     def finish(self, context: Context) -> dict[str, Any]:
         """How many there were, and how many could not be written."""

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.propagation import Propagation
 from mast_zenoh.attacks.selection import Selection
 from mast_zenoh.attacks.targets import Targets
-from mast_zenoh.states import Floats, ObjectStates, propagate
+from mast_zenoh.states import ObjectStates, propagate
 from mast_zenoh.streams import stream
 
 NANOSECONDS = 1e9
@@ -21,7 +22,7 @@ class Campaign:
     """Holds targets over time; the adversary that selects for itself and the coordinator each run one.
 
     Nothing happens before `start_s` seconds of scene time. Targets are chosen anew every `reselect_every_s` seconds
-    (None: never). Draws come from the streams (seed, name, "selection" | "propagation", frame).
+    (None: never). Draws come from the streams (seed, scene, name, "selection" | "propagation", frame).
     Raises ValueError for an interval that is not positive.
     """
 
@@ -38,23 +39,18 @@ class Campaign:
         self._targets = Targets.empty()
         self._time_ns = 0
         self._numbers_used = 0
-        self._seed, self._name = 0, ""
+        self._seed, self._scene, self._name = 0, "", ""
 
-    def bind(self, seed: int, name: str) -> None:
-        """Name the random streams: all draws are functions of (seed, name, purpose, frame)."""
-        self._seed, self._name = seed, name
+    def bind(self, seed: int, scene: str, name: str) -> None:
+        """Name the random streams: all draws are functions of (seed, scene, name, purpose, frame)."""
+        self._seed, self._scene, self._name = seed, scene, name
 
-    def begin(
-        self, frame: int, time_ns: int, objects: ObjectStates, agents_position: Floats
-    ) -> tuple[Targets, float] | None:
-        """The targets at `time_ns` and the seconds since they were last held; None before the start.
-
-        objects are the selection's view of what is seen, agents_position (3,) or (a, 3) m, world frame.
-        """
+    def begin(self, frame: int, time_ns: int, objects: ObjectStates, coverage: Coverage) -> Targets | None:
+        """The targets at `time_ns`; None before the start. `objects` are the selection's view of what is seen."""
         if time_ns < self._start_ns:
             return None
-        if self._due(time_ns):
-            chosen = self._selection.select(objects, agents_position, self._stream("selection", frame))
+        if self.due(time_ns):
+            chosen = self._selection.select(objects, coverage, self._stream("selection", frame))
             targets = chosen.numbered(self._numbers_used)
             self._numbers_used += len(targets)
             self._selected_ns = time_ns
@@ -67,16 +63,19 @@ class Campaign:
             targets = replace(held, remove=propagate(held.remove, elapsed), move=propagate(held.move, elapsed))
         rng = self._stream("propagation", frame) if self._propagation.draws else _UNUSED
         add = self._propagation.advance(targets.add, elapsed, age, rng)
-        return replace(targets, add=add, time_ns=time_ns), elapsed
+        return replace(targets, add=add, time_ns=time_ns)
 
     def hold(self, targets: Targets, time_ns: int) -> None:
         """Keep the targets as they are now, after they have followed their objects."""
         self._targets, self._time_ns = targets, time_ns
 
-    def _due(self, time_ns: int) -> bool:
+    def due(self, time_ns: int) -> bool:
+        """Whether targets are to be chosen anew at a time."""
+        if time_ns < self._start_ns:
+            return False
         if self._selected_ns is None:
             return True
         return self._every_ns is not None and time_ns - self._selected_ns >= self._every_ns
 
     def _stream(self, purpose: str, frame: int) -> np.random.Generator:
-        return stream(self._seed, self._name, purpose, frame)
+        return stream(self._seed, self._scene, self._name, purpose, frame)

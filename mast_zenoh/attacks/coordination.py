@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 
-from mast_zenoh.attacks.application import follow
-from mast_zenoh.attacks.campaign import Campaign
+import numpy as np
+
+from mast_zenoh.attacks.adversary import OWN_TARGET_M
+from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign
+from mast_zenoh.attacks.coverage import Coverage
+from mast_zenoh.attacks.following import Follower
+from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.propagation import Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.selection import CoordinatedSelection, Selection
+from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Targets
-from mast_zenoh.states import Floats, Ints, ObjectStates
+from mast_zenoh.states import Floats, Ints, ObjectStates, concatenate
+from mast_zenoh.tracking.view import SensorView
 
 
 class Coordination(ABC):
     """Tells adversaries, every frame, what to do in the next."""
 
     def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: what draws nothing needs no streams)
-        """Name the coordinator's random streams: all its draws are functions of (seed, name, purpose, frame)."""
+        """Name the coordinator's random streams: all draws are functions of (seed, scene, name, purpose, frame)."""
+
+    def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
+        """What the attackers know of the scene in advance; called before `bind`."""
+
+    def look(self, views: tuple[SensorView, ...]) -> None:  # noqa: B027 (a hook)
+        """What the sensors of the victims cover at the next step, in the order of its `agent_positions`."""
 
     @abstractmethod
     def step(
@@ -57,19 +71,40 @@ class Coordinator(Coordination):
     ) -> None:
         self._selection = selection or CoordinatedSelection()
         self._campaign = Campaign(self._selection, propagation or TrajectoryPropagation(), reselect_every_s, start_s)
-        self._assign_radius_m = assign_radius_m
+        self._follower = Follower(assign_radius_m)
+        self._surroundings = UNKNOWN
+        self._views: tuple[SensorView, ...] = ()
+
+    def inform(self, surroundings: Surroundings) -> None:
+        """See Coordination."""
+        self._surroundings = surroundings
 
     def bind(self, seed: int, name: str) -> None:
-        self._campaign.bind(seed, name)
+        """See Coordination."""
+        self._campaign.bind(seed, self._surroundings.scene, name)
+
+    def look(self, views: tuple[SensorView, ...]) -> None:
+        """See Coordination."""
+        self._views = views
 
     def step(
         self, frame: int, time_ns: int, objects: ObjectStates, source: Ints, agent_positions: Floats
     ) -> tuple[Targets, ...]:
+        """See Coordination."""
         view = self._selection.view(objects, source)
-        begun = self._campaign.begin(frame, time_ns, view, agent_positions)
-        if begun is None:
+        view = view.select(canonical_order(view))
+        views = self._views if len(self._views) == len(agent_positions) else tuple(map(unlimited, agent_positions))
+        coverage = Coverage(self._surroundings, views, time_ns / NANOSECONDS)
+        # The members of a cluster change, and with them its id: it says nothing.
+        self._follower.observe(view.with_(id=np.full(len(view), -1, np.int64)), time_ns)
+        targets = self._campaign.begin(frame, time_ns, view, coverage)
+        if targets is None:
             return (Targets.empty(time_ns),) * len(agent_positions)
-        targets, elapsed = begun
-        targets, _, _ = follow(targets, view, assign_radius_m=self._assign_radius_m, elapsed_s=elapsed)
+        both = concatenate([targets.remove, targets.move])
+        self._follower.keep(both.id)
+        if len(both):
+            n = len(targets.remove)
+            both, _ = self._follower.locate(both, OWN_TARGET_M)
+            targets = replace(targets, remove=both.select(slice(0, n)), move=both.select(slice(n, None)))
         self._campaign.hold(targets, time_ns)
         return (targets,) * len(agent_positions)

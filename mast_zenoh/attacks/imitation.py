@@ -1,24 +1,68 @@
-"""Making false objects look like the victim's own: identity, covariance and score."""
+"""Making false objects look like the victim's own: noise, misses, covariance, score and identity."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from math import erf, sqrt
 from statistics import median
 
 import numpy as np
 
+from mast_zenoh.attacks.coverage import Coverage
+from mast_zenoh.attacks.statistics import VictimStatistics
+from mast_zenoh.geometry import wrap_angle
 from mast_zenoh.states import Floats, Ints, ObjectStates
+from mast_zenoh.streams import stream
+from mast_zenoh.tracking.view import SensorView
 
 #: Standard deviations [x y z l w h vx vy vz] and score of a false object when the victim shows nothing to imitate.
 DEFAULT_STD: Floats = np.array([0.5, 0.5, 0.5, 0.2, 0.2, 0.2, 1.0, 1.0, 0.5])
 DEFAULT_SCORE = 0.9
+#: A row whose covariance is so many times the median is of a track that has just begun: not typical.
+TYPICAL = 3.0
+#: Largest error of a size, as a share of it.
+MOST_SIZE_ERROR = 0.3
+#: Columns of the noise: position, size, velocity, yaw, and the score's rank.
+_COLUMNS = 11
+#: Frames whose noise is drawn together.
+_BLOCK = 32
 
 
-def imitate(false: ObjectStates, real: ObjectStates) -> ObjectStates:
-    """False objects with the covariance and score that are typical of the victim's objects in this frame.
+class Imitation(ABC):
+    """How false objects are made to look on one wire."""
 
-    The covariance is that of the real object with the median trace (a mean would be blown up by a track that has
-    just begun), the score the median score. `real` must be in canonical order.
+    def bind(self, seed: int, scene: str, name: str) -> None:  # noqa: B027 (a hook: what draws nothing needs no streams)
+        """Name the random streams: all draws are functions of (seed, scene, name, "imitation", frame)."""
+
+    def observe(self, real: ObjectStates, time_ns: int, victim: Floats) -> None:  # noqa: B027 (a hook)
+        """Learn from the victim's objects of one message, in canonical order; victim (3,) m is where it is."""
+
+    @abstractmethod
+    def show(
+        self, frame: int, false: ObjectStates, real: ObjectStates, coverage: Coverage, view: SensorView
+    ) -> ObjectStates:
+        """The false objects as the victim's own rows would show them in this frame; those that it misses are left out.
+
+        real: the victim's objects of this frame, in canonical order; coverage, view: what the victim covers
+        """
+
+
+class Exact(Imitation):
+    """False objects as they are, in every frame, wherever they are: those of the paper.
+
+    Covariance and score are typical of the victim's objects in this frame: the covariance with the median trace (a mean
+    would be blown up by a track that has just begun), and the median score.
     """
+
+    def show(
+        self, frame: int, false: ObjectStates, real: ObjectStates, coverage: Coverage, view: SensorView
+    ) -> ObjectStates:
+        """See Imitation."""
+        return typical(false, real)
+
+
+def typical(false: ObjectStates, real: ObjectStates) -> ObjectStates:
+    """False objects with the covariance and the score that are typical of real ones in canonical order, see Exact."""
     if len(false) == 0:
         return false
     covariance, score = np.diag(DEFAULT_STD**2), DEFAULT_SCORE
@@ -26,10 +70,117 @@ def imitate(false: ObjectStates, real: ObjectStates) -> ObjectStates:
         by_trace = np.argsort(np.trace(real.covariance, axis1=1, axis2=2), kind="stable")
         covariance = real.covariance[by_trace[(len(real) - 1) // 2]]
         score = median(real.score.tolist())
-    return false.with_(
-        covariance=np.repeat(covariance[None], len(false), 0),
-        score=np.full(len(false), score),
-    )
+    return false.with_(covariance=np.repeat(covariance[None], len(false), 0), score=np.full(len(false), score))
+
+
+class VictimLike(Imitation):
+    """False objects with the noise, misses, covariances and scores of the victim's own rows.
+
+    A false object is shown only where the victim could see it: in its sensor's view, not behind a wall or an object,
+    not in a building and not in another object. Of the frames in which it could be seen, it is missed in as many as a
+    real object at its range. Its errors have the size of those that the victim's row nearest in range states, and the
+    correlation from frame to frame that the victim's rows show. Its score has a constant or a changing rank among the
+    victim's scores, with the same correlation.
+
+    misses, noise: whether there are any
+    """
+
+    def __init__(self, *, misses: bool = True, noise: bool = True) -> None:
+        self._misses = misses
+        self._noise = noise
+        self._statistics = VictimStatistics()
+        self._numbers: Ints = np.zeros(0, np.int64)
+        self._errors = np.zeros((0, _COLUMNS))
+        self._block: tuple[tuple[int, int], Floats, Floats] | None = None  # (block, objects), noise, luck
+        self._seed, self._scene, self._name = 0, "", ""
+
+    def bind(self, seed: int, scene: str, name: str) -> None:
+        """See Imitation."""
+        self._seed, self._scene, self._name = seed, scene, name
+
+    def observe(self, real: ObjectStates, time_ns: int, victim: Floats) -> None:
+        """See Imitation."""
+        if not self._statistics.complete:
+            self._statistics.observe(real, time_ns, victim)
+
+    def show(
+        self, frame: int, false: ObjectStates, real: ObjectStates, coverage: Coverage, view: SensorView
+    ) -> ObjectStates:
+        """See Imitation."""
+        if len(false) == 0:
+            return false
+        fresh, luck = self._draws(frame, len(false))  # for every object, so that what is shown moves no other draw
+        errors = self._next_errors(false.id, fresh)
+        offset = false.position - view.position
+        range_m = np.sqrt(offset[:, 0] * offset[:, 0] + offset[:, 1] * offset[:, 1])
+        false = self._like_the_victims(false, errors, real, range_m, view)
+        shown = coverage.plausible(false, real, view)
+        if self._misses:
+            shown &= luck < self._statistics.share_detected(range_m)
+        return false if shown.all() else false.select(shown)
+
+    def _draws(self, frame: int, n: int) -> tuple[Floats, Floats]:
+        """(n, _COLUMNS) standard normal and (n,) uniform draws of a frame."""
+        block = (frame // _BLOCK, n)
+        if self._block is None or self._block[0] != block:
+            rng = stream(self._seed, self._scene, self._name, "imitation", *block)
+            self._block = (block, rng.standard_normal((_BLOCK, n, _COLUMNS)), rng.random((_BLOCK, n)))
+        return self._block[1][frame % _BLOCK], self._block[2][frame % _BLOCK]
+
+    def _next_errors(self, numbers: Ints, fresh: Floats) -> Floats:
+        """(k, _COLUMNS) errors in units of σ: correlated with those of the frame before for objects that go on."""
+        correlation = self._statistics.correlation
+        errors = fresh
+        if correlation > 0.0 and len(self._numbers):
+            innovation = sqrt(1.0 - correlation * correlation)
+            if np.array_equal(numbers, self._numbers):
+                errors = correlation * self._errors + innovation * fresh
+            else:
+                k, before = (numbers[:, None] == self._numbers).nonzero()
+                errors = fresh.copy()
+                errors[k] = correlation * self._errors[before] + innovation * fresh[k]
+        self._numbers, self._errors = numbers, errors
+        return errors
+
+    def _like_the_victims(
+        self, false: ObjectStates, errors: Floats, real: ObjectStates, range_m: Floats, view: SensorView
+    ) -> ObjectStates:
+        covariance, score = self._typical(real, range_m, errors[:, -1], view)
+        columns = {"covariance": covariance, "score": score}
+        if not self._noise:
+            return false.with_(**columns)
+        usual_std, size_std, yaw_std = self._statistics.std
+        stated = np.sqrt(np.einsum("nii->ni", covariance))
+        noise = errors[:, :10].copy()
+        noise[:, :3] *= np.where(stated[:, :3] > 0.0, stated[:, :3], usual_std)
+        noise[:, 3:6] *= size_std
+        noise[:, 9] *= yaw_std
+        limit = MOST_SIZE_ERROR * false.size
+        columns |= {
+            "position": false.position + noise[:, :3],
+            "size": false.size + np.minimum(np.maximum(noise[:, 3:6], -limit), limit),
+            "yaw": wrap_angle(false.yaw + noise[:, 9]),
+        }
+        if len(real) and real.velocity.any():  # detections show none
+            columns["velocity"] = false.velocity + noise[:, 6:9] * stated[:, 6:9]
+        return false.with_(**columns)
+
+    @staticmethod
+    def _typical(real: ObjectStates, range_m: Floats, rank: Floats, view: SensorView) -> tuple[Floats, Floats]:
+        """Covariances (k, 9, 9) of the victim's rows nearest in range, and scores (k,) of these ranks among its rows.
+
+        range_m: (k,) m, of the false objects; rank: (k,) standard normal
+        """
+        k = len(range_m)
+        if len(real) == 0:
+            return np.repeat(np.diag(DEFAULT_STD**2)[None], k, 0), np.full(k, DEFAULT_SCORE)
+        trace = np.einsum("nii->n", real.covariance)
+        typical = (trace <= TYPICAL * np.sort(trace)[(len(trace) - 1) // 2]).nonzero()[0]
+        offset = real.position[typical, :2] - view.position[:2]
+        nearest = np.abs(range_m[:, None] - np.hypot(offset[:, 0], offset[:, 1])).argmin(axis=1)
+        scores = np.sort(real.score[typical])
+        share = np.array([0.5 + 0.5 * erf(z / sqrt(2.0)) for z in rank.tolist()])
+        return real.covariance[typical[nearest]], scores[np.minimum(share * len(scores), len(scores) - 1).astype(int)]
 
 
 class ForgedIds:

@@ -1,4 +1,7 @@
-"""How false objects move from frame to frame. A victim's tracker confirms what moves like traffic."""
+"""How false objects move from frame to frame. A victim's tracker confirms what moves like traffic.
+
+Every model moves a road user as one: along its heading, with bounded acceleration and yaw rate. None jumps sideways.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from mast_zenoh.states import ObjectStates, propagate
+from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.states import Floats, ObjectStates, propagate
+
+#: m/s^2, of braking and of accelerating; comfortable in traffic (Bae et al., 2019: 2 to 3).
+MAX_ACCELERATION_MPS2 = 3.0
+#: rad/s, and m: a car turns no faster, and in no smaller circle.
+MAX_YAW_RATE, LEAST_TURN_M = 0.6, 5.0
 
 
 class Propagation(ABC):
@@ -38,7 +47,8 @@ class MarkovPropagation(Propagation):
     """A random walk of the velocity: v += a·dt with a ~ N(0, `sigma_mps2`) on x and y, speed at most `max_speed_mps`.
 
     This is the originals' `v += dv·dt` with dv σ 0.5: in a step of dt seconds the velocity changes by σ = 0.5·dt m/s
-    on each axis, so over T seconds by 0.5·sqrt(T·dt) m/s. The box turns with its velocity.
+    on each axis, so over T seconds by 0.5·sqrt(T·dt) m/s. Of each change, the part along the heading is bounded by
+    MAX_ACCELERATION_MPS2 and never reverses the object; the part across turns it by MAX_YAW_RATE at most.
     """
 
     def __init__(self, *, sigma_mps2: float = 0.5, max_speed_mps: float = 30.0) -> None:
@@ -46,24 +56,59 @@ class MarkovPropagation(Propagation):
         self.max_speed_mps = max_speed_mps
 
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
-        velocity = states.velocity.copy()
-        velocity[:, :2] += rng.normal(0.0, 1.0, (len(states), 2)) * (self.sigma_mps2 * elapsed_s)
-        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-        velocity *= np.minimum(1.0, self.max_speed_mps / np.maximum(speed, 1e-12))
-        yaw = np.where(speed[:, 0] > 1e-6, np.arctan2(velocity[:, 1], velocity[:, 0]), states.yaw)
-        return propagate(states.with_(velocity=velocity, yaw=yaw), elapsed_s)
+        change = rng.normal(0.0, 1.0, (len(states), 2)) * (self.sigma_mps2 * elapsed_s)
+        speed, yaw = _speed_and_heading(states)
+        forward, left = _headings(yaw)
+        limit = MAX_ACCELERATION_MPS2 * elapsed_s
+        along = np.clip((change * forward).sum(axis=1), -limit, limit)
+        across = (change * left).sum(axis=1)
+        turn_limit = np.minimum(MAX_YAW_RATE, speed / LEAST_TURN_M) * elapsed_s
+        yaw = wrap_angle(yaw + np.clip(across / np.maximum(speed, 1e-6), -turn_limit, turn_limit))
+        slower = np.maximum(self.max_speed_mps, speed - limit)  # what is too fast from the beginning brakes
+        speed = np.clip(speed + along, 0.0, slower)
+        return _driven(states, yaw, speed, speed * elapsed_s)
 
 
 class TrajectoryPropagation(Propagation):
-    """A planned path: constant velocity for `duration_s` seconds, then standing at its end."""
+    """A planned path: constant velocity for `duration_s` seconds, then braking at `braking_mps2` to a stop.
+
+    Raises ValueError for a deceleration that is not positive.
+    """
 
     draws = False
 
-    def __init__(self, *, duration_s: float = 10.0) -> None:
+    def __init__(self, *, duration_s: float = 10.0, braking_mps2: float = MAX_ACCELERATION_MPS2) -> None:
+        if not braking_mps2 > 0.0:
+            raise ValueError(f"braking_mps2: found {braking_mps2}, expected more than 0")
         self.duration_s = duration_s
+        self.braking_mps2 = braking_mps2
 
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
-        remaining = self.duration_s - age_s
-        moved = propagate(states, min(elapsed_s, max(remaining, 0.0)))
-        # Standing from the frame in which the path is driven to its end; 1 ns absorbs the rounding of the age.
-        return moved if elapsed_s < remaining - 1e-9 else moved.with_(velocity=np.zeros_like(moved.velocity))
+        if age_s > 0.0 and age_s + elapsed_s <= self.duration_s:
+            return propagate(states, elapsed_s)  # heading where it goes since its first step
+        speed, yaw = _speed_and_heading(states)
+        cruising = min(max(self.duration_s - age_s, 0.0), elapsed_s)
+        after = np.maximum(speed - self.braking_mps2 * (elapsed_s - cruising), 0.0)
+        distance = speed * cruising + (speed**2 - after**2) / (2.0 * self.braking_mps2)
+        return _driven(states, yaw, after, distance)
+
+
+def _speed_and_heading(states: ObjectStates) -> tuple[Floats, Floats]:
+    """(n,) m/s over ground, and (n,) rad where the objects head: where they go, or as their box where they stand."""
+    vx, vy = states.velocity[:, 0], states.velocity[:, 1]
+    speed = np.hypot(vx, vy)
+    return speed, np.where(speed > 1e-6, np.arctan2(vy, vx), states.yaw)
+
+
+def _headings(yaw: Floats) -> tuple[Floats, Floats]:
+    """(n, 2) unit vectors along and to the left of headings."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.column_stack([c, s]), np.column_stack([-s, c])
+
+
+def _driven(states: ObjectStates, yaw: Floats, speed: Floats, distance: Floats) -> ObjectStates:
+    """The objects `distance` (n,) m further along headings `yaw` (n,), with speeds (n,) m/s."""
+    forward = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))])
+    return states.with_(
+        position=states.position + forward * distance[:, None], velocity=forward * speed[:, None], yaw=yaw
+    )

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Literal
 
 import numpy as np
 
+from mast_zenoh.attacks.clusters import cluster_centres
+from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.ordering import canonical_order
+from mast_zenoh.attacks.regions import REGIONS, Shape
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.errors import nearest
-from mast_zenoh.states import CLASS_INDEX, Floats, Ints, ObjectStates
-from mast_zenoh.tracking.neighbours import neighbours
+from mast_zenoh.states import CLASS_INDEX, Ints, ObjectStates
 
 
 class Selection(ABC):
@@ -24,8 +27,8 @@ class Selection(ABC):
         return objects
 
     @abstractmethod
-    def select(self, objects: ObjectStates, agents_position: Floats, rng: np.random.Generator) -> Targets:
-        """Targets among `objects` (a view, world frame) and round the victims at (3,) or (a, 3) m, world frame.
+    def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
+        """Targets among `objects` (a view, world frame), and false objects where `coverage` allows them.
 
         The result may depend on `rng` and on the set of objects, not on their order.
         """
@@ -35,11 +38,14 @@ class UncoordinatedSelection(Selection):
     """One adversary by itself: false objects round its victim, a part of the victim's objects hidden or moved.
 
     n_false_positives:        λ of the Poisson distribution of the number of false objects
+    region:                   where they are put: "in_view" of the victim, in the "ego_path", "victim_only" (no other
+                              agent looks there), or about the victim as in the "paper"; see attacks.regions
     fraction_false_negatives: part of the objects to hide; uniform without replacement, rounded down, but at least
                               one if there is any object and the fraction is not zero
     fraction_translations:    part of the objects to displace, none of them hidden; counted in the same way
-    position_std_m:           σ per axis of false objects about the victim, projected to the ground
-    velocity_std_mps:         σ per axis of their velocity; they head where they go
+    position_std_m:           σ per axis of false objects about the victim, projected to the ground; not for "ego_path"
+    velocity_std_mps:         σ per axis of their velocity; they head where they go. Except for "paper", directions are
+                              those of the traffic, and an object with a short way to go is slower
     box:                      m, length, width and height of false objects
     object_class:             one of states.CLASSES, the class of false objects
     translation_m:            m, how far objects are displaced, in a direction drawn per object
@@ -53,6 +59,7 @@ class UncoordinatedSelection(Selection):
         self,
         *,
         n_false_positives: float = 5.0,
+        region: Literal["paper", "in_view", "ego_path", "victim_only"] = "in_view",
         fraction_false_negatives: float = 0.2,
         fraction_translations: float = 0.0,
         position_std_m: float = 30.0,
@@ -62,6 +69,7 @@ class UncoordinatedSelection(Selection):
         translation_m: float = 5.0,
     ) -> None:
         self.n_false_positives = n_false_positives
+        self.region = REGIONS[region]
         self.fraction_false_negatives = fraction_false_negatives
         self.fraction_translations = fraction_translations
         self.position_std_m = position_std_m
@@ -82,7 +90,7 @@ class UncoordinatedSelection(Selection):
         if not condition:
             raise ValueError(f"{name}: found {getattr(self, name)}, expected {expected}")
 
-    def select(self, objects: ObjectStates, agents_position: Floats, rng: np.random.Generator) -> Targets:
+    def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
         for_add, for_rows, for_offset = rng.spawn(3)
         objects = objects.select(canonical_order(objects))
         n = len(objects)
@@ -92,27 +100,22 @@ class UncoordinatedSelection(Selection):
         direction = for_offset.uniform(-np.pi, np.pi, moved)
         offset = np.column_stack([np.cos(direction), np.sin(direction), np.zeros(moved)]) * self.translation_m
         return Targets(
-            add=self._false_objects(ground_height(objects), np.atleast_2d(agents_position), for_add),
+            add=self._false_objects(objects, coverage, for_add),
             remove=objects.select(np.sort(rows[:removed])),
             move=objects.select(np.sort(rows[removed : removed + moved])),
             move_offset=offset,
         ).numbered(0)
 
-    def _false_objects(self, ground: float, agents_position: Floats, rng: np.random.Generator) -> ObjectStates:
-        count = int(rng.poisson(self.n_false_positives)) if len(agents_position) else 0
-        position = np.zeros((count, 3))
-        velocity = np.zeros((count, 3))
-        position[:, :2] = rng.normal(0.0, self.position_std_m, (count, 2))
-        velocity[:, :2] = rng.normal(0.0, self.velocity_std_mps, (count, 2))
-        if count:
-            position[:, :2] += agents_position[rng.integers(len(agents_position), size=count), :2]
-        position[:, 2] = ground + self.box[2] / 2.0
+    def _false_objects(self, real: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> ObjectStates:
+        count = int(rng.poisson(self.n_false_positives)) if coverage.victims else 0
+        shape = Shape(self.position_std_m, self.velocity_std_mps, self.box)
+        position, velocity = self.region.place(count, shape, real, ground_height(real), coverage, rng)
         return ObjectStates.of(
             position,
             velocity=velocity,
-            size=np.tile(self.box, (count, 1)),
+            size=np.tile(self.box, (len(position), 1)),
             yaw=np.arctan2(velocity[:, 1], velocity[:, 0]),
-            class_id=np.full(count, self.class_id, np.uint8),
+            class_id=np.full(len(position), self.class_id, np.uint8),
         )
 
 
@@ -128,6 +131,7 @@ class CoordinatedSelection(UncoordinatedSelection):
         self,
         *,
         n_false_positives: float = 5.0,
+        region: Literal["paper", "in_view", "ego_path", "victim_only"] = "in_view",
         fraction_false_negatives: float = 0.2,
         fraction_translations: float = 0.0,
         position_std_m: float = 30.0,
@@ -139,6 +143,7 @@ class CoordinatedSelection(UncoordinatedSelection):
     ) -> None:
         super().__init__(
             n_false_positives=n_false_positives,
+            region=region,
             fraction_false_negatives=fraction_false_negatives,
             fraction_translations=fraction_translations,
             position_std_m=position_std_m,
@@ -157,39 +162,6 @@ class CoordinatedSelection(UncoordinatedSelection):
 def ground_height(objects: ObjectStates) -> float:
     """m: the median foot of the objects, 0 when there is none."""
     return float(np.median(objects.position[:, 2] - objects.size[:, 2] / 2.0)) if len(objects) else 0.0
-
-
-def cluster_centres(objects: ObjectStates, source: Ints, radius_m: float) -> ObjectStates:
-    """What several adversaries see, joined to one row per object: mean position and velocity, the rest of one member.
-
-    source (n,) int64 says who saw each row. The nearest two rows of different sources are joined first, as long as
-    they are at most `radius_m` apart in the bird's-eye view and the cluster has at most one row per source.
-    """
-    if len(objects) == 0:
-        return objects
-    order = canonical_order(objects, source)
-    position, source = objects.position.take(order, 0), source.take(order)
-    i, j, dx, dy = neighbours(position, position, np.full(len(objects), radius_m))
-    others = ((i < j) & (source[i] != source[j])).nonzero()[0]
-    i, j = i.take(others), j.take(others)
-    nearest = np.lexsort((j, i, (dx * dx + dy * dy).take(others)))
-    label = list(range(len(objects)))
-    members = [[row] for row in label]
-    sources = [{s} for s in source.tolist()]
-    for p, q in zip(i.take(nearest).tolist(), j.take(nearest).tolist(), strict=True):
-        a, b = sorted((label[p], label[q]))
-        if sources[a].isdisjoint(sources[b]):  # false as well when both are in one cluster already
-            sources[a] |= sources[b]
-            members[a] += members[b]
-            for row in members[b]:
-                label[row] = a
-    by_member = np.argsort(label, kind="stable")
-    head = np.asarray(label).take(by_member)
-    start = np.flatnonzero(np.diff(head, prepend=-1))  # a cluster is called by its first row
-    rows = order.take(by_member)
-    both = np.concatenate([objects.position.take(rows, 0), objects.velocity.take(rows, 0)], axis=1)
-    mean = np.add.reduceat(both, start) / np.diff(start, append=len(rows))[:, None]
-    return objects.select(order.take(head.take(start))).with_(position=mean[:, :3], velocity=mean[:, 3:])
 
 
 def _part(fraction: float, n: int) -> int:

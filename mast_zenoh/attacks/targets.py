@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from mast_zenoh.states import Bools, Floats, Ints, ObjectStates, concatenate, propagate
 
 #: What can be done to an object; an attack report carries the index into this tuple.
-ACTIONS = ("added", "removed", "moved")
-ADDED, REMOVED, MOVED = range(len(ACTIONS))
+ACTIONS = ("inserted", "removed", "moved")
+INSERTED, REMOVED, MOVED = range(len(ACTIONS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Targets:
         return len(self.add) + len(self.remove) + len(self.move)
 
     def numbered(self, first: int) -> Targets:
-        """The same targets with the numbers `first`, `first + 1`, …: added, then removed, then moved ones."""
+        """The same targets with the numbers `first`, `first + 1`, …: inserted, then removed, then moved ones."""
         numbers = np.arange(first, first + len(self), dtype=np.int64)
         add, remove, move = np.split(numbers, np.cumsum([len(self.add), len(self.remove)]))
         return replace(
@@ -65,7 +65,7 @@ class Changes:
 
     action:          (n,) uint8, index into ACTIONS
     target:          (n,) int64, the adversary's number of the target
-    before_position: (n, 3) m, zero where an object was added
+    before_position: (n, 3) m, zero where an object was inserted
     after_position:  (n, 3) m, zero where an object was removed
     velocity:        (n, 3) m/s, of the object afterwards, or before its removal
     """
@@ -85,10 +85,10 @@ class Changes:
         after: ObjectStates,
         numbers: Sequence[Ints],
     ) -> Changes:
-        """The report of what was added, removed and moved (`before`, `after`); `numbers` of the three in turn."""
+        """The report of what was inserted, removed and moved (`before`, `after`); `numbers` of the three in turn."""
         counts = (len(added), len(removed), len(after))
         return cls(
-            action=np.repeat(np.array([ADDED, REMOVED, MOVED], np.uint8), counts),
+            action=np.repeat(np.array([INSERTED, REMOVED, MOVED], np.uint8), counts),
             target=np.concatenate(numbers).astype(np.int64),
             before_position=np.concatenate([np.zeros((counts[0], 3)), removed.position, before.position]),
             after_position=np.concatenate([added.position, np.zeros((counts[1], 3)), after.position]),

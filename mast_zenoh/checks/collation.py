@@ -22,8 +22,9 @@ _KNOWN = ("adversary", "link")
 def check_collation(evidence: Evidence) -> Check:
     """What reached the broker before it closed a frame is in that frame's batch: the agent by name, all its rows.
 
-    Left out are messages that a link has corrupted or whose time it has changed, those that came late (in real time:
-    as many as the broker itself counts), and those of the time at which the agent or the broker was down.
+    Left out are messages whose time was changed, those of a frame of which there are several, those that came late
+    (in real time: as many as the broker itself counts), and those of the time at which the agent or the broker was
+    down.
     """
     brokers = evidence.role("broker")
     if len(brokers) != 1:
@@ -44,11 +45,11 @@ def check_collation(evidence: Evidence) -> Check:
         if any(evidence.resolved.nodes[name].role not in _KNOWN for name in chain):
             excepted["behind a node of the user's"] += len(evidence.said.get(key, ()))
             continue
-        beside = _beside_corrupted(evidence, key, chain)
+        ids = Counter(frame for frame, _ in {(message.frame, message.seq) for message in evidence.said.get(key, ())})
         for message in evidence.said.get(key, ()):
-            reason = _excepted(message, heard.subject, broker, chain, batches, evidence)
-            if message.frame in beside:
-                reason = "beside a corrupted one"
+            reason = _excepted(message, heard.subject, broker, bool(chain), batches, evidence)
+            if ids[message.frame] > 1:
+                reason = "beside another one of its frame"
             if reason:
                 excepted[reason] += 1
                 continue
@@ -90,20 +91,11 @@ def _chain(evidence: Evidence, key: str) -> list[str]:
     return []
 
 
-def _beside_corrupted(evidence: Evidence, key: str, chain: list[str]) -> set[int]:
-    """Frames of which a key has brought more than one message, since a corrupted one says that it is of that frame."""
-    fates = (fate for node in chain for told in evidence.fates.get((node, "tracks"), {}).values() for fate in told)
-    if not any(fate.name == "corrupted" for fate in fates):
-        return set()
-    of_frame = Counter(frame for frame, _ in {(message.frame, message.seq) for message in evidence.said.get(key, ())})
-    return {frame for frame, count in of_frame.items() if count > 1}
-
-
 def _excepted(
     message: Said,
     agent: str,
     broker: str,
-    chain: list[str],
+    interposed: bool,
     batches: Mapping[int, Mapping[str, int]],
     evidence: Evidence,
 ) -> str | None:
@@ -111,13 +103,7 @@ def _excepted(
     frame = message.frame
     if evidence.times_ns.get(frame) != message.time_ns:
         return "of another time than its frame's"
-    step = frame
-    for node in chain:
-        for fate in evidence.fates.get((node, "tracks"), {}).get((frame, message.seq), ()):
-            if fate.name == "corrupted":
-                return "corrupted"
-            if fate.name == "delayed":
-                step += int(fate.delay_s * 1e9 / evidence.resolved.period_ns + 1e-6)
+    step = max(frame, message.step)
     closed = _closed(frame, broker, evidence)
     if closed is None:
         return "of a frame that was open at the end"
@@ -129,7 +115,7 @@ def _excepted(
         return "late" if step > frame else "of a frame without a batch"
     if evidence.down(agent, step, step):
         return "after the agent had gone"
-    if chain and frame >= evidence.last - evidence.slack:
+    if interposed and frame >= evidence.last - evidence.slack:
         return "in the last frame"
     if not evidence.lockstep and message.seq < _JUST_COME:
         return "when the agent had just come"

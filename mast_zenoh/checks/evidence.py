@@ -39,12 +39,14 @@ class Said(NamedTuple):
 
     content: of tracks, Tracks; of a collation, the rows of each agent whose tracks are of its own frame; of a picture,
              (n, 3) m, positions; else None
+    step:    the frame that the run was at when it was sent; -1: unknown
     """
 
     frame: int
     seq: int
     time_ns: int
     content: Any = None
+    step: int = -1
 
 
 class Fate(NamedTuple):
@@ -103,7 +105,7 @@ class Evidence:
                 content = _KEPT[message.message](body)
                 if message.message == "link_report":
                     found._take_report(message.publisher, body)
-            found.said[key].append(Said(message.frame, message.seq, message.time_ns, content))
+            found.said[key].append(Said(message.frame, message.seq, message.time_ns, content, message.step))
             if message.message == "clock":
                 found.times_ns[message.frame] = message.time_ns
         lost = run.get("recorded", {}).get("lost", 0)

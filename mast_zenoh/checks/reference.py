@@ -12,7 +12,7 @@ from typing import Any
 from mast_zenoh import codec, loading
 from mast_zenoh.messages import Message
 from mast_zenoh.resolved import RECORDING, NodeSpec, Resolved
-from mast_zenoh.runtime.host import Outgoing
+from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.states import Floats
 from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring

@@ -161,7 +161,8 @@ class PassageMeter:
         try:
             before = received.body
         except MessageError:  # no subscriber would have taken it anyway
-            self._note(CORRUPTED, received)
+            if received.payload != sent.payload:
+                self._note(CORRUPTED, received)
             return
         try:
             after = sent.body
@@ -222,10 +223,14 @@ class PassageMeter:
         """What was sent and cannot be read: passed on as it came, a damaged copy of a message, or rubbish."""
         came, went = self._unreadable
         payloads = [message.payload for message in came]
+        known = set(payloads)
         for message in went:
             payload = message.payload
             if payload in payloads:
                 payloads.remove(payload)
+                continue
+            if payload in known:
+                self.effects.append(MessageEffect(REPEATED, -1, -1, message.step))
                 continue
             id_ = self._resembled(payload)
             if id_ is None:

@@ -130,7 +130,16 @@ class _Results:
         scored = self.how.scored(len(frames))
         last = int(frames.max(initial=-1))
         agreement = reports.compare(self.effects, heard.attack_reports, heard.link_reports, WIRES)
-        targets = achievement.targets(scores, labels.cause, done, self.truth, heard.ego, self._victims())
+        targets = achievement.targets(
+            scores,
+            labels.cause,
+            done,
+            self.truth,
+            heard.record.agents,
+            heard.ego,
+            self._victims(),
+            self.how.scorer.range_m,
+        )
         drives = consequences.drives(self.how.driving, heard.record, scores, labels, self.truth)
         summary, per_frame = self._scored(scored)
         return {

@@ -5,22 +5,23 @@ from __future__ import annotations
 import heapq
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message
+from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from mast_zenoh import codec
 from mast_zenoh.errors import MessageError, RunFolderError
+from mast_zenoh.messagelog.events import EVENT, STEPS, Event
 from mast_zenoh.messagelog.writer import FILE
 
 _RECORD = struct.Struct("<BQ")
@@ -41,6 +42,7 @@ class Recorded:
     time_ns:   time of that frame; of a malformed message, time of the newest clock when it came
     seq:       its number among those of its publisher on its wire; of malformed ones, among those of its key
     payload:   the bytes as they were sent
+    step:      the frame that the run was at when it was sent: later than `frame` if a link held it back; -1: unknown
     """
 
     key: str
@@ -53,6 +55,7 @@ class Recorded:
     seq: int
     payload: bytes
     malformed: bool
+    step: int
 
     @property
     def order(self) -> tuple[int, int, str, str, int, str]:
@@ -72,71 +75,103 @@ def file_of(path: Path) -> Path:
     return path / FILE
 
 
+class _Place(NamedTuple):
+    """A chunk of the file: its place, the earliest log time in it, and by place in the chunk the steps of messages that
+    were not sent in their own frame."""
+
+    start_ns: int
+    byte: int
+    steps: Mapping[int, int]
+
+
 def read(path: Path) -> Iterator[Recorded]:
     """All messages of a file or run folder, ordered. One that was cut off is read up to its last whole chunk.
 
     Raises RunFolderError where there is no recording, or one that is damaged within.
     """
     path = file_of(path)
-    try:
-        file = path.open("rb")
-    except OSError as error:
-        raise RunFolderError(f"{path}: cannot be read: {error.strerror or error}") from None
-    with file:
-        places = _chunks(file, path)
-        starts = [start for start, _ in places]
+    with _opened(path) as file:
+        places = [record for record in _records(file, path) if isinstance(record, _Place)]
         #: by chunk, the earliest time in it and all behind it
-        floors = list(accumulate(reversed(starts), min))[::-1]
+        floors = list(accumulate((place.start_ns for place in reversed(places)), min))[::-1]
         channels: dict[int, Channel] = {}
         waiting: list[tuple[tuple[int, int, str, str, int, str], int, Recorded]] = []
         loaded = count = 0
         while waiting or loaded < len(places):
             while loaded < len(places) and (not waiting or floors[loaded] <= waiting[0][0][0] + _RANKS_NS):
-                for found in _messages(file, path, places[loaded][1], channels):
-                    heapq.heappush(waiting, (found.order, count, found))
+                for message in _messages(file, path, places[loaded], channels):
+                    heapq.heappush(waiting, (message.order, count, message))
                     count += 1
                 loaded += 1
             if waiting:
                 yield heapq.heappop(waiting)[2]
 
 
-def _chunks(file: IO[bytes], path: Path) -> list[tuple[int, int]]:
-    """(earliest log time, place in the file) of every whole chunk."""
+def events(path: Path) -> list[Event]:
+    """How the run changed while it was recorded, in order; empty for a recording of an earlier version.
+
+    Raises RunFolderError where there is no recording, or one that is damaged within.
+    """
+    path = file_of(path)
+    with _opened(path) as file:
+        return [record for record in _records(file, path) if isinstance(record, Event)]
+
+
+def _opened(path: Path) -> IO[bytes]:
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise RunFolderError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _records(file: IO[bytes], path: Path) -> Iterator[_Place | Event]:
+    """Every whole chunk of the file and every event, in the order of the file."""
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise RunFolderError(f"{path}: does not begin as an MCAP file")
     size = path.stat().st_size
-    found = []
+    steps: Mapping[int, int] = {}
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
         opcode, length = _RECORD.unpack(head)
-        place = file.tell()
-        if opcode == Opcode.DATA_END or place + length > size:
+        byte = file.tell()
+        if opcode == Opcode.DATA_END or byte + length > size:
             break
         if opcode == Opcode.CHUNK:
-            found.append((_TIMES.unpack(file.read(_TIMES.size))[0], place))
-        file.seek(place + length)
-    return found
+            yield _Place(_TIMES.unpack(file.read(_TIMES.size))[0], byte, steps)
+            steps = {}
+        elif opcode == Opcode.METADATA:
+            try:
+                record = Metadata.read(ReadDataStream(file))
+                if record.name == STEPS:
+                    steps = {int(place): int(step) for place, step in record.metadata.items()}
+                elif record.name == EVENT:
+                    yield Event.from_metadata(record.metadata)
+            except (McapError, ValueError, KeyError, struct.error) as error:
+                raise RunFolderError(f"{path}: byte {byte}: damaged metadata: {error}") from None
+        file.seek(byte + length)
 
 
-def _messages(file: IO[bytes], path: Path, place: int, channels: dict[int, Channel]) -> Iterator[Recorded]:
+def _messages(file: IO[bytes], path: Path, place: _Place, channels: dict[int, Channel]) -> Iterator[Recorded]:
     """The messages of the chunk at a place; channels that it introduces are added to `channels`."""
-    file.seek(place)
+    file.seek(place.byte)
     try:
         records = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
     except (McapError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
-        raise RunFolderError(f"{path}: byte {place}: a damaged chunk: {error}") from None
+        raise RunFolderError(f"{path}: byte {place.byte}: a damaged chunk: {error}") from None
+    count = 0
     for record in records:
         if isinstance(record, Channel):
             channels[record.id] = record
         elif isinstance(record, Message):
             if record.channel_id not in channels:
                 raise RunFolderError(
-                    f"{path}: byte {place}: a message of channel {record.channel_id}, which is unknown"
+                    f"{path}: byte {place.byte}: a message of channel {record.channel_id}, which is unknown"
                 )
-            yield _recorded(channels[record.channel_id], record, path)
+            yield _recorded(channels[record.channel_id], record, path, place.steps.get(count))
+            count += 1
 
 
-def _recorded(channel: Channel, record: Message, path: Path) -> Recorded:
-    """A message with what its channel and its header say of it."""
+def _recorded(channel: Channel, record: Message, path: Path, step: int | None) -> Recorded:
+    """A message with what its channel and its header say of it; step: None: that of its frame."""
     told = channel.metadata
     try:
         wire, message, publisher = told["wire"], told["message"], told["publisher"]
@@ -151,5 +186,15 @@ def _recorded(channel: Channel, record: Message, path: Path) -> Recorded:
             raise RunFolderError(f"{path}: {channel.topic}: {error}") from None
         frame, seq = header.frame, header.seq
     return Recorded(
-        channel.topic, wire, tap, message, publisher, frame, record.publish_time, seq, record.data, malformed
+        channel.topic,
+        wire,
+        tap,
+        message,
+        publisher,
+        frame,
+        record.publish_time,
+        seq,
+        record.data,
+        malformed,
+        frame if step is None else step,
     )

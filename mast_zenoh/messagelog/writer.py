@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog import channels
+from mast_zenoh.messagelog.events import EVENT, STEPS, Event
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.wiring import Input
 
@@ -34,6 +35,8 @@ class _Entry(NamedTuple):
     time_ns: int
     channel: int
     payload: bytes
+    step: int
+    malformed: bool
 
 
 class MessageLog:
@@ -92,22 +95,30 @@ class MessageLog:
         self._channels = {key: self._channel(key) for key in self._ranks}
         self._file.flush()  # a run that is killed at once leaves a recording of no messages
 
-    def add(self, key: str, payload: bytes, header: Header) -> None:
-        """A message on a key; lost if there is a problem."""
+    def add(self, key: str, payload: bytes, header: Header, step: int) -> None:
+        """A message on a key; lost if there is a problem. step: the frame in which it was sent; -1: unknown"""
         if key not in self._channels:
             self._channels[key] = self._channel(key)
-        self._add(key, self._channels[key], payload, header.frame, header.time_ns, header.seq)
+        self._add(
+            key, _Entry(0, header.frame, header.seq, 0, header.time_ns, self._channels[key], payload, step, False)
+        )
 
-    def add_malformed(self, key: str, payload: bytes, frame: int, time_ns: int) -> None:
+    def add_malformed(self, key: str, payload: bytes, frame: int, time_ns: int, step: int) -> None:
         """What came on a key and is no message of its wire, as it is; lost if there is a problem.
 
-        frame, time_ns: of the newest clock when it came
+        frame, time_ns: of the newest clock when it came;  step: see `add`
         """
         name = f"{key}/{channels.MALFORMED}"
         if name not in self._channels:
             self._channels[name] = self._channel(key, malformed=True)
         self._flaws[key] += 1
-        self._add(key, self._channels[name], payload, frame, time_ns, self._flaws[key] - 1)
+        number = self._flaws[key] - 1
+        self._add(key, _Entry(0, frame, number, 0, time_ns, self._channels[name], payload, step, True))
+
+    def add_event(self, event: Event) -> None:
+        """What changed about the run; lost if there is a problem."""
+        if not self.problem:
+            self._write(lambda: self._writer.add_metadata(EVENT, event.to_metadata()))
 
     def close(self) -> None:
         """Write what is left, and the index."""
@@ -139,30 +150,43 @@ class MessageLog:
             )
         )
 
-    def _add(self, key: str, channel: int, payload: bytes, frame: int, time_ns: int, seq: int) -> None:
+    def _add(self, key: str, entry: _Entry) -> None:
+        """Put a message into the chunk, with its place among all."""
         self._added += 1
         if self.problem:
             return
         if not self._chunk:
-            self._frame = frame
-        log_time = time_ns + self._ranks.setdefault(key, len(self._ranks))
-        self._chunk.append(_Entry(log_time, frame, seq, self._added, time_ns, channel, payload))
-        self._bytes += len(payload)
-        if self._bytes >= CHUNK_BYTES or frame >= self._frame + CHUNK_FRAMES:
+            self._frame = entry.frame
+        log_time = entry.time_ns + self._ranks.setdefault(key, len(self._ranks))
+        self._chunk.append(entry._replace(log_time=log_time, rank=self._added))
+        self._bytes += len(entry.payload)
+        if self._bytes >= CHUNK_BYTES or entry.frame >= self._frame + CHUNK_FRAMES:
             self._flush()
 
     def _flush(self) -> None:
-        """Write the chunk, sorted. Where that fails nothing more is written: what is there can be read."""
+        """Write the chunk, sorted. Where that fails nothing more is written, and what is there can be read."""
         chunk, self._chunk, self._bytes = sorted(self._chunk), [], 0
         if self.problem:
             return
-        try:
+
+        def write() -> None:
+            # Before the chunk, so that no chunk is read without the steps of its messages.
+            late = (i for i, entry in enumerate(chunk) if entry.malformed or entry.step != entry.frame)
+            if steps := {str(i): str(chunk[i].step) for i in late}:
+                self._writer.add_metadata(STEPS, steps)
             for entry in chunk:
                 self._writer.add_message(
                     entry.channel, entry.log_time, entry.payload, entry.time_ns, entry.sequence % _SEQUENCES
                 )
             self._writer.flush()
+
+        if self._write(write):
+            self.messages += len(chunk)
+
+    def _write(self, write: Callable[[], None]) -> bool:
+        """Whether what is to be written was; if not, `problem` says why, and nothing more is written."""
+        try:
+            write()
         except OSError as error:
             self.problem = f"{self.path}: cannot be written: {error.strerror or error}"
-            return
-        self.messages += len(chunk)
+        return not self.problem

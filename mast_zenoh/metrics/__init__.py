@@ -6,7 +6,7 @@
     ospa        distances between sets: OSPA, GOSPA
     scores      tables, and the summary in metrics.json
     manipulations    what interposers did to objects, and which estimates it can influence
-    attribution, causes, blame   the cause of every false and every missed object of every estimate
+    attribution, histories, causes, blame   the cause of every false and every missed object of every estimate
     severed     which objects only agents that were cut off or down could have reported
     achievement what each adversary achieved
     driving, braking, consequences   what errors would have meant for driving

@@ -3,6 +3,7 @@ long. Pure; see docs/metrics.md."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,14 +69,22 @@ class Targets:
 
 
 def targets(
-    scores: Scores, cause: Ints, done: Manipulations, truth: TruthTable, ego: str, victims: dict[str, set[int]]
+    scores: Scores,
+    cause: Ints,
+    done: Manipulations,
+    truth: TruthTable,
+    agents: Sequence[str],
+    ego: str,
+    victims: dict[str, set[int]],
+    range_m: float,
 ) -> Targets:
     """What became of every manipulated object in the centre's picture and in what the ego acts on.
 
     cause:   of the rows of `scores.judged`
-    truth:   of the frames of `scores`
+    truth:   of the frames of `scores`, of which `agents` are the columns
     ego:     whose mission-critical estimate it is
     victims: by adversary, columns of the agents on whose wires it sits
+    range_m: m, from an agent to the objects that its estimates are scored on
     """
     mine = done.select((done.culprit >= 0).nonzero()[0])
     key = np.column_stack([mine.culprit, mine.kind, mine.object, mine.frame]) if len(mine) else np.zeros((0, 4), int)
@@ -85,7 +94,9 @@ def targets(
     mission = np.array([each == (ego, MISSION) for each in scores.series], bool)
     believed, judged, error = {}, {}, {}
     for name, chosen in (("centre", picture), ("ego", mission)):
-        believed[name], judged[name], error[name] = _judge(scores, cause, mine, chosen)
+        scorers = [agents.index(agent) for (agent, _), mine_too in zip(scores.series, chosen, strict=True) if mine_too]
+        within = _in_range(mine, truth.agent_position[:, scorers], scores.frames, range_m)
+        believed[name], judged[name], error[name] = _judge(scores, cause, mine, chosen, within)
     return Targets(
         mine.culprit,
         mine.kind,
@@ -99,8 +110,22 @@ def targets(
     )
 
 
-def _judge(scores: Scores, cause: Ints, done: Manipulations, chosen: Bools) -> tuple[Bools, Bools, Floats]:
-    """Of each manipulation whether it is believed in some series, whether that can be said, and the error, m."""
+def _in_range(done: Manipulations, place: Floats, frames: Ints, range_m: float) -> Bools:
+    """(n,) bool: whether the object of each manipulation is in range of any of a agents, which are at (f, a, 3) m."""
+    at = find((done.frame,), (frames,))
+    if not (at >= 0).any():
+        return np.zeros(len(done), bool)
+    offset = place[at] - done.position[:, None]
+    return np.asarray((at >= 0) & (np.hypot(offset[..., 0], offset[..., 1]) <= range_m).any(axis=1))
+
+
+def _judge(
+    scores: Scores, cause: Ints, done: Manipulations, chosen: Bools, within: Bools
+) -> tuple[Bools, Bools, Floats]:
+    """Of each manipulation whether it is believed in some series, whether that can be said, and the error, m.
+
+    within: (n,) bool, whether it is in range of any agent of these series
+    """
     judged, inside = scores.judged, chosen[scores.judged.series]
     believed, known = np.zeros(len(done), bool), np.zeros(len(done), bool)
     error = np.full(len(done), np.nan)
@@ -108,10 +133,15 @@ def _judge(scores: Scores, cause: Ints, done: Manipulations, chosen: Bools) -> t
     false = np.flatnonzero(inside & (cause == INSERTED) & judged.is_track)
     lies = Places(judged.frame[false], judged.boxes.position[false])
     believed[shown] = nearest(Places(done.frame[shown], done.position[shown]), lies, ACCEPTED_M)[0] >= 0
-    known[shown] = chosen.any()
+    known[shown] = within[shown]
     others = np.flatnonzero(done.kind != INSERTED)
     rows = np.flatnonzero(inside & ~judged.is_track & (judged.outcome != UNEVALUATED))
-    at = find((done.object[others], done.frame[others]), (judged.id[rows], judged.frame[rows]))
+    wanted = done.object[others], done.frame[others]
+    at = find(wanted, (judged.id[rows], judged.frame[rows]))
+    # An object that any of the agents has is not hidden.
+    matched = (judged.outcome[rows] == MATCHED).nonzero()[0]
+    seen = find(wanted, (judged.id[rows[matched]], judged.frame[rows[matched]]))
+    at[seen >= 0] = matched[seen[seen >= 0]]
     known[others] = at >= 0
     others, row = others[at >= 0], rows[at[at >= 0]]
     missed = judged.outcome[row] == MISSED
@@ -156,9 +186,10 @@ def summary(
     """
     if not culprits:
         return {}
-    groups = {name: (found.adversary == index).nonzero()[0] for index, name in enumerate(culprits)}
+    real = (found.kind == INSERTED) | (found.object >= 0)
+    groups = {name: (real & (found.adversary == index)).nonzero()[0] for index, name in enumerate(culprits)}
     result = {}
-    for name, rows in (groups | {ALL: np.arange(len(found.kind))}).items():
+    for name, rows in (groups | {ALL: _once(found, real.nonzero()[0])}).items():
         due = np.array([by != "" if name == ALL else name in by.split("+") for by in switch_by.tolist()], bool)
         result[name] = _achieved(found, rows, period_s)
         for who, estimate in (("centre", (ego, PICTURE)), ("ego", (ego, MISSION))):
@@ -167,21 +198,26 @@ def summary(
     return result
 
 
+def _once(found: Targets, rows: Ints) -> Ints:
+    """The rows without those of objects that several adversaries hid, or moved, in one frame: all but one of these."""
+    _, first = np.unique(np.column_stack([found.kind, found.object, found.frame])[rows], axis=0, return_index=True)
+    return np.sort(rows[first])
+
+
 def _achieved(found: Targets, rows: Ints, period_s: float) -> dict[str, Any]:
     result: dict[str, Any] = {}
     success = dict.fromkeys(found.believed, rows[:0])
     for what, kinds in (("inserted", (INSERTED,)), ("hidden", (REMOVED,)), ("moved", (MOVED, ALTERED))):
         mine = rows[np.isin(found.kind[rows], kinds)]
-        key = np.column_stack([found.adversary[mine], found.object[mine]])
-        objects, of = np.unique(key, axis=0, return_inverse=True)
+        objects, of = np.unique(found.object[mine], return_inverse=True)
         result[what] = len(objects)
         if not len(objects):
             continue
         result[f"{what}_frames"] = len(mine)
         for who in found.believed:
             judged, believed = found.judged[who][mine], (found.believed[who] & found.judged[who])[mine]
-            frames = np.bincount(of.ravel(), believed, len(objects))
-            possible = np.bincount(of.ravel(), judged, len(objects))
+            frames = np.bincount(of, believed, len(objects))
+            possible = np.bincount(of, judged, len(objects))
             if what == "inserted":
                 lasting = frames > 0
             else:
@@ -194,7 +230,7 @@ def _achieved(found: Targets, rows: Ints, period_s: float) -> dict[str, Any]:
                 error = found.error_m[who][mine]
                 known = error[np.isfinite(error)]
                 result[f"moved_error_m_{who}"] = float(known.mean()) if len(known) else None
-            success[who] = np.concatenate([success[who], mine[believed & lasting[of.ravel()]]])
+            success[who] = np.concatenate([success[who], mine[believed & lasting[of]]])
         if what != "inserted":
             result[f"{what}_seen_by_others"] = float(found.by_others[mine].mean())
     for who, hits in success.items():

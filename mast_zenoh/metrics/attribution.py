@@ -24,6 +24,7 @@ from mast_zenoh.metrics.causes import (
     joined,
     shown,
 )
+from mast_zenoh.metrics.histories import Histories
 from mast_zenoh.metrics.lookup import find, latest, occurs
 from mast_zenoh.metrics.manipulations import Manipulations
 from mast_zenoh.metrics.places import Places, nearest
@@ -87,22 +88,6 @@ class Labels(NamedTuple):
     switch_by: Texts
 
 
-class _Rows(NamedTuple):
-    """Rows of `Scores.judged` of one kind, by series, id and frame; those of an id that is never wrong are left out."""
-
-    row: Ints  #: of `Scores.judged`
-    series: Ints
-    frame: Ints
-    id: Ints
-    match: Ints
-    outcome: Ints
-    position: Floats
-    group: Ints  #: of series and frame
-
-    def places(self, rows: Bools | Ints) -> Places:
-        return Places(self.group[rows], self.position[rows])
-
-
 class _Case:
     """One run under investigation."""
 
@@ -120,29 +105,13 @@ class _Case:
         self.period_s, self.severed = period_s, severed
         self.coast = round(how.coast_s / period_s)
         self.span = int(scores.frames.max(initial=0)) + 1
-        self.tracks = self._every(FALSE, tracks=True)
-        self.truths = self._every(MISSED, tracks=False)
+        self.tracks = Histories.of_wrong(scores, FALSE, self.span, tracks=True)
+        self.truths = Histories.of_wrong(scores, MISSED, self.span, tracks=False)
         #: what is made from an agent's own sensor alone
         own = [estimator in (LOCAL, RECEIVED) for _, estimator in scores.series]
         self.own = np.array(own, bool)
         self.column = np.array([agents.index(agent) for agent, _ in scores.series], np.int64)
         self.truth_frame = scores.frames[truth.boxes.group]
-
-    def _every(self, wrong: int, *, tracks: bool) -> _Rows:
-        """The rows of every track, or truth object, that is wrong in any frame."""
-        judged = self.scores.judged
-        key = judged.series * (int(judged.id.max(initial=0)) + 1) + judged.id
-        rows = np.flatnonzero(judged.is_track == tracks)
-        mine = key[rows]
-        rows = rows[np.isin(mine, mine[judged.outcome[rows] == wrong])]
-        return self._rows(rows[np.lexsort((judged.frame[rows], key[rows]))])
-
-    def _rows(self, rows: Ints) -> _Rows:
-        judged = self.scores.judged
-        series, frame = judged.series[rows], judged.frame[rows]
-        id_, position = judged.id[rows], judged.boxes.position[rows]
-        group = series * self.span + frame
-        return _Rows(rows, series, frame, id_, judged.match_id[rows], judged.outcome[rows], position, group)
 
     def labels(self) -> Labels:
         n = len(self.scores.judged.frame)
@@ -200,14 +169,14 @@ class _Case:
             if culprit >= 0:
                 by[at[hit & (whose == kind) & (distance <= best + self.how.same_m)], culprit] = True
         # Such a track stays one while it coasts, and was one when it began, until it meets a real object.
-        for backwards in (False, True):
-            found = self._carried(t, cause >= 0, (cause >= 0) | (t.outcome == MATCHED), backwards)
+        for later in (False, True):
+            found = t.adjacent(cause >= 0, (cause >= 0) | (t.outcome == MATCHED), self.coast, later=later)
             filled = (false & (cause < 0) & (found >= 0)).nonzero()[0]
             cause[filled], by[filled] = cause[found[filled]], by[found[filled]]
         # A track of a real object that is being hidden, moved or altered goes astray.
         matched = t.outcome == MATCHED
         lone = (false & (cause < 0)).nonzero()[0]
-        last = self._carried(t, matched, matched)[lone]
+        last = t.adjacent(matched, matched, self.coast)[lone]
         lone, last = lone[last >= 0], last[last >= 0]
         self._blame_hiding(t.match[last], t.frame[lone], t.series[lone], lone, cause, by)
         return cause, by
@@ -221,21 +190,6 @@ class _Case:
             if culprit >= 0:
                 by[mine, culprit] = True
 
-    def _carried(self, rows: _Rows, valid: Bools, stops: Bools, backwards: bool = False) -> Ints:
-        """(n,) of each row the last row of the same series and id that `stops`, -1 unless it is `valid` and recent.
-
-        backwards: the next one instead.
-        """
-        turn = slice(None, None, -1) if backwards else slice(None)
-        n = len(rows.row)
-        place = np.maximum.accumulate(np.where(stops[turn], np.arange(n), -1)) if n else np.zeros(0, np.int64)
-        last = place[turn]
-        known = last >= 0
-        last = np.where(known & backwards, n - 1 - last, last)
-        same = known & (rows.series[last] == rows.series) & (rows.id[last] == rows.id) & valid[last]
-        same &= np.abs(rows.frame[last] - rows.frame) <= self.coast
-        return np.where(same, last, -1)
-
     def _natural_tracks(self, false: Bools, cause: Ints) -> None:
         """Causes of the false tracks that nobody shows."""
         t, u, how = self.tracks, self._all_truths(), self.how
@@ -243,7 +197,7 @@ class _Case:
         lone = (false & (cause < 0)).nonzero()[0]
         if not len(lone):
             return
-        last = self._carried(t, matched, matched)[lone]
+        last = t.adjacent(matched, matched, self.coast)[lone]
         places = t.places(lone)
         everything = Places(self.truth_frame, self.truth.boxes.position)
         real, _ = nearest(Places(t.frame[lone], t.position[lone]), everything, how.object_m)
@@ -266,12 +220,13 @@ class _Case:
         cut = np.isin(cause[lone], (LAG, DUPLICATE)) & ~self.own[t.series[lone]] & self.severed.has(of, t.frame[lone])
         cause[lone[cut]] = FAULT
 
-    def _all_truths(self) -> _Rows:
+    def _all_truths(self) -> Histories:
         """The truth rows of all series in which there is a false track, in no particular order."""
         judged = self.scores.judged
         involved = np.zeros(len(self.scores.series), bool)
         involved[self.tracks.series] = True
-        return self._rows(np.flatnonzero(~judged.is_track & involved[judged.series]))
+        rows = np.flatnonzero(~judged.is_track & involved[judged.series])
+        return Histories.of(self.scores, rows, self.span)
 
     def _missed(self, missed: Bools, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the missed objects."""
@@ -281,7 +236,7 @@ class _Case:
         self._blame_hiding(u.id[rows], u.frame[rows], u.series[rows], rows, cause, by)
         # The track that it had follows something that somebody shows now.
         matched = u.outcome == MATCHED
-        last = self._carried(u, matched, matched)
+        last = u.adjacent(matched, matched, self.coast)
         lone = rows[(cause[rows] < 0) & (last[rows] >= 0)]
         lured = ((track_cause >= INSERTED) & (track_cause <= ALTERED)).nonzero()[0]
         wanted = u.series[lone], u.match[last[lone]], u.frame[lone]
@@ -290,7 +245,7 @@ class _Case:
         cause[lone], by[lone] = track_cause[at], track_by[at]
         lone = rows[cause[rows] < 0]
         tracked = self._tracked(u, lone)
-        fresh = u.frame[lone] - self._begun(u)[lone] < round(self.how.begin_s / self.period_s)
+        fresh = u.frame[lone] - u.begun()[lone] < round(self.how.begin_s / self.period_s)
         own = self.own[u.series[lone]]
         cut = ~own & self.severed.has(u.id[lone], u.frame[lone], tracked=fresh)
         stray = (t.outcome == FALSE) & np.isin(track_cause, (LAG, FAULT))
@@ -298,7 +253,7 @@ class _Case:
         cause[lone] = np.select([cut, fresh, off, ~tracked, own], [FAULT, LAG, LAG, SIGHT, TRACKING], FUSION)
         return cause, by
 
-    def _tracked(self, rows: _Rows, lone: Ints) -> Bools:
+    def _tracked(self, rows: Histories, lone: Ints) -> Bools:
         """Whether the estimate of each row could have known of its object: what it is made from holds the object.
 
         Of an agent's own tracks that is its sensor, of all others the own tracks of any agent.
@@ -311,12 +266,3 @@ class _Case:
         points = self.truth.points[at, self.column[rows.series[lone]]]
         by_itself = (at >= 0) & (points >= self.how.min_points)
         return np.where(self.own[rows.series[lone]], by_itself, by_any)
-
-    def _begun(self, rows: _Rows) -> Ints:
-        """(n,) frame in which the object of each row came into view: since then it has been evaluated throughout."""
-        seen = rows.outcome != UNEVALUATED
-        first = np.ones(len(rows.row), bool)
-        first[1:] = (np.diff(rows.series) != 0) | (np.diff(rows.id) != 0) | (np.diff(rows.frame) != 1)
-        first[1:] |= seen[1:] != seen[:-1]
-        start = np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)) if len(first) else first.astype(int)
-        return np.asarray(rows.frame[start])

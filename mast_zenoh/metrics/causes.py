@@ -20,9 +20,9 @@ UNKNOWN = -1
 ATTACK_CAUSES, FAULT_CAUSES = CAUSES[INSERTED : ALTERED + 1], CAUSES[FAULT:]
 
 
-def named(causes: Ints) -> NDArray[np.str_]:
-    """(n,) the names of causes; empty where there is none."""
-    return np.array([*CAUSES, ""])[causes]
+def named(causes: Ints) -> NDArray[np.object_]:
+    """(n,) str, the names of causes; empty where there is none."""
+    return np.array([*CAUSES, ""], object)[causes]
 
 
 def shown(done: Manipulations, period_s: float, coast: int, span: int) -> Places:

@@ -77,7 +77,7 @@ class Driving:
         straight on after its end."""
         path, heading, along = _path(vehicle, self.horizon_m)
         here = _arrived(vehicle)
-        row, point = _near(objects, path)
+        row, point = _beside(objects, path, along, here)
         frame = objects.frame[row]
         c, s = np.cos(heading[point]), np.sin(heading[point])
         offset = objects.position[row, :2] - path[point]
@@ -91,10 +91,7 @@ class Driving:
         apart = np.hypot(*(objects.position[row] - vehicle.position[frame])[:, :2].T)
         inside = np.abs(aside) - half_wide <= vehicle.width / 2.0 + self.margin_m
         inside &= (centre > 0.0) & (gap <= self.horizon_m) & (apart > _ITSELF_M)
-        # Of the points of the path near an object the one beside it.
         kept = inside.nonzero()[0]
-        kept = kept[np.lexsort((np.abs(ahead[kept]), row[kept]))]
-        kept = kept[np.diff(row[kept], prepend=-1) != 0]
         row, gap = row[kept], np.maximum(gap[kept], 0.0)
         speed = np.hypot(*vehicle.velocity[objects.frame[row], :2].T)
         theirs = c[kept] * objects.velocity[row, 0] + s[kept] * objects.velocity[row, 1]
@@ -102,17 +99,26 @@ class Driving:
         return Ahead(row, gap, time_to_collision(gap, speed, theirs), rule.brakes(gap, speed, theirs))
 
 
-def _near(objects: Objects, path: Floats) -> tuple[Ints, Ints]:
-    """Pairs of an object and a point of the path that may be beside it."""
+def _beside(objects: Objects, path: Floats, along: Floats, here: Floats) -> tuple[Ints, Ints]:
+    """Rows of the objects that are near the path, and for each the nearest point of the path from the vehicle on.
+
+    along: (k,) m, arc lengths of the points;  here: (f,) m, arc length at which the vehicle is in each frame
+    """
     if not len(objects.frame):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    return pairs_in_groups(
+    row, point = pairs_in_groups(
         np.zeros(len(objects.frame), np.int64),
         np.ascontiguousarray(objects.position),
         np.zeros(len(path), np.int64),
         np.column_stack([path, np.zeros(len(path))]),
         _REACH_M,
     )
+    coming = along[point] >= here[objects.frame[row]] - _STEP_M
+    row, point = row[coming], point[coming]
+    apart = np.hypot(*(objects.position[row, :2] - path[point]).T)
+    order = np.lexsort((apart, row))
+    first = order[np.diff(row[order], prepend=-1) != 0]
+    return row[first], point[first]
 
 
 def _path(vehicle: Vehicle, horizon_m: float) -> tuple[Floats, Floats, Floats]:

@@ -143,13 +143,13 @@ class Scores:
         """A row per box and series: frame, agent, estimator, kind ("truth" | "track"), outcome ("matched" | "missed" |
         "false" | "unevaluated"), id, match_id (-1: none), x, y, z, l, w, h, yaw, score (NaN for truth)."""
         judged, boxes = self.judged, self.judged.boxes
-        names = np.array(self.series, str).reshape(-1, 2)
+        names = np.array(self.series, object).reshape(-1, 2)
         return {
             "frame": judged.frame,
             "agent": names[:, 0].take(judged.series),
             "estimator": names[:, 1].take(judged.series),
-            "kind": np.array(["truth", "track"]).take(judged.is_track),
-            "outcome": np.array(OUTCOMES).take(judged.outcome),
+            "kind": np.array(["truth", "track"], object).take(judged.is_track),
+            "outcome": np.array(OUTCOMES, object).take(judged.outcome),
             "id": boxes.id,
             "match_id": judged.match_id,
             **{name: boxes.position[:, axis] for axis, name in enumerate("xyz")},

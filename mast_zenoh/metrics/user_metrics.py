@@ -197,7 +197,7 @@ def _estimate(
         yaw=boxes.yaw,
         score=judged.score[rows],
         range_m=np.hypot(*(boxes.position - at)[:, :2].T),
-        cause=named(labels.cause[rows]),
+        cause=named(labels.cause[rows]).astype(str),
     )
 
 

@@ -16,7 +16,7 @@ import msgpack
 import zenoh
 
 from mast_zenoh.node import Source
-from mast_zenoh.runtime.host import Outgoing
+from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.mesh import NOTED_FRAMES, MeshNode
 from mast_zenoh.runtime.pacer import Pacer
 from mast_zenoh.runtime.rewiring import Rewirer, Told, counted, packed

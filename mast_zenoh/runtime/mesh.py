@@ -35,8 +35,9 @@ import zenoh
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.node import Node
 from mast_zenoh.runtime import results
+from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.failures import Failure
-from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.rewiring import Outlet, Rewiring, Told, counted
 from mast_zenoh.wiring import Leg, Wire, Wiring
 

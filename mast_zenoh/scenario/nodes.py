@@ -12,6 +12,7 @@ from mast_zenoh import bundle, loading
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.resolved import NodeSpec
+from mast_zenoh.scenario.reconnaissance import surroundings_of
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 
 ON_EXIT = ("fail", "continue", "restart")
@@ -53,7 +54,10 @@ def nodes_of(
         add(name, "adversary", config)
     if scenario.get("coordinator") is not None:
         add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
-    add("evaluator", "evaluator", {"agents": agents, **scenario.get("evaluator", {})})
+    _inform(specs, recording)
+    ages = [specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config]
+    held = {"picture_age_s": max(ages)} if ages else {}  # by the evaluator, as long as by the agents
+    add("evaluator", "evaluator", {"agents": agents, **held, **scenario.get("evaluator", {})})
     for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:
@@ -69,6 +73,17 @@ def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mappin
         if not isinstance(config, Mapping):
             raise ConfigurationError(f"{place}.{name}: found {config!r}, expected a dict")
         yield name, config
+
+
+def _inform(specs: dict[str, NodeSpec], recording: Recording) -> None:
+    """Tell adversaries and coordinators what attackers know of the scene, as far as they want to know."""
+    attackers = {name: spec for name, spec in specs.items() if spec.role in ("adversary", "coordinator")}
+    victims = list(dict.fromkeys(str(spec.config["agent"]) for spec in attackers.values() if "agent" in spec.config))
+    for spec in attackers.values():
+        cls = loading.node_class(Path(spec.file), spec.type)
+        if "surroundings" in inspect.signature(cls).parameters:
+            mine = victims if spec.role == "coordinator" else [str(spec.config["agent"])]
+            spec.config.setdefault("surroundings", surroundings_of(recording, mine))
 
 
 def _of_scene(agent: SceneAgent) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from mast_zenoh.attacks import (
     CoordinatedAttack,
     CoordinatedSelection,
     Coordinator,
+    Exact,
     MarkovPropagation,
     PassThrough,
     StaticPropagation,
@@ -22,6 +23,7 @@ from mast_zenoh.attacks import (
     UncoordinatedAttack,
     UncoordinatedSelection,
 )
+from mast_zenoh.attacks.targets import INSERTED
 from mast_zenoh.states import ObjectStates, concatenate, propagate
 
 PERIOD = SECOND // 10
@@ -69,7 +71,8 @@ def test_a_fifth_of_the_objects_stays_hidden_and_it_is_always_the_same():
 
 
 def test_false_objects_keep_their_id_and_move_with_their_velocity():
-    done = drive(UncoordinatedAttack(selection=UncoordinatedSelection(n_false_positives=20.0)))
+    selection = UncoordinatedSelection(n_false_positives=20.0)
+    done = drive(UncoordinatedAttack(selection=selection, imitation=Exact()))
     for before, after in pairwise(done[40:]):
         _, i, j = np.intersect1d(before.added.id, after.added.id, return_indices=True)
         assert len(i) > 5
@@ -142,7 +145,7 @@ def directive(position, velocity=(0.0, 0.0, 0.0), time_ns=None) -> Targets:
 
 
 def test_a_directive_is_brought_from_its_time_to_now():
-    attack = CoordinatedAttack(start_s=0.0)
+    attack = CoordinatedAttack(start_s=0.0, imitation=Exact())
     told = directive((0.0, 0.0), (10.0, 0.0, 0.0), time_ns=0)
     added = [attack.step(f, f * PERIOD, world(3), ORIGIN, told if f < 3 else None).added for f in range(1, 6)]
     assert [round(float(a.position[0, 0]), 9) for a in added] == [1.0, 2.0, 3.0, 4.0, 5.0]
@@ -150,14 +153,14 @@ def test_a_directive_is_brought_from_its_time_to_now():
 
 
 def test_a_directive_without_a_time_is_of_the_frame_before():
-    attack = CoordinatedAttack(start_s=0.0)
+    attack = CoordinatedAttack(start_s=0.0, imitation=Exact())
     attack.step(7, 7 * PERIOD, world(3), ORIGIN)
     added = attack.step(8, 8 * PERIOD, world(3), ORIGIN, directive((0.0, 0.0), (10.0, 0.0, 0.0))).added
     assert np.allclose(added.position[0, 0], 1.0)
 
 
 def test_the_newest_directive_wins():
-    attack = CoordinatedAttack(start_s=0.0)
+    attack = CoordinatedAttack(start_s=0.0, imitation=Exact())
     attack.step(1, PERIOD, world(3), ORIGIN, directive((5.0, 0.0), time_ns=0))
     attack.step(5, 5 * PERIOD, world(3), ORIGIN, directive((9.0, 0.0), time_ns=4 * PERIOD))
     late = attack.step(6, 6 * PERIOD, world(3), ORIGIN, directive((1.0, 0.0), time_ns=2 * PERIOD))
@@ -165,17 +168,17 @@ def test_the_newest_directive_wins():
 
 
 def test_a_directive_before_the_start_waits_for_it():
-    attack = CoordinatedAttack(start_s=1.0)
+    attack = CoordinatedAttack(start_s=1.0, imitation=Exact())
     told = directive((0.0, 0.0), time_ns=0)
     counts = [len(attack.step(f, f * PERIOD, world(3), ORIGIN, told if f == 1 else None).added) for f in range(1, 12)]
     assert counts == [0] * 9 + [1, 1]
 
 
-def mesh(n_adversaries, n_frames=80, coordinator=None, seed=3):
+def mesh(n_adversaries, n_frames=80, coordinator=None, seed=3, imitation=None):
     """A coordinator and its adversaries about one junction; directives reach the adversaries one frame later."""
     coordinator = coordinator or Coordinator(reselect_every_s=2.0)
     coordinator.bind(seed, "coordinator")
-    attacks = [CoordinatedAttack() for _ in range(n_adversaries)]
+    attacks = [CoordinatedAttack(imitation=imitation) for _ in range(n_adversaries)]
     victims = np.array([[5.0 * i, 0.0, 15.0] for i in range(n_adversaries)]).reshape(-1, 3)
     told = [None] * n_adversaries
     first, done = world(12, spread=15.0), []
@@ -190,14 +193,14 @@ def mesh(n_adversaries, n_frames=80, coordinator=None, seed=3):
 
 
 def test_adversaries_of_one_coordinator_insert_the_same_object_at_the_same_place():
-    done = mesh(3)
+    done = mesh(3, imitation=Exact())
     shared = 0
     for tamperings in done[41:]:
         places = [
             {
                 int(number): tuple(after)
                 for action, number, after in zip(t.report.action, t.report.target, t.report.after_position, strict=True)
-                if ACTIONS[action] == "added"
+                if ACTIONS[action] == "inserted"
             }
             for t in tamperings
         ]
@@ -223,7 +226,10 @@ def test_coordinated_false_objects_saturate_where_uncoordinated_ones_grow():
 
     def coordinated(n):
         frames = [tamperings for seed in range(8) for tamperings in mesh(n, 60, seed=seed)]
-        return sum(len({tuple(p) for t in tamperings for p in t.added.position}) for tamperings in frames)
+        return sum(
+            len({number for t in tamperings for number in t.report.target[t.report.action == INSERTED].tolist()})
+            for tamperings in frames
+        )
 
     assert uncoordinated(3) > 2.2 * uncoordinated(1)
     assert coordinated(3) < 1.3 * coordinated(1)

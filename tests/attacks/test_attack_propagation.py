@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from attack_worlds import at, world
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mast_zenoh.attacks import MarkovPropagation, StaticPropagation, TrajectoryPropagation
+from mast_zenoh.attacks.propagation import MAX_ACCELERATION_MPS2, MAX_YAW_RATE
+from mast_zenoh.geometry import wrap_angle
 from mast_zenoh.streams import stream
 
 
@@ -17,16 +21,44 @@ def test_static_objects_stand_and_say_so():
     assert np.all(later.velocity == 0.0)
 
 
-def test_a_trajectory_is_straight_for_its_time_and_then_ends():
-    model = TrajectoryPropagation(duration_s=10.0)
+def test_a_trajectory_is_straight_for_its_time_and_then_brakes_to_a_stop():
+    model = TrajectoryPropagation(duration_s=10.0, braking_mps2=2.0)
     states = at((0.0, 0.0), velocity=np.array([[3.0, -4.0, 0.0]]))
     for k in range(150):
         states = model.advance(states, 0.1, k * 0.1, stream(1))
-        if k < 98:
+        if k < 99:
             assert states.position[0, :2] == pytest.approx(np.array([0.3, -0.4]) * (k + 1))
-            assert np.array_equal(states.velocity, [[3.0, -4.0, 0.0]])
-    assert states.position[0, :2] == pytest.approx([30.0, -40.0])
+            assert states.velocity[0] == pytest.approx([3.0, -4.0, 0.0])
+    # 5 m/s are braked away in 2.5 s, over 6.25 m.
+    assert np.hypot(*states.position[0, :2]) == pytest.approx(50.0 + 6.25)
     assert np.all(states.velocity == 0.0)
+    assert states.yaw[0] == pytest.approx(np.arctan2(-4.0, 3.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from([TrajectoryPropagation(duration_s=1.0), MarkovPropagation(sigma_mps2=20.0), StaticPropagation()]),
+    st.integers(0, 1000),
+    st.floats(0.02, 0.3),
+)
+def test_objects_move_like_vehicles(model, seed, dt):
+    states = world(6, seed=seed)
+    states = model.advance(states, 0.0, 0.0, stream(seed))
+    for k in range(30):
+        before, states = states, model.advance(states, dt, k * dt, stream(seed, k))
+        speed = [np.hypot(each.velocity[:, 0], each.velocity[:, 1]) for each in (before, states)]
+        turned = np.abs(wrap_angle(states.yaw - before.yaw))
+        assert np.all(np.abs(speed[1] - speed[0]) <= MAX_ACCELERATION_MPS2 * dt + 1e-9)
+        assert np.all(turned <= MAX_YAW_RATE * dt + 1e-9)
+        step = (states.position - before.position)[:, :2]
+        assert np.all(np.linalg.norm(step, axis=1) <= np.maximum(*speed) * dt + 1e-9)
+        sideways = step[:, 1] * np.cos(states.yaw) - step[:, 0] * np.sin(states.yaw)
+        assert np.allclose(sideways, 0.0, atol=1e-9), "they go where they head"
+
+
+def test_a_deceleration_that_is_not_positive_is_refused():
+    with pytest.raises(ValueError, match=r"braking_mps2: found 0\.0"):
+        TrajectoryPropagation(braking_mps2=0.0)
 
 
 def test_a_markov_step_changes_the_velocity_by_sigma_times_the_time():

@@ -8,8 +8,9 @@ from attack_worlds import ORIGIN, at, equal, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.attacks import CoordinatedSelection, Selection, UncoordinatedSelection
-from mast_zenoh.attacks.selection import cluster_centres, ground_height
+from mast_zenoh.attacks import CoordinatedSelection, Selection, UncoordinatedSelection, coverage_of
+from mast_zenoh.attacks.clusters import cluster_centres
+from mast_zenoh.attacks.selection import ground_height
 from mast_zenoh.states import ObjectStates, concatenate
 from mast_zenoh.streams import stream
 
@@ -17,18 +18,18 @@ TRIALS = 2000
 
 
 def draws(selection: Selection, objects: ObjectStates, agents=ORIGIN, trials: int = TRIALS):
-    return [selection.select(objects, agents, stream(7, "adversary", trial)) for trial in range(trials)]
+    return [selection.select(objects, coverage_of(agents), stream(7, "adversary", trial)) for trial in range(trials)]
 
 
 def test_the_number_of_false_objects_is_poisson():
-    counts = np.array([len(t.add) for t in draws(UncoordinatedSelection(n_false_positives=5.0), world(10))])
+    counts = np.array([len(t.add) for t in draws(UncoordinatedSelection(region="paper"), world(10))])
     assert counts.mean() == pytest.approx(5.0, abs=4 * np.sqrt(5.0 / TRIALS))
     assert counts.var() == pytest.approx(5.0, rel=0.15)
 
 
 def test_false_objects_scatter_about_the_victim_and_head_where_they_go():
     victim = np.array([200.0, -100.0, 15.0])
-    some = draws(UncoordinatedSelection(position_std_m=30.0, velocity_std_mps=10.0), world(10), victim)
+    some = draws(UncoordinatedSelection(region="paper", position_std_m=30.0, velocity_std_mps=10.0), world(10), victim)
     false = concatenate([t.add for t in some])
     assert np.allclose(false.position[:, :2].mean(axis=0), victim[:2], atol=1.5)
     assert np.allclose(false.position[:, :2].std(axis=0), 30.0, rtol=0.05)
@@ -40,7 +41,9 @@ def test_false_objects_scatter_about_the_victim_and_head_where_they_go():
 def test_false_objects_stand_on_the_ground_of_the_real_ones():
     hill = world(9)
     hill = hill.with_(position=hill.position + np.array([0.0, 0.0, 250.0]))
-    targets = UncoordinatedSelection(n_false_positives=20.0, box=(4.0, 2.0, 1.6)).select(hill, ORIGIN, stream(1))
+    targets = UncoordinatedSelection(n_false_positives=20.0, box=(4.0, 2.0, 1.6)).select(
+        hill, coverage_of(ORIGIN), stream(1)
+    )
     assert np.allclose(targets.add.position[:, 2], 250.0 + 0.8)
     assert ground_height(ObjectStates.empty()) == 0.0
 
@@ -51,7 +54,7 @@ def test_false_objects_stand_on_the_ground_of_the_real_ones():
 )
 def test_the_fraction_of_hidden_objects_is_rounded_down_but_at_least_one(n, fraction, expected):
     selection = UncoordinatedSelection(fraction_false_negatives=fraction)
-    assert len(selection.select(world(n), ORIGIN, stream(1)).remove) == expected
+    assert len(selection.select(world(n), coverage_of(ORIGIN), stream(1)).remove) == expected
 
 
 def test_every_object_is_as_likely_to_be_hidden_as_any_other():
@@ -67,7 +70,7 @@ def test_displaced_objects_are_others_than_the_hidden_ones_and_go_the_asked_dist
     selection = UncoordinatedSelection(
         fraction_false_negatives=0.5, fraction_translations=0.5, translation_m=3.0, n_false_positives=0.0
     )
-    targets = selection.select(world(10), ORIGIN, stream(3))
+    targets = selection.select(world(10), coverage_of(ORIGIN), stream(3))
     assert len(targets.remove) == len(targets.move) == 5
     both = np.concatenate([targets.remove.position, targets.move.position])
     assert len(np.unique(both, axis=0)) == 10
@@ -76,8 +79,8 @@ def test_displaced_objects_are_others_than_the_hidden_ones_and_go_the_asked_dist
 
 
 def test_changing_how_much_is_hidden_changes_no_false_object():
-    few = UncoordinatedSelection(fraction_false_negatives=0.1).select(world(10), ORIGIN, stream(5))
-    many = UncoordinatedSelection(fraction_false_negatives=0.9).select(world(10), ORIGIN, stream(5))
+    few = UncoordinatedSelection(fraction_false_negatives=0.1).select(world(10), coverage_of(ORIGIN), stream(5))
+    many = UncoordinatedSelection(fraction_false_negatives=0.9).select(world(10), coverage_of(ORIGIN), stream(5))
     assert equal(few.add, many.add)
 
 
@@ -88,8 +91,8 @@ def test_the_order_of_the_objects_does_not_matter(n, random):
     random.shuffle(order)
     objects = world(n, seed=n)
     selection = UncoordinatedSelection(fraction_false_negatives=0.4, fraction_translations=0.3)
-    a = selection.select(objects, ORIGIN, stream(1))
-    b = selection.select(objects.select(np.array(order, int)), ORIGIN, stream(1))
+    a = selection.select(objects, coverage_of(ORIGIN), stream(1))
+    b = selection.select(objects.select(np.array(order, int)), coverage_of(ORIGIN), stream(1))
     assert equal(a.add, b.add)
     assert equal(a.remove, b.remove)
     assert equal(a.move, b.move)
@@ -98,7 +101,7 @@ def test_the_order_of_the_objects_does_not_matter(n, random):
 
 def test_coordinated_false_objects_are_near_any_of_the_victims():
     victims = np.array([[0.0, 0.0, 15.0], [1000.0, 0.0, 15.0], [0.0, 1000.0, 15.0]])
-    some = draws(CoordinatedSelection(), world(10), victims, trials=600)
+    some = draws(CoordinatedSelection(region="paper"), world(10), victims, trials=600)
     false = concatenate([t.add for t in some]).position
     nearest = np.argmin(np.linalg.norm(false[:, None, :2] - victims[None, :, :2], axis=2), axis=1)
     share = np.bincount(nearest, minlength=3) / len(false)

@@ -59,11 +59,13 @@ def rewritten(
     log.begin(Wiring.from_json(resolved.wiring).ports("recorder").inputs)
     for message in read(folder):
         if message.malformed:
-            log.add_malformed(message.key.removesuffix("/@malformed"), message.payload, 0, message.time_ns)
+            log.add_malformed(
+                message.key.removesuffix("/@malformed"), message.payload, 0, message.time_ns, message.step
+            )
             continue
         for payload in change(message):
             kept = message.payload if payload is None else payload
-            log.add(message.key, kept, codec.decode_header(kept, message.message))
+            log.add(message.key, kept, codec.decode_header(kept, message.message), message.step)
     log.close()
     return copy
 

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 import mast_zenoh
 from mast_zenoh import codec, kernels
+from mast_zenoh.attacks import following
 from mast_zenoh.columns import LAYOUTS
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.states import ObjectStates
@@ -152,6 +153,25 @@ def values(random, n, m):
     return body, plan
 
 
+def followed(random, n, m):
+    tracks = np.zeros((m, following.COLUMNS))
+    tracks[:, following.PLACE], tracks[:, following.VELOCITY] = places(random, m), random.normal(0, 9, (m, 3))
+    tracks[:, following.UNSEEN], tracks[:, following.AGE] = random.uniform(0, 1, m), random.uniform(0, 2, m)
+    tracks[:, following.HITS] = random.integers(1, 5, m)
+    tracks[:, following.ID] = random.permutation(2 * m)[:m] - 1 if random.random() < 0.5 else -1
+    tracks[:, following.TARGET], tracks[:, following.ROW] = random.integers(-1, 3, m), -1
+    id = random.permutation(2 * n)[:n] if random.random() < 0.5 else np.full(n, -1)
+    velocity = random.normal(0, 9, (n, 3)) * random.choice([0.0, 1.0], (n, 1))
+    return tracks, places(random, n), velocity, id, 0.1, 6.0, following.LIMITS
+
+
+def buildings(random, m):
+    """Start, end, top and first wall of m triangles."""
+    corners = random.normal(0, 20, (m, 3, 2))
+    end = np.roll(corners, -1, axis=1)
+    return corners.reshape(-1, 2), end.reshape(-1, 2), random.uniform(1, 9, 3 * m), 3 * np.arange(m)
+
+
 #: For each kernel its arguments, of n rows and m others (both may be 0).
 ARGUMENTS = {
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
@@ -193,6 +213,9 @@ ARGUMENTS = {
         r.uniform(-4, 4, n + 1), r.integers(0, 9, n + 1).astype(np.uint8), r.random(n + 1), r.uniform(0.1, 1, n + 1),
         clusters(r, n + 1),
     ),
+    "followed": followed,
+    "walled_off": lambda r, n, m: (r.normal(0, 9, 3), r.normal(0, 20, (n, 3)), *buildings(r, m)[:3]),
+    "built_over": lambda r, n, m: (r.normal(0, 20, (n, 3)), *(walls := buildings(r, m))[:2], walls[3]),
     "plain_clusters": lambda r, n, m: (r.integers(0, 3, n), *upper_pairs(r, n)),
     "packed_columns": packed,
     "exact_columns": exact,

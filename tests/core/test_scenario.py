@@ -544,6 +544,18 @@ def test_an_agents_own_name_wins_over_a_pattern() -> None:
     assert [found.nodes[name].config["status_every"] for name in ("ego", "infra_1", "infra_2")] == [1, 2, 3]
 
 
+def test_pictures_are_scored_for_as_long_as_agents_go_on_with_them() -> None:
+    def hold(content: dict[str, Any]) -> None:
+        content["agents"]["infra_*"] = AGENT | {"picture_age_s": 1.5}
+
+    def hold_and_say(content: dict[str, Any]) -> None:
+        hold(content)
+        content["evaluator"] = {**content["evaluator"], "picture_age_s": 0.2}
+
+    ages = [tiny(edit=edit).nodes["evaluator"].config.get("picture_age_s") for edit in (None, hold, hold_and_say)]
+    assert ages == [None, 1.5, 0.2]
+
+
 def test_an_agent_is_told_by_the_scene_what_it_is() -> None:
     found = tiny()
     ego, pole = (build_node(found.nodes[name], name) for name in ("ego", "infra_1"))

@@ -68,9 +68,10 @@ def write(path: Path, messages: list[tuple[str, bytes]]) -> Path:
     log.begin(HEARS)
     for key, data in messages:
         try:
-            log.add(key, data, codec.decode_header(data, HEARS[key].message))
+            header = codec.decode_header(data, HEARS[key].message)
+            log.add(key, data, header, header.frame)
         except codec.MessageError:
-            log.add_malformed(key, data, 2, 2 * PERIOD_NS)
+            log.add_malformed(key, data, 2, 2 * PERIOD_NS, 2)
     log.close()
     return path
 

@@ -12,6 +12,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from recordings import HEARS, PERIOD_NS, TAP, payload, small_run, write
@@ -19,7 +21,8 @@ from recordings import HEARS, PERIOD_NS, TAP, payload, small_run, write
 from mast_zenoh import codec
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog import writer
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
+from mast_zenoh.messagelog.reader import events, read
 from mast_zenoh.messagelog.writer import MessageLog
 
 PAGE = Path(__file__).parents[2] / "docs" / "recording.md"
@@ -52,12 +55,81 @@ def test_a_key_that_is_heard_only_later_is_recorded_as_if_it_had_been_known(tmp_
     hears |= HEARS
     sent = small_run()
     for key, sound in random.Random(1).sample(sent, len(sent)):
-        log.add(key, sound, codec.decode_header(sound, HEARS[key].message))
-    log.add_malformed(TAP, b"nonsense", 0, 0)
+        header = codec.decode_header(sound, HEARS[key].message)
+        log.add(key, sound, header, header.frame)
+    log.add_malformed(TAP, b"nonsense", 0, 0, 0)
     log.close()
     found = list(read(tmp_path / "run.mcap"))
     assert [(message.key, message.payload) for message in found if not message.malformed] == sent
     assert sum(message.malformed for message in found) == 1
+
+
+def test_the_step_in_which_a_message_was_sent_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "CHUNK_BYTES", 3000)
+    log = MessageLog(tmp_path / "run.mcap")
+    log.begin(HEARS)
+    steps = {}
+    for number, (key, data) in enumerate(random.Random(3).sample(small_run(), len(small_run()))):
+        header = codec.decode_header(data, HEARS[key].message)
+        steps[key, header.frame] = header.frame + number % 3
+        log.add(key, data, header, steps[key, header.frame])
+    log.add_malformed(TAP, b"nonsense", 4, 4 * PERIOD_NS, 4)
+    log.close()
+    messages = list(read(tmp_path / "run.mcap"))
+    assert {(message.key, message.frame): message.step for message in messages if not message.malformed} == steps
+    assert [message.step for message in messages if message.malformed] == [4]
+
+
+nodes = st.text(max_size=20)
+happened = st.one_of(
+    st.builds(Event, st.sampled_from([JOINED, LEFT]), st.integers(-1, 10**9), nodes, nodes),
+    st.builds(
+        Event,
+        st.just(REWIRED),
+        st.integers(-1, 10**9),
+        wiring=st.dictionaries(st.text(max_size=9), st.lists(st.integers(-9, 9) | st.text(max_size=9), max_size=3)),
+    ),
+)
+
+
+@settings(deadline=None, max_examples=40)
+@given(events_sent=st.lists(happened, max_size=5))
+def test_how_a_run_changed_is_kept_in_order(tmp_path_factory: pytest.TempPathFactory, events_sent: list[Event]) -> None:
+    path = tmp_path_factory.mktemp("events") / "run.mcap"
+    log = MessageLog(path)
+    log.begin(HEARS)
+    sent = small_run(3)
+    for number, (key, data) in enumerate(sent):
+        header = codec.decode_header(data, HEARS[key].message)
+        log.add(key, data, header, header.frame)
+        if number < len(events_sent):
+            log.add_event(events_sent[number])
+    log.close()
+    assert events(path) == events_sent[: len(sent)]
+    assert [message.payload for message in read(path)] == [data for _, data in sent]
+
+
+@pytest.mark.parametrize(
+    ("name", "metadata"),
+    [
+        ("event", {}),
+        ("event", {"what": "exploded", "frame": "3", "node": "a", "role": "agent"}),
+        ("event", {"what": "left", "frame": "three", "node": "a", "role": "agent"}),
+        ("event", {"what": "rewired", "frame": "3", "wiring": "["}),
+        ("event", {"what": "rewired", "frame": "3", "wiring": "[]"}),
+        ("steps", {"0": "soon"}),
+    ],
+)
+def test_metadata_that_cannot_be_understood_is_named(tmp_path: Path, name: str, metadata: dict[str, str]) -> None:
+    path = tmp_path / "run.mcap"
+    log = MessageLog(path)
+    log.begin(HEARS)
+    log._writer.add_metadata(name, metadata)
+    log.close()
+    with pytest.raises(RunFolderError, match=r"run\.mcap: byte \d+: damaged metadata"):
+        events(path)
+    with pytest.raises(RunFolderError, match="damaged metadata"):
+        list(read(path))
 
 
 def test_doubles_are_kept_in_the_order_in_which_they_came(tmp_path: Path) -> None:
@@ -151,7 +223,8 @@ def test_a_process_that_is_killed_leaves_all_its_whole_chunks(tmp_path: Path) ->
         "log = MessageLog(Path('run.mcap'))\n"
         "log.begin(HEARS)\n"
         "for key, data in small_run(60):\n"
-        "    log.add(key, data, codec.decode_header(data, HEARS[key].message))\n"
+        "    header = codec.decode_header(data, HEARS[key].message)\n"
+        "    log.add(key, data, header, header.frame)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
@@ -211,7 +284,8 @@ def test_when_the_disk_is_full_what_is_there_stays_readable(tmp_path: Path, monk
 
     def add(messages: list[tuple[str, bytes]]) -> None:
         for key, data in messages:
-            log.add(key, data, codec.decode_header(data, HEARS[key].message))
+            header = codec.decode_header(data, HEARS[key].message)
+            log.add(key, data, header, header.frame)
 
     add(sent[:100])
 

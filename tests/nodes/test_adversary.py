@@ -10,7 +10,6 @@ from tiny_world import PERIOD_NS, Bench, Run, detections, pose, states, tiny, tr
 
 from mast_zenoh import codec
 from mast_zenoh.attacks import ACTIONS, UncoordinatedAttack
-from mast_zenoh.errors import StartError
 from mast_zenoh.messages import Message
 from mast_zenoh.states import DETECTION_COLUMNS, STATE_COLUMNS
 from mast_zenoh.wiring import Wiring
@@ -200,7 +199,7 @@ def test_it_reports_what_it_changed_before_and_after(worlds, wire: str) -> None:
         reports = [r for r in adversary.heard("attack/adversary_1/report") if r.header.frame == message.header.frame]
         before, after = (m.body["position"][:, :2] for m in (message, sent))
         actions = reports[0].body["action"] if reports else np.zeros(0, np.uint8)
-        assert np.count_nonzero(actions == ACTIONS.index("added")) - np.count_nonzero(
+        assert np.count_nonzero(actions == ACTIONS.index("inserted")) - np.count_nonzero(
             actions == ACTIONS.index("removed")
         ) == len(after) - len(before)
         if reports:
@@ -256,9 +255,28 @@ def test_an_adversary_on_the_downlink_stands_before_its_agent_alone_and_passes_p
     assert run.messages == plain.messages
 
 
-def test_an_attack_that_cannot_change_pictures_is_refused_on_their_wire() -> None:
-    with pytest.raises(StartError, match="adversary_1: UncoordinatedAttack cannot change pictures"):
-        Run(tiny(edit=on_picture(ATTACK)))
+def test_an_attack_on_the_downlink_changes_the_picture_of_its_agent_alone() -> None:
+    leg = "cc/picture/@tap/ego/0"
+    run, plain = Run(tiny(edit=on_picture(ATTACK | dict(start_s=0.4)))), Run(tiny())
+    assert not run.failures
+    assert run.messages["cc/picture"] == plain.messages["cc/picture"]
+    sent, forged = run.decoded("cc/picture", "picture"), run.decoded(leg, "picture")
+    assert [message.header for message in forged] == [message.header for message in sent]
+    inserted = removed = 0
+    for before, after in zip(sent, forged, strict=True):
+        known = dict(zip(before.body["id"].tolist(), before.body["support"].tolist(), strict=True))
+        ids = after.body["id"].tolist()
+        assert [known[i] for i in ids if i in known] == [
+            s for i, s in zip(ids, after.body["support"].tolist(), strict=True) if i in known
+        ]
+        assert np.all(after.body["support"] > 0)
+        inserted += len(set(ids) - set(known))
+        removed += len(set(known) - set(ids))
+    assert inserted > 0
+    assert removed > 0
+    missions = [run.messages["agent/ego/mission"], plain.messages["agent/ego/mission"]]
+    assert missions[0] != missions[1]
+    assert run.messages["agent/infra_1/mission"] == plain.messages["agent/infra_1/mission"]
 
 
 def test_two_adversaries_on_one_wire_make_a_chain() -> None:
@@ -288,7 +306,11 @@ def directive(*add: tuple[float, float]) -> dict[str, np.ndarray]:
 
 
 def coordinated(worlds) -> Bench:
-    return Bench(worlds["tracks"], "adversary_1", attack=dict(type="CoordinatedAttack", start_s=0.0))
+    return Bench(
+        worlds["tracks"],
+        "adversary_1",
+        attack=dict(type="CoordinatedAttack", start_s=0.0, imitation=dict(type="Exact")),
+    )
 
 
 @pytest.mark.parametrize("directive_first", [True, False])

@@ -17,7 +17,14 @@ def resolved():
 
 
 def observation(*places: tuple[float, float], x: float = 0.0) -> dict[str, np.ndarray]:
-    return states(*places).columns() | {"agent_position": np.array([x, 0.0, 0.0])}
+    return states(*places).columns() | {
+        "agent_position": np.array([x, 0.0, 0.0]),
+        "sensor_position": np.array([x, 0.0, 2.0]),
+        "sensor_rotation": np.eye(3),
+        "azimuth": np.array([-np.pi, np.pi]),
+        "elevation": np.array([-1.5, 1.5]),
+        "max_range": np.array([100.0]),
+    }
 
 
 def observe(coordinator: Bench, adversary: int, frame: int, *, step: int | None = None) -> list[tuple[str, Message]]:

@@ -18,7 +18,8 @@ from mast_zenoh.links import FATES, WIRES, Rule
 from mast_zenoh.messages import Header, Message
 from mast_zenoh.registry import known_types
 from mast_zenoh.resolved import Resolved, build_node
-from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring import Wiring
 
 TRACKS, STATUS, PICTURE = (

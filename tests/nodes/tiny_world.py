@@ -16,7 +16,8 @@ from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw, rot
 from mast_zenoh.messages import Header, Message
 from mast_zenoh.resolved import Resolved, build_node
 from mast_zenoh.runtime import results
-from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.scenes import Recording, Scene, SceneAgent
 from mast_zenoh.scenes.recording import truth_states

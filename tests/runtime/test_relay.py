@@ -14,8 +14,9 @@ from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import Header, Message
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime import host as host_module
-from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime import context as context_module
+from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring import Input, Ports
 
 PERIOD_NS = 10**8
@@ -327,7 +328,7 @@ def test_a_node_that_hears_no_clock_cannot_delay() -> None:
 
 
 def test_not_more_than_so_many_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host_module, "MAX_DELAYED", 3)
+    monkeypatch.setattr(context_module, "MAX_DELAYED", 3)
     host, outbox = hosting(relaying(after_s=0.1))
     clock(host, 0)
     for seq in range(5):

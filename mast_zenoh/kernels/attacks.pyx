@@ -1,0 +1,181 @@
+# cython: language_level=3, cdivision=True
+"""What an adversary does in every frame: following objects, and looking past buildings. The references say what each
+function does."""
+
+cimport numpy as np
+from libc.math cimport fmax, fmin
+from libc.string cimport memcpy
+
+from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, table, whole, writable, zeros
+from mast_zenoh.kernels.table cimport SOURCE_DIGEST
+
+np.import_array()
+DIGEST = SOURCE_DIGEST.decode()
+
+#: Columns of the table, as in `attacks.following`.
+cdef enum:
+    VX = 3
+    UNSEEN = 6
+    AGE = 7
+    HITS = 8
+    ID = 9
+    TARGET = 10
+    ROW = 11
+    COLUMNS = 12
+
+
+def followed(tracks, position, velocity, id, double elapsed_s, double radius_m, limits):
+    tracks, position, velocity = whole(tracks), whole(position), whole(velocity)
+    cdef double gate_m = limits[0], growth = limits[1], fastest = limits[2], forgotten = limits[3], clutter = limits[4]
+    cdef double same_id_m = limits[5], least_alpha = limits[6], least_beta = limits[7]
+    cdef Py_ssize_t m = length(tracks), n = length(position), t, r, p, axis, best, kept = 0, fresh = 0, count = 0
+    cdef const double* there = floats(position, 2)
+    cdef const double* speed = floats(velocity, 2)
+    cdef const np.int64_t* ids = ints(id)
+    state = table(m, COLUMNS)
+    cdef double* row = writable(state, 2)
+    cdef double* first = row
+    cdef double* own
+    cdef double dx, dy, gate, alpha, beta, k, surprise, elapsed
+    memcpy(row, floats(tracks, 2), m * COLUMNS * sizeof(double))
+    taken_ = zeros(np.NPY_BOOL, n)
+    cdef np.uint8_t* taken = octets(taken_)
+    for t in range(m):
+        own = first + t * COLUMNS
+        for axis in range(3):
+            own[axis] += own[VX + axis] * elapsed_s
+        own[UNSEEN] += elapsed_s
+        own[AGE] += elapsed_s
+        own[ROW] = -1.0
+        if own[ID] < 0.0:
+            continue
+        for r in range(n):
+            if ids[r] >= 0 and <double>ids[r] == own[ID] and not taken[r]:
+                dx, dy = own[0] - there[3 * r], own[1] - there[3 * r + 1]
+                if dx * dx + dy * dy < same_id_m * same_id_m:
+                    own[ROW], taken[r] = <double>r, 1
+                    break
+    # Pairs within the gates: counted, written, and joined nearest first.
+    for t in range(m):
+        own = first + t * COLUMNS
+        if own[ROW] >= 0.0:
+            continue
+        gate = fmin(gate_m + growth * own[UNSEEN] if own[HITS] > 1.0 else fastest * own[UNSEEN], radius_m)
+        for r in range(n):
+            if not taken[r]:
+                dx, dy = there[3 * r] - own[0], there[3 * r + 1] - own[1]
+                count += dx * dx + dy * dy <= gate * gate
+    tracks_, rows_, costs_ = made(np.NPY_INT64, count), made(np.NPY_INT64, count), made(np.NPY_DOUBLE, count)
+    cdef np.int64_t* of_track = ints(tracks_)
+    cdef np.int64_t* of_row = ints(rows_)
+    cdef double* cost = writable(costs_, 1)
+    count = 0
+    for t in range(m):
+        own = first + t * COLUMNS
+        if own[ROW] >= 0.0:
+            continue
+        gate = fmin(gate_m + growth * own[UNSEEN] if own[HITS] > 1.0 else fastest * own[UNSEEN], radius_m)
+        for r in range(n):
+            if not taken[r]:
+                dx, dy = there[3 * r] - own[0], there[3 * r + 1] - own[1]
+                if dx * dx + dy * dy <= gate * gate:
+                    of_track[count], of_row[count], cost[count] = t, r, dx * dx + dy * dy
+                    count += 1
+    while True:
+        best = -1
+        for p in range(count):
+            if first[of_track[p] * COLUMNS + ROW] < 0.0 and not taken[of_row[p]] and (best < 0 or cost[p] < cost[best]):
+                best = p
+        if best < 0:
+            break
+        first[of_track[best] * COLUMNS + ROW], taken[of_row[best]] = <double>of_row[best], 1
+    for t in range(m):
+        own = first + t * COLUMNS
+        if own[ROW] >= 0.0:
+            r = <Py_ssize_t>own[ROW]
+            if speed[3 * r] != 0.0 or speed[3 * r + 1] != 0.0 or speed[3 * r + 2] != 0.0:
+                for axis in range(3):
+                    own[axis], own[VX + axis] = there[3 * r + axis], speed[3 * r + axis]
+            else:
+                k = own[HITS]
+                alpha = fmax(2.0 * (2.0 * k + 1.0) / ((k + 1.0) * (k + 2.0)), least_alpha)
+                beta = fmax(6.0 / ((k + 1.0) * (k + 2.0)), least_beta)
+                elapsed = fmax(own[UNSEEN], 1e-9)
+                for axis in range(3):
+                    surprise = there[3 * r + axis] - own[axis]
+                    own[axis] += alpha * surprise
+                    own[VX + axis] += beta / elapsed * surprise
+            own[ID], own[UNSEEN] = <double>ids[r], 0.0
+            own[HITS] += 1.0
+        kept += own[TARGET] >= 0.0 or own[UNSEEN] <= (forgotten if own[HITS] > 1.0 else clutter)
+    for r in range(n):
+        fresh += not taken[r]
+    result = table(kept + fresh, COLUMNS)
+    cdef double* out = writable(result, 2)
+    for t in range(m):
+        own = first + t * COLUMNS
+        if own[TARGET] >= 0.0 or own[UNSEEN] <= (forgotten if own[HITS] > 1.0 else clutter):
+            memcpy(out, own, COLUMNS * sizeof(double))
+            out += COLUMNS
+    for r in range(n):
+        if not taken[r]:
+            for axis in range(3):
+                out[axis], out[VX + axis] = there[3 * r + axis], speed[3 * r + axis]
+            out[UNSEEN], out[AGE], out[HITS], out[ID] = 0.0, 0.0, 1.0, <double>ids[r]
+            out[TARGET], out[ROW] = -1.0, <double>r
+            out += COLUMNS
+    return result
+
+
+def walled_off(origin, places, start, end, top):
+    places, start, end = whole(places), whole(start), whole(end)
+    cdef const double* eye = floats(origin, 1)
+    cdef const double* place = floats(places, 2)
+    cdef const double* a = floats(start, 2)
+    cdef const double* b = floats(end, 2)
+    cdef const double* height = floats(top, 1)
+    cdef Py_ssize_t p, w, n = length(places), wide = length(places, 1), walls = length(start)
+    cdef double sx, sy, wx, wy, ox, oy, cross, along
+    result = zeros(np.NPY_BOOL, n)
+    cdef np.uint8_t* hidden = octets(result)
+    for p in range(n):
+        sx, sy = place[wide * p] - eye[0], place[wide * p + 1] - eye[1]
+        for w in range(walls):
+            wx, wy = b[2 * w] - a[2 * w], b[2 * w + 1] - a[2 * w + 1]
+            ox, oy = a[2 * w] - eye[0], a[2 * w + 1] - eye[1]
+            cross = sx * wy - sy * wx
+            if cross == 0.0:
+                continue
+            along = (ox * sy - oy * sx) / cross
+            if along < 0.0 or along > 1.0:
+                continue
+            along = (ox * wy - oy * wx) / cross
+            if along > 0.0 and along < 1.0 and eye[2] + along * (place[wide * p + 2] - eye[2]) <= height[w]:
+                hidden[p] = 1
+                break
+    return result
+
+
+def built_over(places, start, end, first):
+    places, start, end = whole(places), whole(start), whole(end)
+    cdef const double* place = floats(places, 2)
+    cdef const double* a = floats(start, 2)
+    cdef const double* b = floats(end, 2)
+    cdef const np.int64_t* begin = ints(first)
+    cdef Py_ssize_t p, w, o, n = length(places), wide = length(places, 1), walls = length(start), outlines = length(first)
+    cdef double x, y
+    cdef bint odd
+    result = zeros(np.NPY_BOOL, n)
+    cdef np.uint8_t* inside = octets(result)
+    for p in range(n):
+        x, y = place[wide * p], place[wide * p + 1]
+        for o in range(outlines):
+            odd = False
+            for w in range(begin[o], begin[o + 1] if o + 1 < outlines else walls):
+                if (a[2 * w + 1] > y) != (b[2 * w + 1] > y):
+                    if x < a[2 * w] + (b[2 * w] - a[2 * w]) * (y - a[2 * w + 1]) / (b[2 * w + 1] - a[2 * w + 1]):
+                        odd = not odd
+            if odd:
+                inside[p] = 1
+                break
+    return result

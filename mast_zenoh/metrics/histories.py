@@ -1,0 +1,76 @@
+"""Tracks and truth objects over time: what became of each in the frames before and after. Pure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mast_zenoh.metrics.places import Places
+from mast_zenoh.metrics.scores import UNEVALUATED, Scores
+from mast_zenoh.states import Bools, Floats, Ints
+
+
+class Histories(NamedTuple):
+    """n rows of `Scores.judged`, all tracks or all truth objects, by series, id and frame.
+
+    row:      (n,) of `Scores.judged`;  series, frame, id, match, outcome: (n,), see `Judged`
+    position: (n, 3) m, world frame
+    group:    (n,) a number of series and frame
+    """
+
+    row: Ints
+    series: Ints
+    frame: Ints
+    id: Ints
+    match: Ints
+    outcome: Ints
+    position: Floats
+    group: Ints
+
+    @classmethod
+    def of(cls, scores: Scores, rows: Ints, span: int) -> Histories:
+        """Some rows of `scores.judged`, in the order given; span: more than the number of any frame."""
+        judged = scores.judged
+        series, frame = judged.series[rows], judged.frame[rows]
+        id_, position = judged.id[rows], judged.boxes.position[rows]
+        group = series * span + frame
+        return cls(rows, series, frame, id_, judged.match_id[rows], judged.outcome[rows], position, group)
+
+    @classmethod
+    def of_wrong(cls, scores: Scores, outcome: int, span: int, *, tracks: bool) -> Histories:
+        """All rows of those tracks, or truth objects, that have an outcome in any frame of a series."""
+        judged = scores.judged
+        key = judged.series * (int(judged.id.max(initial=0)) + 1) + judged.id
+        rows = np.flatnonzero(judged.is_track == tracks)
+        mine = key[rows]
+        rows = rows[np.isin(mine, mine[judged.outcome[rows] == outcome])]
+        return cls.of(scores, rows[np.lexsort((judged.frame[rows], key[rows]))], span)
+
+    def places(self, rows: Bools | Ints) -> Places:
+        """The places of some rows; those of different series or frames never meet."""
+        return Places(self.group[rows], self.position[rows])
+
+    def adjacent(self, valid: Bools, stops: Bools, most: int, *, later: bool = False) -> Ints:
+        """(n,) the last row up to each row, of its series and id, that `stops`; later: the first from there on.
+
+        -1 where there is none, where it is not `valid`, or where it is more than `most` frames away.
+        """
+        turn = slice(None, None, -1) if later else slice(None)
+        n = len(self.row)
+        place = np.maximum.accumulate(np.where(stops[turn], np.arange(n), -1)) if n else np.zeros(0, np.int64)
+        last = place[turn]
+        known = last >= 0
+        last = np.where(known & later, n - 1 - last, last)
+        same = known & (self.series[last] == self.series) & (self.id[last] == self.id) & valid[last]
+        same &= np.abs(self.frame[last] - self.frame) <= most
+        return np.where(same, last, -1)
+
+    def begun(self) -> Ints:
+        """(n,) frame since which the object of each row has been evaluated, or not, without a break."""
+        seen = self.outcome != UNEVALUATED
+        first = np.ones(len(self.row), bool)
+        first[1:] = (np.diff(self.series) != 0) | (np.diff(self.id) != 0) | (np.diff(self.frame) != 1)
+        first[1:] |= seen[1:] != seen[:-1]
+        start = np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)) if len(first) else first.astype(int)
+        return np.asarray(self.frame[start])

@@ -1,0 +1,109 @@
+"""Plays a recording to one node that hears every key, as if the run were going on.
+
+A node that measures a run depends on messages alone, so on the recording of a run it measures the same again: with
+other parameters, with a later version, or where the run was killed before the node could hand in its results.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.messagelog import channels
+from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
+from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
+from mast_zenoh.resolved import Resolved, build_node
+from mast_zenoh.runtime import failures
+from mast_zenoh.runtime.host import Host
+from mast_zenoh.wiring import ANY, Endpoint, Wiring
+
+
+def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
+    """What a node returns from `finish` when it has heard a recording.
+
+    resolved: of the run that was recorded, with the user's modules loaded
+    name:     of a node of that scenario which hears every key
+    path:     the recording, or the folder of the run
+
+    Recordings of earlier versions say neither how the run changed nor in which frame a message was sent: it is taken
+    to have gone on with all its nodes as it began, and each message to have been sent in its own frame.
+    Raises RunFolderError for a recording that is missing or damaged, and HandlerFailed where the node fails.
+    """
+    path = file_of(path)
+    changes = deque(events(path) or _unchanging(resolved))
+    if changes[0].what != REWIRED:
+        raise RunFolderError(f"{path}: the first event is not the wiring that the run began with")
+    node = build_node(resolved.nodes[name], name)
+    ears = [Endpoint(name, port) for port, message in node.inputs.items() if message == ANY]
+    wiring = _wiring(changes.popleft(), ears, path)
+    period_ns = resolved.period_ns
+    host = Host(
+        name,
+        node,
+        wiring.ports(name),
+        resolved.seed,
+        encode=True,
+        emit=lambda out: None,
+        period_ns=period_ns,
+        wiring=wiring,
+    )
+    present = {}
+    while changes and changes[0].what == JOINED and changes[0].frame < 0:
+        event = changes.popleft()
+        present[event.node] = event.role
+    host.start({peer: role for peer, role in present.items() if peer != name})
+
+    def change(event: Event) -> None:
+        if event.what == REWIRED:
+            new = _wiring(event, ears, path)
+            for key, heard in new.ports(name).inputs.items():
+                host.hear(key, heard)
+            host.rewired(new)
+        elif event.node != name:
+            (host.left if event.what == LEFT else host.joined)(event.node, event.role)
+
+    for step, message in _by_step(read(path)):
+        while changes and step > changes[0].frame:
+            change(changes.popleft())
+        host.deliver(message.key.removesuffix(f"/{channels.MALFORMED}"), message.payload, message.step, counted=False)
+    for event in changes:
+        change(event)
+    results = host.finish()
+    if host.failures:
+        raise failures.error({name: [failure.entry() for failure in host.failures.values()]})
+    return results
+
+
+def _by_step(messages: Iterable[Recorded]) -> Iterator[tuple[int, Recorded]]:
+    """Messages in order of frame, each put off to the step in which it was sent; with that step."""
+    waiting: list[tuple[int, int, Recorded]] = []
+    for count, message in enumerate(messages):
+        while waiting and waiting[0][0] < message.frame:
+            step, _, late = heapq.heappop(waiting)
+            yield step, late
+        if message.step > message.frame >= 0:
+            heapq.heappush(waiting, (message.step, count, message))
+        else:
+            yield max(message.frame, message.step), message
+    while waiting:
+        step, _, late = heapq.heappop(waiting)
+        yield step, late
+
+
+def _wiring(event: Event, ears: Sequence[Endpoint], path: Path) -> Wiring:
+    """The wiring that an event tells of, with these ports hearing every key, also where they did not in the run."""
+    try:
+        wiring = Wiring.from_json(event.wiring)
+    except (KeyError, TypeError, IndexError, AttributeError) as error:
+        raise RunFolderError(f"{path}: the wiring of frame {event.frame} cannot be read: {error!r}") from None
+    return Wiring(wiring.wires, (*wiring.overhearers, *(ear for ear in ears if ear not in wiring.overhearers)))
+
+
+def _unchanging(resolved: Resolved) -> list[Event]:
+    """The events of a run that went on as it began."""
+    joined = [Event(JOINED, -1, node, spec.role) for node, spec in resolved.nodes.items()]
+    return [Event(REWIRED, -1, wiring=resolved.wiring), *joined]

@@ -1,0 +1,65 @@
+"""What an attacker can find out about a scene before a run: the `surroundings` of adversaries and coordinators."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.geometry import quaternion_from_rotation
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.states import Floats, Ints
+
+#: s, between two rows of a route.
+ROUTE_STEP_S = 0.5
+
+
+def surroundings_of(recording: Recording, victims: Iterable[str]) -> dict[str, Any]:
+    """The parameters of `attacks.Surroundings` for the attackers of these agents: buildings, sensors and routes.
+
+    Buildings that no sensor reaches are left out.
+    """
+    times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
+    every = max(1, round(ROUTE_STEP_S * 1e9 / recording.period_ns))
+    rows = np.unique([*range(0, len(times_s), every), len(times_s) - 1])
+    agents: dict[str, Any] = {}
+    for index, agent in enumerate(recording.agents):
+        sensor = agent.sensor
+        agents[agent.name] = {
+            "limits_deg": [
+                *(sensor.azimuth_min_deg, sensor.azimuth_max_deg),
+                *(sensor.elevation_min_deg, sensor.elevation_max_deg),
+            ],
+            "max_range_m": sensor.max_range_m,
+            "mount_position": np.asarray(sensor.mount_position).tolist(),
+            "mount_rotation": np.asarray(sensor.mount_rotation).tolist(),
+            "route": _route(recording, index, times_s, rows if agent.kind == "mobile" else rows[:1]),
+        }
+    near = _in_reach(recording, rows)
+    return {
+        "scene": recording.name,
+        "agents": agents,
+        "victims": list(victims),
+        "buildings": [recording.buildings[index].round(3).tolist() for index in near],
+        "building_height": [float(recording.building_height[index]) for index in near],
+    }
+
+
+def _route(recording: Recording, agent: int, times_s: Floats, rows: Ints) -> list[list[float]]:
+    rotation = quaternion_from_rotation(recording.agent_rotation[rows, agent])
+    table = np.column_stack([times_s[rows], recording.agent_position[rows, agent], rotation])
+    return [[round(float(value), 6) for value in row] for row in table]
+
+
+def _in_reach(recording: Recording, rows: Ints) -> list[int]:
+    """Buildings with a corner, or the middle of a wall, within the range of some sensor at some time."""
+    near: list[int] = []
+    reach = np.array([agent.sensor.max_range_m for agent in recording.agents])
+    places = recording.agent_position[rows, :, :2]
+    for index, outline in enumerate(recording.buildings):
+        points = np.concatenate([outline, 0.5 * (outline + np.roll(outline, -1, axis=0))])
+        apart = np.linalg.norm(points - places[..., None, :], axis=-1).min(axis=-1)
+        if (apart <= reach).any():
+            near.append(index)
+    return near

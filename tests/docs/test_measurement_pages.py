@@ -1,0 +1,95 @@
+"""What docs/metrics.md and docs/effects.md say of a run folder is so, and the metric that they show can be used."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mast_zenoh import scenario
+from mast_zenoh.effects import EFFECTS
+from mast_zenoh.launch import local
+from mast_zenoh.launch.folder import read_table
+from mast_zenoh.metrics.causes import CAUSES
+
+DOCS = Path(__file__).parents[2] / "docs"
+METRICS = (DOCS / "metrics.md").read_text(encoding="utf-8")
+EFFECTS_PAGE = (DOCS / "effects.md").read_text(encoding="utf-8")
+
+SCENARIO = """
+from mast_zenoh.scenario import load
+
+{metric}
+
+def scenario():
+    content = dict(load("coordinated")[1])
+    content["evaluator"] = {{**content["evaluator"], **dict({options})}}
+    return content
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a scenario with what the page shows of metrics and driving."""
+    (metric,) = re.findall(r"^```python\n(.*?)^```$", METRICS, flags=re.S | re.M)
+    options = re.findall(r"`evaluator=dict\(((?:metrics|driving)=.*?)\)`", METRICS)
+    assert len(options) == 2
+    folder = tmp_path_factory.mktemp("pages")
+    (folder / "mine.py").write_text(SCENARIO.format(metric=metric, options=", ".join(options)))
+    path, content = scenario.load(str(folder / "mine.py"))
+    ended = local.run(scenario.resolve(path, content, frames=80), folder / "run", runtime="inproc")
+    assert ended.error is None
+    return ended.folder
+
+
+def named_in(text: str, heading: str) -> set[str]:
+    """The names in the first column of the table below a heading."""
+    part = text.split(f"\n{heading}\n", 1)[1].split("\n## ", 1)[0]
+    cells = [line.split("|")[1] for line in part.splitlines() if line.startswith("| `")]
+    return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
+
+
+def test_the_metric_of_the_page_is_in_the_summary_and_the_table(run: Path) -> None:
+    table = read_table(run / "metrics.parquet")
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert "false_nearby" in table
+    of_agents = [estimates["picture"]["false_nearby"]["mean"] for estimates in metrics["agents"].values()]
+    assert max(of_agents) > 0.0
+
+
+def test_attacks_have_the_columns_and_effects_of_the_page(run: Path) -> None:
+    columns = set(read_table(run / "attacks.parquet"))
+    said = named_in(EFFECTS_PAGE, "## attacks.parquet")
+    spelled_out = {f"{side}_{axis}" for side in ("before", "after") for axis in "xyz"}
+    assert (said - {"before_x", "after_z"}) | spelled_out == columns
+    effects = named_in(EFFECTS_PAGE, "## Effects on objects") | named_in(EFFECTS_PAGE, "## Effects on messages")
+    assert {name for name in effects if name != "columns"} == set(EFFECTS)
+
+
+def test_the_tables_have_the_columns_of_the_page(run: Path) -> None:
+    for name in ("targets", "driving"):
+        (said,) = re.findall(rf"^`{name}\.parquet`, (.*?)\n\n", METRICS, flags=re.S | re.M)
+        for column in read_table(run / f"{name}.parquet"):
+            stem = column.removesuffix("_centre").removesuffix("_ego")
+            assert re.search(rf"\b{stem}\b", said), f"{name}.parquet: {column} is not on the page"
+
+
+def test_causes_are_on_the_page() -> None:
+    section = METRICS.split("## Whose fault it is")[1].split("## Cut off")[0]
+    assert {cause for cause in CAUSES if f"`{cause}`" not in section} == set()
+
+
+def test_what_was_achieved_and_what_it_means_for_driving_is_explained(run: Path) -> None:
+    metrics = json.loads((run / "metrics.json").read_text())
+    achieved: dict[str, Any] = metrics["achieved"]["all"]
+    said = named_in(METRICS, "## What an attack achieved")
+    stems = {name.rstrip("…").removesuffix("_centre").rstrip("_") for name in said} | {"inserted_frames"}
+    for key in achieved:
+        stem = key.removesuffix("_centre").removesuffix("_ego")
+        assert stem in stems or stem.endswith("_frames"), f"achieved: {key} is not on the page"
+    said = {name.replace("…", "") for name in named_in(METRICS, "## What it would mean for driving")}
+    for key in metrics["driving"]["ego"]["mission"]:
+        assert key in said or key.removesuffix("_attack") in said, f"driving: {key} is not on the page"

@@ -1,0 +1,145 @@
+"""What adversaries achieved, computed by plain loops from attacks.parquet, objects.parquet and the truth."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from typing import Any, NamedTuple
+
+from played import Played
+
+RANGE_M, HIDDEN_M, LEAST_MOVE_M, ACCEPTED_M, DISPLACED_M, LASTING_S, PERIOD_S = 100.0, 4.0, 0.5, 5.0, 1.0, 1.0, 0.1
+
+
+class Target(NamedTuple):
+    """An object that an adversary manipulated in one frame; object: id of the truth object, -1: none, or inserted."""
+
+    adversary: str
+    kind: str
+    frame: int
+    object: int
+    x: float
+    y: float
+
+
+class Verdict(NamedTuple):
+    """Whether a manipulation is believed, whether that can be said, and the error of a tracked object, m."""
+
+    believed: bool
+    judged: bool
+    error_m: float
+
+
+class Run:
+    """The tables of a run, by row."""
+
+    def __init__(self, played: Played) -> None:
+        self.truth = dict(played.bodies("scene/truth"))
+        self.agents = list(self.truth[0]["agents"])
+        self.attacks = rows(played.table("attacks"))
+        self.boxes: dict[tuple[str, int], list[dict[str, Any]]] = defaultdict(list)
+        same_as = played.metrics["same_as"]
+        for row in rows(played.table("objects")):
+            self.boxes[row["estimator"], row["frame"]].append(row)
+            for twin, other in same_as.get(row["agent"], {}).items():
+                if other == row["estimator"] and twin == "mission":
+                    self.boxes[twin, row["frame"]].append(row)
+
+    def targets(self) -> set[Target]:
+        """Every object that an adversary, not a link, manipulated."""
+        found = set()
+        for row in self.attacks:
+            if row["role"] == "link":
+                continue
+            before, after = (row["before_x"], row["before_y"]), (row["after_x"], row["after_y"])
+            kind, frame = row["effect"], row["frame"]
+            if kind == "inserted":
+                found.add(Target(row["interposer"], kind, frame, -1, *after))
+            elif kind in ("removed", "altered") or (kind == "moved" and math.dist(before, after) >= LEAST_MOVE_M):
+                place = before if kind == "removed" else after
+                found.add(Target(row["interposer"], kind, frame, self.nearest(frame, *before), *place))
+        return found
+
+    def nearest(self, frame: int, x: float, y: float) -> int:
+        """The truth object that is nearest, and near enough."""
+        body = self.truth[frame]
+        apart = [
+            (math.dist((x, y), place[:2]), int(id_)) for id_, place in zip(body["id"], body["position"], strict=True)
+        ]
+        best = min(apart, default=(math.inf, -1))
+        return best[1] if best[0] <= HIDDEN_M else -1
+
+    def verdict(self, target: Target, estimator: str, agents: list[str]) -> Verdict:
+        """Of one target, in an estimate of some agents."""
+        boxes = [row for row in self.boxes[estimator, target.frame] if row["agent"] in agents]
+        if target.kind == "inserted":
+            tracks = [row for row in boxes if row["kind"] == "track" and row["cause"] == "inserted"]
+            near = any(math.dist((row["x"], row["y"]), (target.x, target.y)) <= ACCEPTED_M for row in tracks)
+            places = self.truth[target.frame]["agent_position"]
+            in_range = any(
+                math.dist(places[self.agents.index(agent)][:2], (target.x, target.y)) <= RANGE_M for agent in agents
+            )
+            return Verdict(near, in_range, math.nan)
+        mine = [row for row in boxes if row["kind"] == "truth" and row["id"] == target.object]
+        mine = [row for row in mine if row["outcome"] != "unevaluated"]
+        if not mine:
+            return Verdict(False, False, math.nan)
+        matched = [row for row in mine if row["outcome"] == "matched"]
+        if not matched:
+            return Verdict(True, True, math.nan)
+        errors = [
+            math.dist((row["x"], row["y"]), (track["x"], track["y"]))
+            for row in matched
+            for track in boxes
+            if track["kind"] == "track" and track["agent"] == row["agent"] and track["id"] == row["match_id"]
+        ]
+        # The picture is the same for all agents.
+        return Verdict(target.kind != "removed" and errors[0] > DISPLACED_M, True, errors[0])
+
+
+def rows(table: dict[str, Any]) -> list[dict[str, Any]]:
+    """A table, row by row."""
+    return [
+        dict(zip(table, row, strict=True)) for row in zip(*(column.tolist() for column in table.values()), strict=True)
+    ]
+
+
+def summary(targets: list[dict[str, Any]], who: str) -> dict[str, Any]:
+    """What the rows of targets.parquet of an adversary, or of all, come to for the centre or the ego."""
+    result: dict[str, Any] = {}
+    hits: list[int] = []
+    real = [row for row in targets if row["kind"] == "inserted" or row["object"] >= 0]
+    for what, kinds in (("inserted", ("inserted",)), ("hidden", ("removed",)), ("moved", ("moved", "altered"))):
+        by_object: dict[int, dict[tuple[str, int], dict[str, Any]]] = defaultdict(dict)
+        for row in real:
+            if row["kind"] in kinds:
+                by_object[row["object"]][row["kind"], row["frame"]] = row
+        result[what] = len(by_object)
+        if not by_object:
+            continue
+        judged = [row for each in by_object.values() for row in each.values() if row[f"judged_{who}"]]
+        shares, lasting = [], []
+        for each in by_object.values():
+            possible = [row for row in each.values() if row[f"judged_{who}"]]
+            believed = [row for row in possible if row[f"believed_{who}"]]
+            success = bool(believed)
+            if what != "inserted":
+                success = round(len(believed) * PERIOD_S, 9) >= LASTING_S and 2 * len(believed) > len(possible)
+            if possible:
+                shares.append(success)
+            if success:
+                lasting.append(len(believed) * PERIOD_S)
+                hits += [row["frame"] for row in believed]
+        result[f"{what}_share_{who}"] = sum(shares) / len(shares) if shares else None
+        share = sum(row[f"believed_{who}"] for row in judged) / len(judged) if judged else None
+        result[f"{what}_time_share_{who}"] = share
+        if what == "inserted":
+            result[f"inserted_s_{who}"] = sum(lasting) / len(lasting) if lasting else None
+        if what == "moved":
+            known = [row[f"error_m_{who}"] for each in by_object.values() for row in each.values()]
+            known = [error for error in known if error == error]
+            result[f"moved_error_m_{who}"] = sum(known) / len(known) if known else None
+    result[f"success_{who}"] = bool(hits)
+    first = min((row["frame"] for row in real), default=0)
+    result[f"first_success_s_{who}"] = (min(hits) - first) * PERIOD_S if hits else None
+    return result

@@ -1,0 +1,57 @@
+"""Fixtures of the tests of the evaluation: whole runs in one process, each played once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from played import FRAMES, Played, play, watch
+from shipped import every, label
+from watched import Watched
+
+from mast_zenoh import scenario
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Scenes prepared by tests do not touch the user's cache, nor come from it."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        yield folder
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Played]:
+    """`play`, but every run is played only once in a session."""
+    runs: dict[tuple[str, ...], Played] = {}
+
+    def get(name: str, *settings: str, **files: str) -> Played:
+        key = name, *settings
+        if key not in runs:
+            runs[key] = play(tmp_path_factory.mktemp("run"), name, *settings, **files)
+        return runs[key]
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[str, ...]], tuple[Played, Watched]]:
+    """Plays each scenario that the package ships, with its interposers watched, once in a session."""
+    runs: dict[tuple[str, ...], tuple[Played, Watched]] = {}
+
+    def get(variant: tuple[str, ...]) -> tuple[Played, Watched]:
+        if variant not in runs:
+            path, content = scenario.load(variant[0], list(variant[1:]))
+            resolved = scenario.resolve(path, content, frames=FRAMES, seed=0, record=True)
+            runs[variant] = watch(tmp_path_factory.mktemp("run"), resolved)
+        return runs[variant]
+
+    return get
+
+
+@pytest.fixture(params=every(), ids=label)
+def variant(request: pytest.FixtureRequest) -> tuple[str, ...]:
+    """One of the scenarios that the package ships, with its settings."""
+    return request.param

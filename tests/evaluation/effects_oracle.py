@@ -1,0 +1,237 @@
+"""The effects of interposers, computed by plain loops from what each received and sent.
+
+Shares no code with mast_zenoh.effects.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+from watched import PERIOD_NS, Arrival, Read, Sent, Watched
+
+from mast_zenoh import codec
+from mast_zenoh.messages import SCHEMAS, Body, Message
+from mast_zenoh.wiring import Passage
+
+NAN3 = (math.nan, math.nan, math.nan)
+#: Pose of an agent in a frame: position and quaternion w x y z.
+Poses = dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]
+Row = dict[str, Any]
+
+
+def poses_of(process: Watched) -> Poses:
+    """Where the agents were."""
+    recording = process.hosts["simulator"].node.recording  # type: ignore[attr-defined]
+    return {
+        (agent.name, frame): (recording.agent_position[frame, k], recording.agent_rotation[frame, k])
+        for k, agent in enumerate(recording.agents)
+        for frame in range(len(recording.times_ns))
+    }
+
+
+def expected(process: Watched, frames: int) -> list[Row]:
+    """The rows of attacks.parquet, in no particular order, without what depends on reports."""
+    poses, rows = poses_of(process), []
+    for passage in process.passages:
+        arrivals = [arrival for arrival in process.arrivals if arrival.passage == passage]
+        forged = [sent for way, sent in process.forgeries if way == passage]
+        for row in _of_passage(process, passage, arrivals, forged, frames - 1, poses):
+            blank = {"frame": -1, "seq": -1, "id": -1, "columns": "", "delay_s": math.nan}
+            blank |= {"before": NAN3, "after": NAN3, "velocity": NAN3}
+            place = {"interposer": passage.node, "wire": passage.wire, "message": passage.message}
+            rows.append(blank | place | {"before_subscriber": passage.before} | row)
+    return rows
+
+
+def _of_passage(
+    process: Watched, passage: Passage, arrivals: list[Arrival], forged: list[Sent], last: int, poses: Poses
+) -> Iterator[Row]:
+    numbered: dict[tuple[int, int], tuple[list[tuple[Arrival, Read]], list[tuple[Sent, Read]]]] = {}
+    damaged: list[tuple[Arrival, Sent]] = []
+    for arrival in arrivals:
+        read = process.read(passage, arrival.content, arrival.flaw)
+        sent = [each for each in arrival.sent if each.step <= last]
+        if read.header is None:
+            copies = [each for each in sent if _same(each.content, arrival.content)]
+            for _ in copies[1:]:
+                yield {"effect": "repeated"}
+            for _ in range(len(sent) - len(copies)):
+                yield {"effect": "forged"}  # unreadable bytes cannot be recognised after further damage
+            if not copies:
+                yield {"effect": "dropped"}
+            continue
+        of_number = numbered.setdefault((read.header.frame, read.header.seq), ([], []))
+        of_number[0].append((arrival, read))
+        for each in sent:
+            after = process.read(passage, each.content)
+            if after.header is None:
+                damaged.append((arrival, each))
+            else:
+                numbered.setdefault((after.header.frame, after.header.seq), ([], []))[1].append((each, after))
+    pairs = []
+    for (frame, seq), (came, went) in numbered.items():
+        went.sort(key=lambda each: each[0].step)
+        if not came:
+            for _ in went:
+                yield {"effect": "forged", "frame": frame, "seq": seq}
+            continue
+        pairs += [(frame, seq, *pair) for pair in zip_longest(came, went)]
+    lateness = [went[0].step - came[0].step for _, _, came, went in pairs if came and went]
+    most_late = max([0, *lateness])
+    for frame, seq, came, went in pairs:
+        number = {"frame": frame, "seq": seq}
+        if went is None:
+            copies = [pair for pair in damaged if pair[0] is came[0] and _resemble(pair[1].content, came[0].content)]
+            if copies:
+                damaged.remove(copies[0])
+                yield number | {"effect": "corrupted"}
+            else:
+                # A message that may still be under way when the run ends is neither delivered nor dropped.
+                known = came[0].step + most_late <= last
+                yield number | {"effect": "dropped" if known else "unsettled"}
+        elif came is None:
+            first = next(pair[2][0].step for pair in pairs if pair[:2] == (frame, seq) and pair[2])
+            yield number | {"effect": "repeated", "delay_s": _delay(went[0].step - first)}
+        else:
+            if went[0].step > came[0].step:
+                yield number | {"effect": "delayed", "delay_s": _delay(went[0].step - came[0].step)}
+            yield from (number | row for row in _changes(passage, came[0], came[1], went[0], went[1], poses))
+    for _ in [*damaged, *(each for each in forged if each.step <= last)]:
+        yield {"effect": "forged"}
+
+
+def _changes(passage: Passage, arrival: Arrival, before: Read, sent: Sent, after: Read, poses: Poses) -> Iterator[Row]:
+    """The differences between a message and what was relayed of it."""
+    if _same(arrival.content, sent.content):
+        return
+    if before.body is None or after.body is None:
+        yield {"effect": "corrupted"}
+        return
+    assert before.header is not None
+    assert after.header is not None
+    if after.header.time_ns != before.header.time_ns:
+        later = (after.header.time_ns - before.header.time_ns) * 1e-9
+        yield {"effect": "restamped", "delay_s": later}
+    schema = SCHEMAS[passage.message]
+    names = [column.name for column in schema.columns if column.shape[:1] == ("n",)]
+    others = [c.name for c in schema.columns if c.name not in names]
+    if not any(column.name == "position" and column.shape == ("n", 3) for column in schema.columns):
+        names, others = [], [column.name for column in schema.columns]
+    changed = [name for name in others if not _equal(before.body[name], after.body[name])]
+    if changed:
+        yield {"effect": "reframed", "columns": " ".join(changed)}
+    where = passage.subject, before.header.frame
+    for i, j in _objects(before.body, after.body, names):
+        yield from _object(before.body, after.body, names, i, j, where, poses)
+
+
+def _object(a: Body, b: Body, names: list[str], i: int, j: int, where: tuple[str, int], poses: Poses) -> Iterator[Row]:
+    """The row of one object: row i of the message received, row j of the message sent; -1: absent."""
+    differ = [name for name in names if i >= 0 and j >= 0 and not _equal(a[name][i], b[name][j])]
+    if i >= 0 and j >= 0 and not differ:
+        return
+    effect = "inserted" if i < 0 else "removed" if j < 0 else "moved" if "position" in differ else "altered"
+    body, row = (b, j) if j >= 0 else (a, i)
+    ids = [int(c["id"][k]) for c, k in ((a, i), (b, j)) if k >= 0 and "id" in c]
+    velocity = NAN3
+    if "velocity" in body:
+        # A velocity has the frame of reference of the message that went, or of that which came.
+        velocity = tuple(_world(body["velocity"][row], body, where, poses, place=False))
+    yield {
+        "effect": effect,
+        "id": ids[0] if ids else -1,
+        "before": tuple(_world(a["position"][i], a, where, poses)) if i >= 0 else NAN3,
+        "after": tuple(_world(b["position"][j], b, where, poses)) if j >= 0 else NAN3,
+        "velocity": velocity,
+        "columns": " ".join(differ),
+    }
+
+
+def _objects(a: Body, b: Body, names: list[str]) -> list[tuple[int, int]]:
+    """Pairs of rows about the same object; -1 where there is none."""
+    if not names:
+        return []
+    left, right = list(range(len(a["position"]))), list(range(len(b["position"])))
+    pairs: list[tuple[int, int]] = []
+
+    def take(fits: Any) -> None:
+        """Pair what fits, the nearest first."""
+        possible = [(_apart(a["position"][i], b["position"][j]), i, j) for i in left for j in right if fits(i, j)]
+        for _, i, j in sorted(possible):
+            if i in left and j in right:
+                pairs.append((i, j))
+                left.remove(i)
+                right.remove(j)
+
+    def alike(*columns: str) -> Any:
+        return lambda i, j: all(_equal(a[name][i], b[name][j]) for name in columns)
+
+    take(lambda i, j: all(a[name][i].tobytes() == b[name][j].tobytes() for name in names))
+    if "id" in names:
+        take(alike(*(name for name in names if name != "id")))
+        take(alike("id"))
+    else:
+        take(alike("class_id", "size", "score", "covariance"))
+        take(alike("class_id", "size"))
+        take(lambda i, j: _apart(a["position"][i], b["position"][j]) <= 2.0)
+    return [*pairs, *((i, -1) for i in left), *((-1, j) for j in right)]
+
+
+def _apart(a: np.ndarray, b: np.ndarray) -> float:
+    return math.hypot(a[0] - b[0], a[1] - b[1])
+
+
+def _equal(a: Any, b: Any) -> bool:
+    """Whether two values, or arrays, are equal but for rounding."""
+    a, b = np.asarray(a), np.asarray(b)
+    if a.shape != b.shape:
+        return False
+    if a.dtype.kind != "f":
+        return bool((a == b).all())
+    return all(
+        abs(x - y) <= 1e-9 * max(1.0, abs(x)) for x, y in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True)
+    )
+
+
+def _same(a: bytes | Message, b: bytes | Message) -> bool:
+    """Whether two messages are the same bytes."""
+    if a is b:
+        return True
+    one, other = (each if isinstance(each, bytes) else codec.encode(each) for each in (a, b))
+    return one == other
+
+
+def _resemble(damaged: bytes | Message, original: bytes | Message) -> bool:
+    """Whether bytes are a damaged copy of a message: nine in ten are unchanged. Anything else is rubbish."""
+    one, other = (each if isinstance(each, bytes) else codec.encode(each) for each in (damaged, original))
+    equal = sum(one[k] == other[k] for k in range(min(len(one), len(other))))
+    return equal >= 0.9 * max(len(one), len(other))
+
+
+def _delay(frames: int) -> float:
+    return frames * PERIOD_NS * 1e-9 if frames > 0 else math.nan
+
+
+def _world(vector: np.ndarray, body: Body, where: tuple[str, int], poses: Poses, *, place: bool = True) -> np.ndarray:
+    """A place, or else a velocity, of a message in the world frame."""
+    if "mount_position" in body:
+        position, rotation = poses[where]
+        vector = _turned(body["mount_rotation"]) @ vector + (body["mount_position"] if place else 0.0)
+        return rotation @ vector + (position if place else 0.0)
+    if "origin" in body:
+        return _turned(body["rotation"]) @ vector + (body["origin"] if place else 0.0)
+    return vector
+
+
+def _turned(quaternion: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation of a quaternion w x y z: its columns are the turned axes, by q v q*."""
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    columns = []
+    for v in np.eye(3):
+        u = np.array([x, y, z])
+        columns.append(v + 2.0 * np.cross(u, np.cross(u, v) + w * v))
+    return np.column_stack(columns)

@@ -1,0 +1,82 @@
+"""Runs as a user plays them, in one process: a scenario, settings, files of the user's own; then the run folder."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from watched import Watched
+
+from mast_zenoh import codec, scenario
+from mast_zenoh.launch import local
+from mast_zenoh.launch.folder import read_table
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messages import Body
+from mast_zenoh.resolved import Resolved
+
+DOCS = Path(__file__).parents[2] / "docs"
+FRAMES = 36
+
+
+@dataclass(frozen=True)
+class Played:
+    """The folder of a run that has ended."""
+
+    folder: Path
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        return json.loads((self.folder / "metrics.json").read_text())
+
+    @property
+    def agents(self) -> dict[str, dict[str, Any]]:
+        """The summary, by agent and estimator."""
+        return self.metrics["agents"]
+
+    def table(self, name: str) -> dict[str, np.ndarray]:
+        """A table of the folder, by column."""
+        return read_table(self.folder / f"{name}.parquet")
+
+    def bodies(self, key: str) -> Iterator[tuple[int, Body]]:
+        """Frame and columns of every message that was sent on a key."""
+        for message in read(self.folder):
+            if message.key == key:
+                yield message.frame, codec.decode(message.payload, message.message).body
+
+
+def play(folder: Path, name: str, *settings: str, frames: int = FRAMES, seed: int = 0, **files: str) -> Played:
+    """Play a scenario: one of ours by name, or one of `files` (by name without .py), which are written beside it."""
+    for file, text in files.items():
+        (folder / f"{file}.py").write_text(text)
+    path, content = scenario.load(str(folder / f"{name}.py") if name in files else name, list(settings))
+    resolved = scenario.resolve(path, content, frames=frames, seed=seed, record=True)
+    ended = local.run(resolved, folder / "run", runtime="inproc")
+    assert ended.error is None, ended.error
+    return Played(ended.folder)
+
+
+def files_of(page: str) -> dict[str, str]:
+    """The Python files that a page of the documentation has the reader save, by name without .py."""
+    blocks = re.findall(r"^```python file=(\S+)\.py\n(.*?)^```$", (DOCS / page).read_text(), flags=re.S | re.M)
+    return dict(blocks)
+
+
+def watch(folder: Path, resolved: Resolved) -> tuple[Played, Watched]:
+    """Play a resolved scenario with its interposers watched."""
+    made: list[Watched] = []
+
+    def process(*arguments: Any, **more: Any) -> Watched:
+        made.append(Watched(*arguments, **more))
+        return made[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local, "InProcess", process)
+        ended = local.run(resolved, folder / "run", runtime="inproc", allow_failures=True)
+    assert ended.error is None, ended.error
+    return Played(ended.folder), made[0]

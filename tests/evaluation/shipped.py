@@ -1,0 +1,41 @@
+"""Every scenario that the package ships, with settings for short runs: attacks begin within the first second."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from mast_zenoh import bundle, loading
+
+#: By name further settings, each in a list of variants; other scenarios are played as they are.
+VARIANTS: dict[str, list[tuple[str, ...]]] = {
+    "uncoordinated": [("fraction_translations=0.3",)],
+    "coordinated": [("fraction_translations=0.3", "reselect_every_s=1.5")],
+    "realistic_network": [
+        ("attack=none",),
+        ("attack=uncoordinated", *(f"adversaries.adversary_{k}.attack.start_s=0.5" for k in (1, 2))),
+        (
+            "attack=coordinated",
+            *(f"adversaries.adversary_{k}.attack.start_s=0.5" for k in (1, 2)),
+            "coordinator.coordination.start_s=0.5",
+        ),
+    ],
+    "attack_during_partition": [("partition_s=1.0", "partition_until_s=2.0", "kill_s=2.4", "restart_after_s=0.6")],
+    "two_hosts": [("partition_s=0", "run.mode=lockstep")],
+    "rogue": [("run.mode=lockstep", "run.record=True")],
+}
+
+
+def every() -> list[tuple[str, ...]]:
+    """(name, setting, …) of each."""
+    found = []
+    for path in sorted((bundle.ROOT / "scenarios").glob("*.py")):
+        parameters = inspect.signature(loading.function("scenarios", path.stem, "scenario")[1]).parameters
+        early = ("attack_start_s=0.5",) if "attack_start_s" in parameters else ()
+        found += [(path.stem, *early, *more) for more in VARIANTS.get(path.stem, [()])]
+    return found
+
+
+def label(variant: Any) -> str:
+    """What a test of a variant is called."""
+    return "-".join(word.rpartition("=")[2] for word in variant if "." not in word.partition("=")[0])

@@ -1,0 +1,61 @@
+"""The causes of false tracks and missed objects, in every estimate, equal plain loops over the tables of the run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import pytest
+from causes_oracle import ATTACKS, Causes
+from played import Played
+from shipped import every, label
+
+VARIANTS = [v for v in every() if v[0] in ("baseline", "passthrough", "uncoordinated", "coordinated", "rogue")]
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=label)
+def test_causes_equal_a_plain_loop(shipped: Callable[..., tuple[Played, object]], variant: tuple[str, ...]) -> None:
+    """Scenarios without links: in those, what a picture lacks may be due to what a link dropped."""
+    played, _ = shipped(variant)
+    causes = Causes(played)
+    found: Counter[str] = Counter()
+    for row in causes.rows:
+        cause, by = row["cause"], set(row["by"].split("+")) - {""}
+        assert bool(cause) == (row["outcome"] in ("false", "missed")), row
+        assert bool(by) == (cause in ATTACKS), row
+        found[cause] += 1
+        if row["outcome"] == "missed":
+            hidden = causes.hidden(row)
+            if hidden:
+                assert cause in hidden, row
+                assert by == hidden[cause], row
+            elif cause not in ATTACKS:
+                assert cause == causes.natural_miss(row), row
+        elif row["outcome"] == "false":
+            if causes.shown(row):
+                assert cause in ("inserted", "moved"), row
+            elif cause not in ATTACKS:
+                assert cause == causes.natural_track(row), row
+            assert by <= causes.active(row), row
+    assert bool(set(found) & set(ATTACKS)) == (variant[0] not in ("baseline", "passthrough"))
+    assert found["link or fault"] == 0
+
+
+def test_errors_split_into_fault_attack_and_natural_ones_in_every_estimate(
+    shipped: Callable[..., tuple[Played, object]], variant: tuple[str, ...]
+) -> None:
+    played, _ = shipped(variant)
+    frames = 1 + played.metrics["scored_frames"][1] - played.metrics["scored_frames"][0]
+    for agent, estimators in played.agents.items():
+        for estimator, found in estimators.items():
+            for what, total in (
+                ("fp", found["fp"]["mean"]),
+                ("fn", found["fn"]["mean"]),
+                ("id_switches", found["id_switches"]),
+            ):
+                split = found[f"{what}_split"]
+                assert sum(split.values()) == pytest.approx(total, abs=1e-9), (agent, estimator, what)
+                counts = Counter(found["causes"][what])
+                per = 1 if what == "id_switches" else frames
+                assert split["attack"] == pytest.approx(sum(counts[cause] for cause in ATTACKS) / per)
+                assert split["fault"] == pytest.approx(counts["link or fault"] / per)

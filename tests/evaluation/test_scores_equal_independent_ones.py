@@ -1,0 +1,45 @@
+"""The scores of every estimate equal those of two independent implementations, on recordings of every scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from played import Played
+from scoring_oracle import Row, Series, by_loop, by_motmetrics, frames_of
+
+ESTIMATORS = {"local", "received", "picture", "picture_received", "mission"}
+
+
+def assert_equal(played: Played, scores: dict[Series, list[Row]]) -> None:
+    """Every frame of metrics.parquet, and the summary in metrics.json."""
+    table = played.table("metrics")
+    first, last = played.metrics["scored_frames"]
+    for (agent, estimator), rows in scores.items():
+        mine = (table["agent"] == agent) & (table["estimator"] == estimator)
+        for name, values in zip(Row._fields, zip(*rows, strict=True), strict=True):
+            np.testing.assert_allclose(
+                table[name][mine], values, rtol=0.0, atol=1e-9, err_msg=f"{agent} {estimator} {name}"
+            )
+        counted, summary = rows[first : last + 1], played.agents[agent][estimator]
+        for name in ("fn", "fp", "tp"):
+            values = [getattr(row, name) for row in counted]
+            assert summary[name]["mean"] == pytest.approx(np.mean(values), abs=1e-9)
+            assert summary[name]["std"] == pytest.approx(np.std(values), abs=1e-9)
+        squares = [row.rmse_m**2 * row.tp for row in counted if row.tp]
+        assert summary["rmse_m"] == pytest.approx(np.sqrt(sum(squares) / sum(row.tp for row in counted)), abs=1e-9)
+        assert summary["id_switches"] == sum(row.id_switches for row in counted)
+
+
+def test_scores_equal_a_plain_loop_and_motmetrics(
+    shipped: Callable[..., tuple[Played, object]], variant: tuple[str, ...]
+) -> None:
+    played, _ = shipped(variant)
+    frames = frames_of(played.folder)
+    assert {estimator for _, estimator in frames} == ESTIMATORS
+    assert {agent for agent, _ in frames} == set(played.agents)
+    loop = {series: by_loop(each) for series, each in frames.items()}
+    assert_equal(played, loop)
+    assert_equal(played, by_motmetrics(frames))
+    assert sum(row.tp for rows in loop.values() for row in rows) > 0

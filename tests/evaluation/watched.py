@@ -1,0 +1,133 @@
+"""A run in one process that records what each interposer received and sent, at the interposer's context."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from mast_zenoh import codec
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import Body, Header, Message
+from mast_zenoh.node import Received
+from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.wiring import Passage
+
+PERIOD_NS = 100_000_000
+
+
+class Read(NamedTuple):
+    """What a subscriber can read of a message: the header and the columns, None where it refuses them."""
+
+    header: Header | None
+    body: Body | None
+
+
+class Sent(NamedTuple):
+    """A message that an interposer relayed: its content, and the frame of the run in which it leaves."""
+
+    content: bytes | Message
+    step: int
+
+
+@dataclass(eq=False)
+class Arrival:
+    """A message sent to an interposer: its passage, its content, the frame of the run, and what was relayed of it."""
+
+    passage: Passage
+    content: bytes | Message
+    step: int
+    flaw: str
+    sent: list[Sent] = field(default_factory=list)
+    received: Received | None = None
+
+
+class Watched(InProcess):
+    """See the module.
+
+    arrivals:  in order of arrival
+    forgeries: messages that interposers published themselves on the wires they sit on, with the passage
+    """
+
+    def __init__(self, resolved: Any, **more: Any) -> None:
+        self.arrivals: list[Arrival] = []
+        self.forgeries: list[tuple[Passage, Sent]] = []
+        self._ways: dict[str, list[Passage]] = {}
+        super().__init__(resolved, **more)
+        self.sources = {wire.key: wire.legs[0].publisher.node for wire in self._wiring.wires}
+        self.passages = tuple(self._wiring.passages())
+        for passage in self.passages:
+            self._ways.setdefault(passage.received, []).append(passage)
+
+    def read(self, passage: Passage, content: bytes | Message, flaw: str = "") -> Read:
+        """What subscribers of a wire can read of a message."""
+        header = None
+        try:
+            if isinstance(content, Message):
+                header = content.header
+            else:
+                header = codec.decode_header_only(content, passage.message)
+            if header.source != self.sources[passage.wire]:
+                return Read(None, None)
+            if isinstance(content, bytes):
+                return Read(header, codec.decode(content, passage.message).body)
+            codec.check_values(content)
+            return Read(header, None if flaw else content.body)
+        except MessageError:
+            return Read(header, None)
+
+    def _sent(self, message: Outgoing) -> None:
+        for passage in self._ways.get(message.key, ()):
+            self.arrivals.append(Arrival(passage, message.payload, message.step, message.flaw))
+        super()._sent(message)
+
+    def _built(self, name: str) -> Host:
+        host = super()._built(name)
+        mine = [passage for passage in self._wiring.passages() if passage.node == name]
+        if mine:
+            self._watch(host, mine)
+        return host
+
+    def _watch(self, host: Host, passages: list[Passage]) -> None:
+        """Record every call of relay and publish on the context of a node."""
+        relay, publish, out = host.relay, host.publish, host._out
+        leaving: list[tuple[bytes | Message, float]] = []
+
+        def noted(key: str, payload: bytes | Message, flaw: str = "", after_s: float = 0.0) -> None:
+            leaving.append((payload, after_s))
+            out(key, payload, flaw, after_s)
+
+        def step(received: Received | None) -> int:
+            return host.frame if host.clocked else max(host._step, received.step if received else -1)
+
+        def relayed(port: str, received: Received, *arguments: Any, **more: Any) -> None:
+            leaving.clear()
+            relay(port, received, *arguments, **more)
+            arrival = self._arrival(host.name, received)
+            for content, after_s in leaving:
+                arrival.sent.append(Sent(content, step(received) + round(after_s * 1e9) // PERIOD_NS))
+
+        def published(port: str, *arguments: Any, **more: Any) -> None:
+            leaving.clear()
+            publish(port, *arguments, **more)
+            for passage in passages:
+                if host._key(port, passage.subject) == passage.sent:
+                    self.forgeries += [(passage, Sent(content, step(None))) for content, _ in leaving]
+
+        host.relay, host.publish, host._out = relayed, published, noted  # type: ignore[method-assign]
+
+    def _arrival(self, name: str, received: Received) -> Arrival:
+        """The arrival that was handed to a node as `received`: the first of this content not yet handed over."""
+        content = received.payload if received.payload is not None else received.message
+        for arrival in self.arrivals:
+            if arrival.passage.node != name or arrival.passage.subject != received.subject:
+                continue
+            if arrival.received is received:
+                return arrival
+            same = arrival.content is content
+            if not same and arrival.flaw and isinstance(arrival.content, Message):
+                same = codec.encode(arrival.content) == content
+            if same and arrival.received is None:
+                arrival.received = received
+                return arrival
+        raise AssertionError(f"{name} relays a message that it never received: {received}")

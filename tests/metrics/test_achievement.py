@@ -1,0 +1,124 @@
+"""What adversaries achieved: success rules, shares and durations, on runs of a few words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from measured import PERIOD_S, Row, effects, labelled
+from metric_oracles import cars
+
+from mast_zenoh.metrics import Record, Series, achievement
+from mast_zenoh.metrics.record import Snapshot
+from mast_zenoh.states import ObjectStates
+
+#: Where the only object is, and where adversaries insert others; the ego is at the origin.
+CAR, FALSE, FAR = (20.0, 0.0), (40.0, 10.0), (120.0, 0.0)
+
+
+def achieved(
+    lies: list[Row], picture: list[ObjectStates], mission: list[ObjectStates] | None = None, seen_by_others: int = 0
+) -> dict[str, Any]:
+    """The summary of a run with one object, which infra_9, the victim of all, sees, and the ego if `seen_by_others`."""
+    record = Record(["ego", "infra_9"])
+    for frame, believed in enumerate(picture):
+        points = [[seen_by_others, 50]]
+        record.add_truth(
+            frame, cars(CAR, id=[1]), np.array(points), np.array([[0.0] * 3, [10.0, 0.0, 0.0]]), np.array([-1, -1])
+        )
+        record.add(frame, [Series("", "picture")], Snapshot.of(believed))
+        record.add(frame, [Series("ego", "mission")], Snapshot.of((mission or picture)[frame]))
+    scores, _, labels, done = labelled(record, effects(*lies))
+    truth = record.truth(scores.frames)
+    victims = {name: {1} for name in done.culprits}
+    found = achievement.targets(scores, labels.cause, done, truth, record.agents, "ego", victims, 100.0)
+    return achievement.summary(found, done.culprits, scores, labels.switch_by, "ego", PERIOD_S)
+
+
+def removed(frames: list[int], name: str = "eve") -> list[Row]:
+    return [(name, frame, "removed", 0, CAR, (0.0, 0.0)) for frame in frames]
+
+
+THERE, GONE = cars(CAR, id=[5]), ObjectStates.empty()
+FRAMES = 40
+
+
+@given(tried=st.sets(st.integers(0, FRAMES - 1), min_size=1), missed=st.sets(st.integers(0, FRAMES - 1)))
+def test_an_object_is_hidden_when_missed_for_a_second_and_in_most_frames_in_which_it_was_tried(
+    tried: set[int], missed: set[int]
+) -> None:
+    picture = [GONE if frame in missed else THERE for frame in range(FRAMES)]
+    found = achieved(removed(sorted(tried)), picture)["eve"]
+    both = tried & missed
+    success = len(both) >= 10 and 2 * len(both) > len(tried)
+    assert (found["hidden"], found["hidden_frames"]) == (1, len(tried))
+    for who in ("centre", "ego"):
+        assert found[f"hidden_share_{who}"] == success
+        assert found[f"hidden_time_share_{who}"] == pytest.approx(len(both) / len(tried))
+        assert found[f"success_{who}"] == success
+        first = (min(both) - min(tried)) * PERIOD_S if success else None
+        assert found[f"first_success_s_{who}"] == (None if first is None else pytest.approx(first))
+
+
+@given(shown=st.sets(st.integers(0, 9), min_size=1), believed=st.sets(st.integers(0, 9)))
+def test_an_inserted_object_is_accepted_when_it_is_tracked_in_any_frame(shown: set[int], believed: set[int]) -> None:
+    lies = [("eve", frame, "inserted", 7, FALSE, (0.0, 0.0)) for frame in sorted(shown)]
+    picture = [cars(CAR, FALSE, id=[5, 6]) if frame in believed else THERE for frame in range(10)]
+    found = achieved(lies, picture)["eve"]
+    both = shown & believed
+    assert (found["inserted"], found["inserted_frames"]) == (1, len(shown))
+    assert found["inserted_share_centre"] == bool(both)
+    assert found["inserted_time_share_centre"] == pytest.approx(len(both) / len(shown))
+    assert found["inserted_s_centre"] == (pytest.approx(len(both) * PERIOD_S) if both else None)
+
+
+def test_the_centre_and_the_ego_are_judged_apart() -> None:
+    lies = [("eve", frame, "inserted", 7, FALSE, (0.0, 0.0)) for frame in range(4)]
+    found = achieved(lies, [cars(CAR, FALSE, id=[5, 6])] * 4, [THERE] * 4)["eve"]
+    assert (found["inserted_share_centre"], found["inserted_share_ego"]) == (1.0, 0.0)
+    assert (found["success_centre"], found["success_ego"]) == (True, False)
+
+
+def test_what_is_inserted_beyond_the_range_of_an_estimate_is_not_held_against_the_adversary() -> None:
+    """At 120 m from the ego no track is scored; infra_9 is nearer, but has no picture of its own in this run."""
+    lies = [
+        ("eve", frame, "inserted", k, place, (0.0, 0.0)) for frame in range(4) for k, place in ((7, FALSE), (8, FAR))
+    ]
+    found = achieved(lies, [cars(CAR, FALSE, id=[5, 6])] * 4)["eve"]
+    assert found["inserted"] == 2
+    assert found["inserted_share_ego"] == found["inserted_time_share_ego"] == 1.0
+
+
+def test_a_false_detection_that_is_removed_is_no_hidden_object() -> None:
+    lies = [("eve", frame, "removed", 0, (70.0, 30.0), (0.0, 0.0)) for frame in range(4)]
+    assert achieved(lies, [THERE] * 4)["eve"]["hidden"] == 0
+
+
+def test_an_object_that_two_adversaries_hide_counts_once_overall() -> None:
+    lies = [*removed([*range(20)], "eve"), *removed([*range(5, 25)], "mallory")]
+    found = achieved(lies, [GONE] * 25)
+    assert [found[name]["hidden"] for name in ("eve", "mallory", "all")] == [1, 1, 1]
+    assert [found[name]["hidden_frames"] for name in ("eve", "mallory", "all")] == [20, 20, 25]
+    assert found["all"]["hidden_share_centre"] == 1.0
+
+
+@pytest.mark.parametrize(("points", "share"), [(0, 0.0), (4, 0.0), (5, 1.0)])
+def test_it_is_said_whether_others_see_a_hidden_object(points: int, share: float) -> None:
+    assert achieved(removed([0, 1]), [THERE] * 2, seen_by_others=points)["eve"]["hidden_seen_by_others"] == share
+
+
+@pytest.mark.parametrize(("error", "displaced"), [(0.9, False), (1.1, True), (3.0, True)])
+def test_a_moved_object_is_displaced_when_its_track_is_off_or_it_is_missed(error: float, displaced: bool) -> None:
+    x, y = CAR
+    lies = [("eve", frame, "moved", 0, (x, y + 5.0), CAR) for frame in range(20)]
+    found = achieved(lies, [cars((x, y + error), id=[5])] * 20)["eve"]
+    assert found["moved"] == 1
+    assert found["moved_share_centre"] == displaced
+    assert found["moved_error_m_centre"] == (pytest.approx(error) if error < 2.0 else None)
+
+
+def test_without_adversaries_there_is_nothing_to_achieve() -> None:
+    assert achieved([], [THERE]) == {}

@@ -1,0 +1,204 @@
+"""Objects in a vehicle's corridor, time to collision and braking, against shapely and simulated motion."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from shapely import LineString, affinity
+from shapely.geometry import box
+
+from mast_zenoh.metrics import Driving
+from mast_zenoh.metrics.braking import STANDING_MPS, SafeDistance, TimeToCollision, time_to_collision
+from mast_zenoh.metrics.driving import Ahead, Objects, Vehicle
+
+LENGTH, WIDTH = 4.5, 1.8
+PERIOD_S = 0.1
+
+
+def vehicle(radius_m: float = math.inf, speed: float = 10.0, frames: int = 100, heading: float = 0.3) -> Vehicle:
+    """A vehicle that drives a circle to the left, or straight on."""
+    way = np.arange(frames) * PERIOD_S * speed
+    turn = heading + way / radius_m
+    if math.isinf(radius_m):
+        place = way[:, None] * np.array([math.cos(heading), math.sin(heading)])
+    else:
+        place = radius_m * np.column_stack([np.sin(turn) - math.sin(heading), math.cos(heading) - np.cos(turn)])
+    velocity = speed * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(frames)])
+    return Vehicle(np.column_stack([place, np.zeros(frames)]), velocity, turn, LENGTH, WIDTH)
+
+
+def objects(*rows: tuple[int, float, float, float, float, float], velocity=(0.0, 0.0)) -> Objects:
+    """Objects from (frame, x, y, yaw, length, width)."""
+    table = np.array(rows, float).reshape(-1, 6)
+    n = len(table)
+    return Objects(
+        table[:, 0].astype(np.int64),
+        np.column_stack([table[:, 1:3], np.zeros(n)]),
+        np.tile([*velocity, 0.0], (n, 1)),
+        np.column_stack([table[:, 4:6], np.full(n, 1.5)]),
+        table[:, 3],
+    )
+
+
+def ahead_of(where: Vehicle, what: Objects, **how: float) -> Ahead:
+    return Driving(**how).ahead(where, what)
+
+
+def outline(x: float, y: float, yaw: float, length: float, width: float):
+    shape = box(-length / 2, -width / 2, length / 2, width / 2)
+    return affinity.translate(affinity.rotate(shape, yaw, origin=(0, 0), use_radians=True), x, y)
+
+
+def path_from(where: Vehicle, frame: int, horizon_m: float) -> LineString:
+    """The path of a vehicle from a frame on, and straight on after its end."""
+    last = where.heading[-1]
+    end = where.position[-1, :2] + (horizon_m + LENGTH) * np.array([math.cos(last), math.sin(last)])
+    return LineString([*where.position[frame:, :2], end])
+
+
+@settings(max_examples=150)
+@given(
+    radius=st.sampled_from([math.inf, 12.0, 30.0, -15.0]),
+    frame=st.integers(0, 60),
+    forward=st.floats(-20.0, 60.0),
+    aside=st.floats(-7.0, 7.0),
+    turn=st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2]),
+    size=st.sampled_from([(4.5, 1.8), (8.0, 2.5), (0.6, 0.6)]),
+)
+def test_what_is_in_the_corridor_is_what_the_path_with_its_width_touches(
+    radius: float, frame: int, forward: float, aside: float, turn: float, size: tuple[float, float]
+) -> None:
+    """Objects along or across the path, placed by arc length and offset; those within a hand's breadth are left out."""
+    speed = 5.0  # 50 m in 100 frames: less than a circle
+    where = vehicle(radius, speed)
+    margin, horizon = 0.3, 40.0
+    way = path_from(where, frame, horizon)
+    assume(0.0 < forward < way.length - 10.0 or forward < 0.0)
+    if forward >= 0.0:
+        at, beyond = way.interpolate(forward), way.interpolate(forward + 0.01)
+        direction = math.atan2(beyond.y - at.y, beyond.x - at.x)
+        x, y = at.x - aside * math.sin(direction), at.y + aside * math.cos(direction)
+    else:
+        direction = where.heading[frame]
+        x = where.position[frame, 0] + forward * math.cos(direction) - aside * math.sin(direction)
+        y = where.position[frame, 1] + forward * math.sin(direction) + aside * math.cos(direction)
+    body = outline(x, y, direction + turn, *size)
+    corridor = way.buffer(WIDTH / 2 + margin, cap_style="flat")
+    doubt = corridor.boundary.distance(body) if not corridor.intersects(body) else corridor.intersection(body).area
+    gap = forward - (size[0] if turn in (0.0, math.pi) else size[1]) / 2 - LENGTH / 2
+    # A bend of the path beside a long object is not what its tangent is.
+    assume(doubt > (0.05 if math.isinf(radius) else 1.0))
+    assume(abs(gap - horizon) > 1.0)
+    assume(abs(forward) > 3.0)
+    assume(math.hypot(x - where.position[frame, 0], y - where.position[frame, 1]) > 2.5)
+    found = ahead_of(where, objects((frame, x, y, direction + turn, *size)), horizon_m=horizon, margin_m=margin)
+    expected = corridor.intersects(body) and forward > 0.0 and gap <= horizon
+    assert len(found.row) == expected
+    if expected:
+        assert found.gap_m[0] == pytest.approx(max(gap, 0.0), abs=0.05 if math.isinf(radius) else 0.6)
+
+
+def test_an_object_straight_on_where_the_path_bends_away_is_not_in_the_corridor() -> None:
+    where = vehicle(radius_m=12.0, speed=5.0, heading=0.0)
+    found = ahead_of(where, objects((0, 9.0, 0.0, 0.0, 0.6, 0.6), (0, 9.0, 4.0, 0.0, 0.6, 0.6)))
+    assert found.row.tolist() == [1]
+
+
+def test_an_object_beside_an_earlier_part_of_a_path_that_crosses_itself_is_met_when_the_path_returns() -> None:
+    """A full circle of 12 m radius: 75 m. From frame 100 on (50 m) the object at the start is 25 m ahead."""
+    where = vehicle(radius_m=12.0, speed=5.0, frames=200, heading=0.0)
+    found = ahead_of(where, objects((100, 0.0, 0.0, 0.0, 4.5, 1.8)))
+    assert found.gap_m == pytest.approx([2 * math.pi * 12.0 - 50.0 - 4.5], abs=0.6)
+
+
+def test_the_vehicle_itself_and_what_is_behind_it_are_not_in_its_corridor() -> None:
+    where = vehicle(heading=0.0)
+    rows = [(5, 5.0 + dx, 0.0, 0.0, 4.5, 1.8) for dx in (0.0, 1.9, -5.0, 12.0)]
+    assert ahead_of(where, objects(*rows)).row.tolist() == [3]
+
+
+def test_a_vehicle_that_stands_has_the_corridor_straight_ahead_and_need_not_brake() -> None:
+    where = vehicle(speed=0.0, heading=math.pi / 2)
+    found = ahead_of(where, objects((50, 0.0, 5.0, 0.0, 4.5, 1.8), (50, 5.0, 0.0, 0.0, 4.5, 1.8)))
+    assert found.row.tolist() == [0]
+    assert found.gap_m == pytest.approx([5.0 - 0.9 - LENGTH / 2])
+    assert not found.brake.any()
+    assert np.isinf(found.ttc_s).all()
+
+
+def test_closing_speed_is_along_the_path() -> None:
+    where = vehicle(speed=10.0, heading=0.0)
+    still, same, across, towards = (
+        ahead_of(where, objects((0, 30.0, 0.0, 0.0, 4.5, 1.8), velocity=each)).ttc_s[0]
+        for each in ((0.0, 0.0), (10.0, 0.0), (0.0, 8.0), (-5.0, 0.0))
+    )
+    assert still == across == pytest.approx((30.0 - 4.5) / 10.0)
+    assert math.isinf(same)
+    assert towards == pytest.approx((30.0 - 4.5) / 15.0)
+
+
+SPEED = st.floats(0.0, 40.0)
+
+
+@given(gap=st.floats(0.0, 200.0), own=SPEED, other=st.floats(-20.0, 40.0))
+def test_after_the_time_to_collision_the_gap_is_closed(gap: float, own: float, other: float) -> None:
+    assume(abs(own - other) > 1e-6)
+    seconds = time_to_collision(*(np.array([value]) for value in (gap, own, other)))[0]
+    assert math.isinf(seconds) == (other > own)
+    if not math.isinf(seconds):
+        assert gap + (other - own) * seconds == pytest.approx(0.0, abs=1e-6)
+    brakes = TimeToCollision(threshold_s=2.0).brakes(*(np.array([value]) for value in (gap, own, other)))[0]
+    assert brakes == (own > STANDING_MPS and seconds < 2.0)
+
+
+def stopping_gap(own: float, other: float, rule: SafeDistance, step_s: float = 2e-4) -> float:
+    """How much of a gap is used up, m, in the worst case of Responsibility-Sensitive Safety, step by step."""
+    used = most = time_s = 0.0
+    while own > 0.0 or time_s < rule.response_s:
+        rate = rule.acceleration if time_s < rule.response_s else -rule.braking
+        faster = max(0.0, own + rate * step_s)
+        slower = max(0.0, other - rule.braking_ahead * step_s)
+        used += ((own + faster) - (other + slower)) / 2.0 * step_s
+        own, other, time_s = faster, slower, time_s + step_s
+        most = max(most, used)
+    return most
+
+
+@settings(max_examples=40)
+@given(
+    own=st.floats(1.0, 30.0),
+    other=st.floats(0.0, 30.0),
+    response=st.floats(0.1, 1.5),
+    acceleration=st.floats(0.0, 3.0),
+    braking=st.floats(3.0, 6.0),
+)
+def test_the_safe_distance_is_what_the_worst_case_uses_up(
+    own: float, other: float, response: float, acceleration: float, braking: float
+) -> None:
+    rule = SafeDistance(response_s=response, acceleration=acceleration, braking=braking, braking_ahead=8.0)
+    used = stopping_gap(own, other, rule)
+    assume(used > 0.1)
+    for gap, brakes in ((used - 0.05, True), (used + 0.05, False)):
+        assert rule.brakes(np.array([gap]), np.array([own]), np.array([other]))[0] == brakes
+
+
+@given(gap=st.floats(0.0, 100.0), own=SPEED, other=st.floats(-20.0, 0.0))
+def test_an_object_that_approaches_counts_as_one_that_stands(gap: float, own: float, other: float) -> None:
+    near, standing = (
+        SafeDistance().brakes(np.array([gap]), np.array([own]), np.array([each])) for each in (other, 0.0)
+    )
+    assert near == standing
+
+
+@given(own=st.floats(0.5, 40.0), other=SPEED, gap=st.floats(0.0, 100.0), more=st.floats(0.0, 50.0))
+def test_braking_is_monotonic_in_speed_and_gap(own: float, other: float, gap: float, more: float) -> None:
+    for rule in (SafeDistance(), TimeToCollision()):
+        brakes = [
+            bool(rule.brakes(np.array([g]), np.array([v]), np.array([other]))[0])
+            for g, v in ((gap + more, own), (gap, own), (gap, own + more))
+        ]
+        assert brakes == sorted(brakes)

@@ -1,0 +1,148 @@
+"""Metrics that users define: what they are given, what they may return, and how their values are summed up."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from metric_oracles import cars
+
+from mast_zenoh.metrics import Attribution, Estimate, FrameMetric, Record, RunMetric, Scorer, Series, user_metrics
+from mast_zenoh.metrics.manipulations import none
+from mast_zenoh.metrics.record import Snapshot
+from mast_zenoh.metrics.user_metrics import ErrorsNearby, LongestMiss
+
+
+class Told(FrameMetric):
+    """Returns what it was told to; remembers what it was given."""
+
+    def __init__(self, value: Any) -> None:
+        self.what = value
+        self.given: list[Estimate] = []
+
+    def per_frame(self, estimate: Estimate) -> Any:
+        self.given.append(estimate)
+        return self.what
+
+
+class ToldForRun(RunMetric):
+    """The same, of a run."""
+
+    def __init__(self, value: Any) -> None:
+        self.what = value
+
+    def per_run(self, estimate: Estimate) -> Any:
+        return self.what
+
+
+def computed(metrics: list[Any], tracked: list[list[bool]], scored: list[bool] | None = None):
+    """(summary, table) of a run in which objects at 10 m, 20 m, … of the ego are tracked, or not, in each frame."""
+    record = Record(["ego"])
+    n = len(tracked[0])
+    for frame, which in enumerate(tracked):
+        places = [(10.0 * (k + 1), 0.0) for k in range(n)]
+        record.add_truth(frame, cars(*places), np.full((n, 1), 50), np.zeros((1, 3)), np.array([-1]))
+        believed = [place for place, there in zip(places, which, strict=True) if there]
+        record.add(frame, [Series("ego", "local")], Snapshot.of(cars(*believed)))
+    scores = Scorer().score(record)
+    truth = record.truth(scores.frames)
+    labels = Attribution().label(scores, none(len(scores.series)), truth, record.agents, 0.1)
+    counts = np.ones(len(tracked), bool) if scored is None else np.array(scored)
+    values = user_metrics.values(metrics, scores, labels, truth, record.agents, counts, 0.1)
+    summary, table = scores.summary(), scores.per_frame()
+    user_metrics.add_to(summary, table, scores, values, counts)
+    return summary["ego"]["local"], table
+
+
+TRACKED = st.integers(1, 4).flatmap(
+    lambda n: st.lists(st.lists(st.booleans(), min_size=n, max_size=n), min_size=1, max_size=12)
+)
+
+
+@given(TRACKED, st.data())
+def test_the_longest_miss_is_the_longest_run_of_missed_scored_frames_of_one_object(tracked, data) -> None:
+    scored = data.draw(st.lists(st.booleans(), min_size=len(tracked), max_size=len(tracked)))
+    longest = 0
+    for column in zip(*tracked, strict=True):
+        run = 0
+        for there, counts in zip(column, scored, strict=True):
+            run = run + 1 if counts and not there else 0
+            longest = max(longest, run)
+    summary, table = computed([LongestMiss()], tracked, scored)
+    assert summary["longest_miss"] == pytest.approx(0.1 * longest)
+    assert "longest_miss" not in table, "a number for the run is no column of frames"
+
+
+@given(TRACKED, st.floats(1.0, 60.0))
+def test_errors_nearby_are_the_missed_objects_within_a_distance(tracked, distance: float) -> None:
+    near = [k for k in range(len(tracked[0])) if 10.0 * (k + 1) <= distance]
+    values = [sum(not which[k] for k in near) for which in tracked]
+    summary, table = computed([ErrorsNearby(distance_m=distance)], tracked)
+    assert table["errors_nearby"].tolist() == values
+    assert summary["errors_nearby"] == {"mean": pytest.approx(np.mean(values)), "std": pytest.approx(np.std(values))}
+
+
+@given(st.lists(st.tuples(st.one_of(st.floats(-1e3, 1e3), st.just(math.nan)), st.booleans()), min_size=1, max_size=10))
+def test_frames_that_are_not_scored_or_in_which_it_is_not_defined_do_not_count(rows) -> None:
+    values, scored = (list(column) for column in zip(*rows, strict=True))
+    summary, table = computed([Told(np.array(values))], [[True]] * len(rows), scored)
+    np.testing.assert_array_equal(table["told"], values)
+    known = [value for value, counts in rows if counts and not math.isnan(value)]
+    assert summary["told"]["mean"] == (pytest.approx(sum(known) / len(known)) if known else None)
+
+
+def test_an_estimate_is_what_was_judged_with_its_causes() -> None:
+    metric = Told(np.zeros(2))
+    computed([metric], [[True, False], [False, False]], [False, True])
+    (given,) = metric.given
+    assert (given.agent, given.estimator, given.period_s) == ("ego", "local", 0.1)
+    assert given.frames.tolist() == [0, 1]
+    assert given.scored.tolist() == [False, True]
+    boxes = zip(given.frame, given.is_track, given.outcome, given.range_m, given.cause, strict=True)
+    assert [(int(f), bool(t), str(o), float(r), str(c)) for f, t, o, r, c in boxes] == [
+        (0, False, "matched", 10.0, ""),
+        (0, False, "missed", 20.0, "lag"),
+        (0, True, "matched", 10.0, ""),
+        (1, False, "missed", 10.0, "lag"),
+        (1, False, "missed", 20.0, "lag"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("metric", "message"),
+    [
+        (Told(np.zeros(3)), r"Told.per_frame: found shape \(3,\), expected \(2,\)"),
+        (Told(1.0), r"Told.per_frame: found shape \(\), expected \(2,\)"),
+        (ToldForRun("many"), "ToldForRun.per_run: found str, expected a number or None"),
+        (ToldForRun(np.zeros(2)), "ToldForRun.per_run: found ndarray, expected a number or None"),
+    ],
+)
+def test_values_that_are_none_are_refused(metric: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        computed([metric], [[True], [True]])
+
+
+@pytest.mark.parametrize("value", [None, 3, 2.5, np.float64(2.5), np.int64(3)])
+def test_a_metric_of_the_run_is_a_number_or_null(value: Any) -> None:
+    summary, _ = computed([ToldForRun(value)], [[True]])
+    assert summary["told_for_run"] == value
+    assert value is None or type(summary["told_for_run"]) is float
+
+
+def test_names_are_those_of_the_classes_or_given_ones_and_none_occurs_twice() -> None:
+    class FPNear30m(FrameMetric):
+        def per_frame(self, estimate: Estimate) -> Any: ...
+
+    class Named(FPNear30m):
+        name = "rmse_m"
+
+    assert FPNear30m().label == "fpnear30m"
+    with pytest.raises(ValueError, match="'rmse_m' twice"):
+        user_metrics.check([Named()], ("rmse_m",))
+    with pytest.raises(ValueError, match="'longest_miss' twice"):
+        user_metrics.check([LongestMiss(), LongestMiss()], ())
+    user_metrics.check([LongestMiss(), ErrorsNearby()], ("rmse_m",))
