@@ -78,7 +78,7 @@ def _read(run_folder: Path) -> Resolved:
     try:
         resolved = Resolved.read(run_folder)
         recording = Recording.load(run_folder / RECORDING)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, MastError) as error:
         raise NotComparable(
             f"{run_folder}: its unattacked twin needs scenario.json, wiring.json and {RECORDING}: {error}"
         ) from None

@@ -210,11 +210,12 @@ class _Case:
 
     def _natural_tracks(self, false: Bools, cause: Ints) -> None:
         """Causes of the false tracks that nobody shows."""
-        t, u, how = self.tracks, self._all_truths(), self.how
+        t, how = self.tracks, self.how
         matched = t.outcome == MATCHED
         lone = (false & (cause < 0)).nonzero()[0]
         if not len(lone):
             return
+        u = self._truths_beside(t.row[lone])
         last = t.adjacent(matched, matched, self.coast)[lone]
         places = t.places(lone)
         everything = Places(self.truth_frame, self.truth.boxes.position)
@@ -238,13 +239,13 @@ class _Case:
         cut = np.isin(cause[lone], (LAG, DUPLICATE)) & ~self.own[t.series[lone]] & self.severed.has(of, t.frame[lone])
         cause[lone[cut]] = FAULT
 
-    def _all_truths(self) -> Histories:
-        """The truth rows of all series in which there is a false track, in no particular order."""
+    def _truths_beside(self, rows: Ints) -> Histories:
+        """The truth rows of the series and frames of some rows of `scores.judged`."""
         judged = self.scores.judged
-        involved = np.zeros(len(self.scores.series), bool)
-        involved[self.tracks.series] = True
-        rows = np.flatnonzero(~judged.is_track & involved[judged.series])
-        return Histories.of(self.scores, rows, self.span)
+        group = judged.boxes.group
+        involved = np.zeros(int(group.max(initial=0)) + 1, bool)
+        involved[group[rows]] = True
+        return Histories.of(self.scores, np.flatnonzero(~judged.is_track & involved[group]), self.span)
 
     def _missed(self, missed: Bools, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the missed objects."""

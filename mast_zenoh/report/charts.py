@@ -126,8 +126,8 @@ def _line(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: _Loo
     axis.plot(x, smooth, color=look.colour, linewidth=look.width, linestyle=look.style, label=plain(label))
 
 
-def means(table: ScoreTable) -> Figure:
-    """Grouped bars of the means per frame: the ego alone in the first run, then the picture of each run.
+def means(table: ScoreTable, estimate: str = "picture") -> Figure:
+    """Grouped bars of the means per frame: the ego alone in the first run, then one estimate of each run.
 
     Whiskers are one standard deviation over frames.
     """
@@ -136,7 +136,7 @@ def means(table: ScoreTable) -> Figure:
     figure.subplots_adjust(left=0.065, right=0.985, top=0.86, bottom=0.10)
     light_axes(axis)
     bars = [(f"ego alone, {table.runs[0]}", LOCAL, table.runs[0], "local")]
-    bars += [(run, RUN_COLOURS[i % len(RUN_COLOURS)], run, "picture") for i, run in enumerate(table.runs)]
+    bars += [(run, RUN_COLOURS[i % len(RUN_COLOURS)], run, estimate) for i, run in enumerate(table.runs)]
     width = 0.8 / len(bars)
     for index, (label, colour, run, estimate) in enumerate(bars):
         values = [table.cell(column, run, estimate).value for column, _ in _BARS]

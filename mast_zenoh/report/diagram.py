@@ -11,7 +11,7 @@ from matplotlib.path import Path as Curve
 
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import ADVERSARY_ON_LIGHT, FAINT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS, plain
-from mast_zenoh.report.wiring import FLOW, GAP, HIGH, ROW, WIDE, Layout, Spot, layout
+from mast_zenoh.report.wiring import FLOW, GAP, HIGH, ROW, WIDE, Layout, Spot, layout, live_frames
 
 _HALF = WIDE / 2
 
@@ -34,8 +34,9 @@ def draw_wiring(run: RunFolder) -> Figure | None:
         colour = ADVERSARY_ON_LIGHT if hostile else FAULT_ON_LIGHT if line.linked else FAINT
         width = 1.9 if line.intercepted else 1.3 if line.linked else 1.0
         _draw_line(axes, _route(run, plan, source, target), colour, width)
+    when = live_frames(run)
     for spot, (x, y) in plan.places.items():
-        _draw_node(axes, run, spot.node, x, y)
+        _draw_node(axes, run, spot.node, x, y, when.get(spot.node, ""))
     _name_lines(axes, run, plan)
     return figure
 
@@ -84,14 +85,21 @@ def _draw_line(axes: Axes, route: Curve, colour: str, width: float) -> None:
     )
 
 
-def _draw_node(axes: Axes, run: RunFolder, node: str, x: float, y: float) -> None:
+def _draw_node(axes: Axes, run: RunFolder, node: str, x: float, y: float, when: str) -> None:
+    """A box with the node's name; `when`: if it came while the run went on, in which frames it was there."""
     role, hostile = run.role(node), _hostile(run, node)
     edges, faces = {"agent": RUN_COLOURS[0], "link": FAULT_ON_LIGHT}, {"agent": "#eef5fb", "link": "#fbf6ea"}
     edge = ADVERSARY_ON_LIGHT if hostile else edges.get(role, INK)
     face = "#fdeef9" if hostile else faces.get(role, "#f6f7f9")
     box = (x - _HALF, y - HIGH / 2), WIDE, HIGH
     rounded = "round,pad=0,rounding_size=0.07"
-    axes.add_patch(FancyBboxPatch(*box, boxstyle=rounded, facecolor=face, edgecolor=edge, linewidth=1.2, zorder=2))
+    look: dict[str, Any] = {"facecolor": face, "edgecolor": edge, "linewidth": 1.2, "zorder": 2}
+    axes.add_patch(FancyBboxPatch(*box, boxstyle=rounded, linestyle="--" if when else "-", **look))
+    if when:
+        ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+        axes.text(
+            x, y - HIGH / 2 - 0.09, when, ha="center", va="center", fontsize=7.5, color=edge, bbox=ground, zorder=3
+        )
     label = node if len(node) <= 20 else node[:18] + "…"
     axes.text(x, y, plain(label), ha="center", va="center", fontsize=9.5, color=edge if hostile else INK, zorder=3)
 

@@ -132,8 +132,8 @@ def camera_figure(view: FrameView) -> Figure | None:
     return figure
 
 
-def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable) -> Figure:
-    """The pictures of several runs in the same frame from above, three in a row, their numbers under each."""
+def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estimate: str = "picture") -> Figure:
+    """One estimate of several runs in the same frame from above, three in a row, their numbers under each."""
     columns = min(len(views), 3)
     shown = window(list(views.values()))
     views = {label: clipped(view, shown) for label, view in views.items()}
@@ -145,17 +145,21 @@ def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable) -> Fi
         line, column = divmod(index, columns)
         left, top = 0.66 + column * pitch, 0.38 + line * (side + foot)
         axes = _panel(figure, left, top, side, side)
-        draw_birdseye(axes, view, "picture", shown)
+        draw_birdseye(axes, view, estimate, shown)
         _title(axes, label, view, 14.0)
         if column:
             axes.set_ylabel("")
         if label in table.runs:
-            _numbers(figure, table, label, left, top + side + 0.6, side)
+            _numbers(figure, (table, label, estimate), left, top + side + 0.6, side)
     return figure
 
 
-def _numbers(figure: Figure, table: ScoreTable, run: str, left: float, top: float, width: float) -> None:
-    """Missed, false, matched and RMSE under a panel, in the colours of the key; in inches from the upper left."""
+def _numbers(figure: Figure, of: tuple[ScoreTable, str, str], left: float, top: float, width: float) -> None:
+    """Missed, false, matched and RMSE under a panel, in the colours of the key; in inches from the upper left.
+
+    of: the table, the run and the estimate
+    """
+    table, run, estimate = of
     w, h = figure.get_size_inches()
     shown = (
         ("fn", "missed", "#ffd60a"),
@@ -164,7 +168,7 @@ def _numbers(figure: Figure, table: ScoreTable, run: str, left: float, top: floa
         ("rmse_m", "RMSE (m)", _WHITE),
     )
     keys = {measure.key: measure for measure in MEASURES}
-    told = [(number(table.cell(key, run, "picture").value, keys[key]), name, colour) for key, name, colour in shown]
+    told = [(number(table.cell(key, run, estimate).value, keys[key]), name, colour) for key, name, colour in shown]
     for index, (value, name, colour) in enumerate(told):
         x = (left + width * (index + 0.5) / len(told)) / w
         figure.text(x, 1 - top / h, value, color=colour, fontsize=17, ha="center", va="top", fontweight="bold")

@@ -19,11 +19,19 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.driving import driving_rows
 from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
 from mast_zenoh.report.illustrations import how_chosen, run_figures, study_figures
-from mast_zenoh.report.interposers import BAD, EFFECTS, failures_of, interposers
+from mast_zenoh.report.interposers import BAD, EFFECTS, exit_expected, failures_of, interposers
 from mast_zenoh.report.page import render
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
-from mast_zenoh.report.view import FrameView, check_frame, choose_common_frame, choose_frame, frame_view, settled
+from mast_zenoh.report.view import (
+    PANELS,
+    FrameView,
+    check_frame,
+    choose_common_frame,
+    choose_frame,
+    frame_view,
+    settled,
+)
 from mast_zenoh.report.wiring import wire_rows
 from mast_zenoh.report.words import headline, reading, study_headline, study_reading
 from mast_zenoh.runtime import failures
@@ -67,7 +75,10 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     """
     folders = {label: RunFolder.load(path) for label, path in runs.items()}
     reference = "baseline" if "baseline" in folders else next(iter(folders))
-    chosen = choose_common_frame(list(folders.values()), folders[reference])
+    found = [largest_change(run, folders[reference]) for run in folders.values()]
+    change = max((each for each in found if each), key=lambda each: abs(each.weight), default=None)
+    estimate = change.estimate if change and change.estimate in PANELS else "mission" if change else "picture"
+    chosen = choose_common_frame(list(folders.values()), folders[reference], estimate)
     shown = {label: _shown(run, frame, chosen) for label, run in folders.items()}
     table = _scores(folders, reference)
     pages: list[dict[str, Any]] = []
@@ -76,7 +87,9 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
         link = quote(os.path.relpath(path, study_folder).replace(os.sep, "/"))
         pages.append({"label": label, "anchor": f"run-{len(pages) + 1}", "link": link} | page)
     views = {label: view for label, view in shown.items() if view is not None}
-    made = study_figures(folders, table, views, chosen=frame is None)
+    if any(estimate not in view.boxes for view in views.values()):  # of an older run
+        estimate = "picture"
+    made = study_figures(folders, table, views, estimate, chosen=frame is None)
     for each in made.values():
         each.save(study_folder / "figures")
     content = {
@@ -224,6 +237,7 @@ def _node(run: RunFolder, name: str) -> dict[str, Any]:
     return {key: told.get(key) for key in ("pid", "exit", "restarts")} | {
         "role": run.role(name),
         "ended": told.get("ended") or "not known",
+        "bad": told.get("ended") != "ok" and not exit_expected(told),
         "last_frame": told.get("last_frame"),
         "troubles": _troubles(told),
     }

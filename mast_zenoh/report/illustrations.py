@@ -28,6 +28,7 @@ _DRIVING_CAPTION = (
     "Open loop: the ego keeps to the path that it drove in the scene, and at each moment looks at what is in its "
     "corridor. Times to collision above 10 s are not drawn. Wrong objects: false and missed ones."
 )
+_FULL_NAMES = {"local": "The ego alone", "picture": "The common picture", "mission": "The ego with the picture"}
 _WORDS = (("fn", "missed"), ("fp", "false"), ("tp", "matched"))
 _CAUSES_CAPTION = (
     "The common picture as the ego gets it, in every frame, stacked by cause: grey what happens anyway, hatched what "
@@ -95,32 +96,34 @@ def study_figures(
     runs: Mapping[str, RunFolder],
     table: ScoreTable,
     views: Mapping[str, FrameView],
+    estimate: str = "picture",
     *,
     chosen: bool,
 ) -> dict[str, Picture]:
     """The figures that compare runs, by name."""
     made = []
     if views:
-        told = "; ".join(f"{label}: {_tally(view, 'picture')}" for label, view in views.items())
-        caption = "The common picture of the same frame in every run; under it, means per frame over the scored frames."
+        told = "; ".join(f"{label}: {_tally(view, estimate)}" for label, view in views.items())
+        name = _FULL_NAMES[estimate]
+        caption = f"{name} in the same frame of every run; under it, means per frame over the scored frames."
         if chosen:
             beyond = f" less those of {table.reference} in the same frame"
-            caption += f" {_HOW_CHOSEN_ATTACKED.format(where='of the picture', beyond=beyond)}."
+            caption += f" {_HOW_CHOSEN_ATTACKED.format(where=f'of the {ESTIMATES[estimate]}', beyond=beyond)}."
         alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {told}."
-        made.append(picture("side_by_side", side_by_side_figure(views, table), alt, caption))
-    over_time = counts_over_time(runs, next(iter(views.values())).frame if views else None)
+        made.append(picture("side_by_side", side_by_side_figure(views, table, estimate), alt, caption))
+    over_time = counts_over_time(runs, next(iter(views.values())).frame if views else None, estimate)
     if over_time is not None:
-        alt = "Missed objects, false objects and RMSE over time, for the ego alone and for the picture of every run."
+        alt = f"Missed objects, false objects and RMSE over time: ego alone, and {ESTIMATES[estimate]} of every run."
         made.append(picture("counts", over_time, alt, _counts_caption(list(runs.values()))))
     if any(row.cells for row in table.rows):
         keys = {measure.key: measure for measure in MEASURES}
         texts = [
             f"{run}: "
-            + ", ".join(f"{number(table.cell(key, run, 'picture').value, keys[key])} {word}" for key, word in _WORDS)
+            + ", ".join(f"{number(table.cell(key, run, estimate).value, keys[key])} {word}" for key, word in _WORDS)
             for run in table.runs
         ]
         caption = "Means per frame; whiskers: \u00b1 one standard deviation over frames."
-        made.append(picture("means", means(table), f"Bar chart. {'; '.join(texts)}.", caption))
+        made.append(picture("means", means(table, estimate), f"Bar chart. {'; '.join(texts)}.", caption))
     return {each.name: each for each in made}
 
 

@@ -66,7 +66,7 @@ class Interposer:
             return "nothing"
         contradictions = [f"{self.unreported} unreported"] * bool(self.unreported)
         contradictions += [f"{self.unfounded} unfounded"] * bool(self.unfounded)
-        return f"{self.reports} changes" + (f" ({', '.join(contradictions)})" if contradictions else "")
+        return str(self.reports) + (f" ({', '.join(contradictions)})" if contradictions else "")
 
     @property
     def description(self) -> str:
@@ -134,10 +134,14 @@ def _crash(run: RunFolder, node: str) -> str:
     if entries:
         first = entries[0]
         return f"{first['handler']} failed {first['count']} times, see above"
-    expected = any(word in str(told.get("ended")) for word in ("scenario", "released", "told to leave"))
-    if told.get("exit") and not expected and run.run.get("status") != "interrupted":
+    if told.get("exit") and not exit_expected(told) and run.run.get("status") != "interrupted":
         return str(told.get("ended") or f"exit code {told['exit']}")
     return ""
+
+
+def exit_expected(node: Mapping[str, Any]) -> bool:
+    """Whether the scenario or a request ended a node of run.json."""
+    return any(words in str(node.get("ended")) for words in ("by the scenario", "released", "told to leave"))
 
 
 def failures_of(node: Mapping[str, Any]) -> list[dict[str, Any]]:

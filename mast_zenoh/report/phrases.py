@@ -75,7 +75,7 @@ def amount(change: Change, ego: str | None) -> str:
     """What is due to a cause: `5.5 false objects a frame in the common picture`."""
     where, size = place(change, ego), abs(change.amount)
     if change.kind == DISPLACED:
-        return f"an RMSE that is {size:.2f} m larger {where}"
+        return f"an RMSE that is at least {size:.2f} m larger {where}"
     if change.kind == IDENTITY:
         return f"{size:.0f} identity switch{'' if round(size) == 1 else 'es'} {where}"
     return f"{objects(size, change.kind)} a frame {where}"

@@ -211,12 +211,12 @@ def choose_frame(run: RunFolder, reference: RunFolder | None = None, estimate: s
     return int(frames[allowed][np.argmax(sign * cost[allowed])]) if allowed.any() else None
 
 
-def choose_common_frame(runs: Sequence[RunFolder], baseline: RunFolder) -> int | None:
+def choose_common_frame(runs: Sequence[RunFolder], baseline: RunFolder, estimate: str = "picture") -> int | None:
     """The one frame to show of several runs: that of `choose_frame` for the run which differs most from `baseline`."""
     best: tuple[float, int] | None = None
-    ours = _costs(baseline, "picture")
+    ours = _costs(baseline, estimate)
     for run in runs:
-        frame, costs = choose_frame(run, baseline), _costs(run, "picture")
+        frame, costs = choose_frame(run, baseline, estimate), _costs(run, estimate)
         if run is baseline or run.attack_frames is None or frame is None or costs is None or ours is None:
             continue
         at_baseline = ours[1][ours[0] == frame]

@@ -1,4 +1,4 @@
-"""Who sat on which wire: the rows of the table of all wires, and where the diagram puts nodes and lines."""
+"""The wires of a run and the nodes on them: rows of the table, and where the diagram puts nodes and lines."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from mast_zenoh.report.interposers import interposers
 from mast_zenoh.report.runfolder import RunFolder
 
 #: Roles along the flow of a frame, left to right; the agents stand one above the other.
@@ -25,6 +26,7 @@ class WireRow:
 
     taps:     key expressions of the hidden legs that the rewrite made
     links:    those of the interposers that are links, which do what a network does
+    when:     by interposer, the frames in which it was there, in words, if it came while the run went on
     branches: the subscribers that have interposers of their own before them
     """
 
@@ -35,6 +37,7 @@ class WireRow:
     subscribers: tuple[str, ...]
     taps: tuple[str, ...]
     links: tuple[str, ...] = ()
+    when: Mapping[str, str] = field(default_factory=dict)
     branches: tuple[str, ...] = ()
 
     @property
@@ -45,6 +48,7 @@ class WireRow:
 
 def wire_rows(run: RunFolder) -> list[WireRow]:
     """All wires: the intercepted ones first, then those with links, then by key."""
+    when = live_frames(run)
     found = [
         WireRow(
             wire["key"],
@@ -52,13 +56,44 @@ def wire_rows(run: RunFolder) -> list[WireRow]:
             wire.get("publisher", ""),
             tuple(wire.get("interposers", ())),
             (*wire.get("subscribers", ()), *(f"{ear['node']} (listens)" for ear in wire.get("listeners", ()))),
-            tuple(leg["key"] for leg in wire.get("legs", ()) if leg["key"] != wire["key"]),
+            tuple(leg["key"] for leg in wire.get("legs", ()) if leg["key"] not in ("", wire["key"])),
             tuple(node for node in wire.get("interposers", ()) if run.role(node) == "link"),
+            {node: when[node] for node in wire.get("interposers", ()) if node in when},
             tuple(dict.fromkeys(leg["before"] for leg in wire.get("legs", ()) if leg.get("before"))),
         )
-        for wire in run.wiring.get("wires", [])
+        for wire in all_wires(run)
     ]
     return sorted(found, key=lambda row: (not row.intercepted, not row.interposers, row.key))
+
+
+def all_wires(run: RunFolder) -> list[dict[str, Any]]:
+    """The wires of wiring.json, which is how they were at the end, with the interposers that had left by then."""
+    wires = {wire["key"]: wire for wire in run.wiring.get("wires", [])}
+    for each in interposers(run):
+        for key in each.wires if each.live is not None else ():
+            wire = wires.get(key)
+            if wire is not None and each.name not in wire.get("interposers", ()):
+                wires[key] = _with_interposer(wire, each.name)
+    return list(wires.values())
+
+
+def _with_interposer(wire: dict[str, Any], node: str) -> dict[str, Any]:
+    """A wire with one more node at the end of its trunk; the key on which it heard is not known any more."""
+    legs = list(wire.get("legs", ()))
+    place = next((i for i, leg in enumerate(legs) if leg["key"] == wire["key"]), None)
+    if place is not None:
+        last = legs[place]
+        legs[place : place + 1] = [{**last, "key": "", "to": [node]}, {**last, "from": node}]
+    return {**wire, "legs": legs, "interposers": [*wire.get("interposers", ()), node]}
+
+
+def live_frames(run: RunFolder) -> dict[str, str]:
+    """By interposer that came while the run went on, the frames in which it was on its wire, in words."""
+    found = {each.name: each for each in interposers(run) if each.live is not None}
+    return {
+        name: f"from frame {each.live}" if each.released is None else f"frames {each.live} to {each.released - 1}"
+        for name, each in found.items()
+    }
 
 
 class Spot(NamedTuple):
@@ -103,7 +138,7 @@ def layout(run: RunFolder) -> Layout | None:
     Nodes on a wire stand between its ends, half a row above the agent whose wire it is. Nodes outside the flow
     (a coordinator) stand above those that they talk to.
     """
-    wires = [wire for wire in run.wiring.get("wires", []) if wire.get("message") not in _UNDRAWN]
+    wires = [wire for wire in all_wires(run) if wire.get("message") not in _UNDRAWN]
     lines = _lines(run, wires)
     spots = sorted({spot for pair in lines for spot in pair})
     if not spots:

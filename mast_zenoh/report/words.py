@@ -41,8 +41,8 @@ def status(run: RunFolder) -> str:
     """What did not end well, in a sentence without a full stop; empty: nothing."""
     failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
     if failed:
-        names = listed([f"{name} in {_frames(entries)}" for name, entries in failed.items()])
-        return f"Handlers failed, of {names}: the numbers may be wrong"
+        names = [f"{name} failed in {_frames(entries)}" for name, entries in failed.items()]
+        return f"Handlers of {listed(names)}: the numbers may be wrong"
     state = run.run.get("status", "ok")
     if state == "running":
         return "The run was cut off: its launcher did not live to write down how it ended"

@@ -179,3 +179,28 @@ def test_a_run_whose_handler_failed_ends_with_30_and_names_it_unless_that_is_all
     code, out, err = mast("run", path, *short, "--no-report", "--out", "allowed", "--allow-failures")
     assert code == 0
     assert f"warning: handlers failed, so the numbers may be wrong:\n  {said}" in err
+
+
+def test_a_run_is_compared_with_its_unattacked_twin(mast, tmp_path: Path) -> None:
+    attack = ("--set", "attack_start_s=0", "--frames", "25", "--runtime", "inproc")
+    code, out, _ = mast("run", "uncoordinated", *attack, "--out", "here", "--against", "twin")
+    assert code == 0
+    assert (tmp_path / "here" / "twin" / "metrics.json").is_file()
+    assert "than unattacked" in out.replace("\n", " ")
+    assert "compared with unattacked" in (tmp_path / "here" / "report.html").read_text()
+    assert mast("report", "here")[0] == 0
+    assert "compared with unattacked" not in (tmp_path / "here" / "report.html").read_text()
+    assert mast("report", "here", "--against", "here/twin")[0] == 0
+    assert "compared with unattacked" in (tmp_path / "here" / "report.html").read_text()
+
+
+def test_a_comparison_that_is_not_possible_is_refused_before_the_run(mast, tmp_path: Path) -> None:
+    code, _, err = mast("run", "baseline", *SHORT, "--out", "here", "--against", "nosuch")
+    assert code == 17
+    assert "nosuch: has no metrics.json" in err.replace("\n", " ")
+    assert not (tmp_path / "here").exists()
+    assert mast("run", "baseline", *SHORT, "--no-report", "--out", "short")[0] == 0
+    assert mast("run", "baseline", "--frames", "5", "--runtime", "inproc", "--no-report", "--out", "long")[0] == 0
+    code, _, err = mast("report", "long", "--against", "short")
+    assert code == 17
+    assert "found 5 and 4 frames" in err.replace("\n", " ")

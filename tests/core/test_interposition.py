@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.errors import WiringError
-from mast_zenoh.interposition import Place, insert, interposer_of, remove, taps_into
+from mast_zenoh.interposition import Place, insert, interposer_of, never_inserted, remove, taps_into
 from mast_zenoh.wiring import TAP, Branch, Endpoint, Leg, Listener, Wire, Wiring
 
 
@@ -122,3 +122,37 @@ def test_who_sits_on_no_wire_cannot_be_taken_off_and_whom_a_wire_means_must_be_c
         interposer_of(both, "clock")
     with pytest.raises(WiringError, match="nobody on the wire 'b/out'"):
         interposer_of(both, "b/out")
+
+
+def test_a_wiring_without_some_nodes_is_the_one_in_which_they_never_were() -> None:
+    wiring = insert(insert(PLAIN, "m", Place("a/tracks", "in", "out")), "n", Place("a/tracks", "in", "out"))
+    assert never_inserted(wiring, {"m", "n"}) == PLAIN
+    (kept,) = (found for found in never_inserted(wiring, {"m"}).wires if found.interposers)
+    assert kept.interposers == ("n",)
+    assert [leg.publisher.node for leg in kept.legs] == ["a", "n"]
+
+
+def test_without_a_publisher_its_wires_are_gone_and_without_a_listener_it_hears_nothing() -> None:
+    without = never_inserted(PLAIN, {"a", "d", "recorder"})
+    assert [found.key for found in without.wires] == ["clock", "b/out"]
+    assert without.overhearers == ()
+    assert all(
+        end.node not in ("a", "d") for key in without.wires for end in (*key.subscribers, *key.hearers(key.legs[-1]))
+    )
+
+
+def test_a_branch_keeps_those_of_its_nodes_that_stay() -> None:
+    chain = ("m", "link", "n")
+    ends = [*(Endpoint(name, "in") for name in chain), Endpoint("c", "in")]
+    legs = tuple(Leg(f"a/tracks/{TAP}/c/{i}", Endpoint(name, "out"), (ends[i + 1],)) for i, name in enumerate(chain))
+    trunk = Leg("a/tracks", Endpoint("a", "out"), (Endpoint("b", "in"), ends[0]))
+    wire_ = Wire("a/tracks", "", "tracks", (trunk,), (Branch(ends[0], ends[3], legs),))
+    (kept,) = never_inserted(Wiring((wire_,)), {"m", "n"}).wires
+    assert kept.legs[-1].subscribers == (Endpoint("b", "in"), Endpoint("link", "in"))
+    (branch,) = kept.branches
+    assert (branch.entrance, branch.subscriber) == (Endpoint("link", "in"), Endpoint("c", "in"))
+    assert branch.legs == (Leg(f"a/tracks/{TAP}/c/2", Endpoint("link", "out"), (Endpoint("c", "in"),)),)
+    (bare,) = never_inserted(Wiring((wire_,)), set(chain)).wires
+    assert bare == Wire(
+        "a/tracks", "", "tracks", (Leg("a/tracks", Endpoint("a", "out"), (Endpoint("b", "in"), ends[3])),)
+    )

@@ -106,7 +106,7 @@ def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> N
     failure |= {"exception": "ValueError: no", "where": "mine.py:3"}
     edit(folder / "run.json", lambda run: run["nodes"]["adversary_1"].update(failures=[failure]))
     run = RunFolder.load(folder)
-    assert headline(run) == "Handlers failed, of adversary_1 in 19 frames: the numbers may be wrong"
+    assert headline(run) == "Handlers of adversary_1 failed in 19 frames: the numbers may be wrong"
     assert "6.2 false objects" in reading(run)[0]
     assert "adversary_1 crashed." in reading(run)
 

@@ -1,0 +1,81 @@
+"""The unattacked twin of a run is the run of the same scenario without its adversaries."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import NotComparable
+from mast_zenoh.launch import local, twin
+
+FRAMES = 30
+
+
+def played(folder: Path, name: str, *settings: str, **changes: Any) -> Path:
+    """A run of one of our scenarios in one process; its attacks begin at once."""
+    path, loaded = scenario.load(name, settings)
+    resolved = scenario.resolve(path, loaded | changes, seed=3, frames=FRAMES)
+    ended = local.run(resolved, folder, runtime="inproc")
+    assert ended.error is None
+    return folder
+
+
+def results(folder: Path) -> dict[str, Any]:
+    found = json.loads((folder / "metrics.json").read_text())
+    return {name: found[name] for name in ("frames", "scored_frames", "agents", "driving")}
+
+
+@pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
+def test_its_results_are_those_of_the_unattacked_scenario(tmp_path: Path, name: str) -> None:
+    attacked = played(tmp_path / "attacked", name, "attack_start_s=0")
+    baseline = played(tmp_path / "baseline", "baseline")
+    assert results(attacked) != results(baseline)
+    folder = twin.of(attacked)
+    assert folder == attacked / "twin"
+    assert results(folder) == results(baseline)
+    nodes = json.loads((folder / "run.json").read_text())["nodes"]
+    assert {node["role"] for node in nodes.values()} == {
+        *("simulator", "agent", "broker", "command_center", "evaluator")
+    }
+
+
+def test_links_and_faults_stay(tmp_path: Path) -> None:
+    attacked = played(
+        tmp_path / "attacked", "attack_during_partition", "partition_s=0.5", "partition_until_s=1.5", "kill_s=2"
+    )
+    kinds = {each["kind"] for each in json.loads((attacked / "scenario.json").read_text())["timeline"]}
+    assert kinds == {"attack", "fault"}
+    folder = twin.of(attacked)
+    assert {each["kind"] for each in json.loads((folder / "scenario.json").read_text())["timeline"]} == {"fault"}
+    assert json.loads((folder / "metrics.json").read_text())["interposers"].keys() == {
+        name for name in json.loads((attacked / "metrics.json").read_text())["interposers"] if name.startswith("link")
+    }
+
+
+def test_it_is_played_once_and_again_where_it_is_not_whole(tmp_path: Path) -> None:
+    attacked = played(tmp_path / "attacked", "uncoordinated")
+    first = json.loads((twin.of(attacked) / "run.json").read_text())["id"]
+    assert json.loads((twin.of(attacked) / "run.json").read_text())["id"] == first
+    (attacked / "twin" / "metrics.json").unlink()
+    assert json.loads((twin.of(attacked) / "run.json").read_text())["id"] != first
+
+
+def test_a_folder_that_is_no_twin_is_left_alone(tmp_path: Path) -> None:
+    attacked = played(tmp_path / "attacked", "uncoordinated")
+    (attacked / "twin").mkdir()
+    (attacked / "twin" / "mine.txt").write_text("keep")
+    with pytest.raises(NotComparable, match="is not the twin"):
+        twin.of(attacked)
+    assert (attacked / "twin" / "mine.txt").is_file()
+
+
+@pytest.mark.parametrize("name", ["scenario.json", "wiring.json", "scene.npz"])
+def test_a_run_whose_scenario_is_lost_has_none(tmp_path: Path, name: str) -> None:
+    attacked = played(tmp_path / "attacked", "uncoordinated")
+    (attacked / name).unlink()
+    with pytest.raises(NotComparable, match=r"needs scenario\.json, wiring\.json and scene\.npz"):
+        twin.of(attacked)

@@ -1,0 +1,197 @@
+"""What attacks achieved, why something had no effect, and what it would mean for driving."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mast_zenoh.report.achievement import achieved_rows
+from mast_zenoh.report.driving import driving_over_time, driving_rows
+from mast_zenoh.report.explanations import explanations
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.table import DASH
+
+ACHIEVED = {"inserted": 4, "inserted_share_centre": 1.0, "inserted_share_ego": 0.5, "inserted_s_centre": 9.25}
+ACHIEVED |= {"inserted_s_ego": None, "hidden": 0, "moved": 2, "moved_error_m_centre": 0.5, "moved_error_m_ego": 0.25}
+ACHIEVED |= {"first_success_s_centre": 0.2, "first_success_s_ego": None, "id_switches_centre": 3, "id_switches_ego": 0}
+
+
+@pytest.fixture
+def attacked(run_folder: Callable[..., Path]) -> RunFolder:
+    return RunFolder.load(run_folder("uncoordinated"))
+
+
+def achieving(run: RunFolder, **achieved: Any) -> RunFolder:
+    run.metrics["achieved"] = {"adversary_1": achieved, "all": achieved}
+    return run
+
+
+def targets(kind: str, n: int = 10, **columns: Any) -> dict[str, np.ndarray]:
+    """What adversary_1 did to one object in n frames, from frame 20 on."""
+    defaults = {"object": 7, "x": 0.0, "y": 0.0, "seen_by_others": False, "error_m_centre": np.nan}
+    defaults |= {"judged_centre": True, "judged_ego": True, "believed_centre": False, "believed_ego": False}
+    table = {name: np.full(n, value) for name, value in (defaults | {"error_m_ego": np.nan} | columns).items()}
+    return table | {
+        "adversary": np.full(n, "adversary_1", object),
+        "kind": np.full(n, kind, object),
+        "frame": np.arange(20, 20 + n),
+    }
+
+
+def why(run: RunFolder, table: dict[str, np.ndarray] | None, **achieved: Any) -> str:
+    achieving(run, **achieved)
+    object.__setattr__(run, "targets", table)
+    return "; ".join(explanations(run).get("adversary_1", ()))
+
+
+def test_the_table_has_a_row_per_adversary_and_one_of_all(attacked: RunFolder) -> None:
+    attacked.metrics["achieved"] = {"adversary_1": ACHIEVED, "adversary_2": ACHIEVED, "all": ACHIEVED}
+    rows = achieved_rows(attacked)
+    assert [row.adversary for row in rows] == ["adversary_1", "adversary_2", "all together"]
+    row = rows[0]
+    assert (row.inserted, row.accepted, row.believed_s) == ("4", ("100%", "50%"), ("9.2", DASH))
+    assert (row.hidden, row.missed, row.moved, row.error_m) == ("0", (DASH, DASH), "2", ("0.50", "0.25"))
+    assert (row.first_s, row.switches) == (("0.2", DASH), ("3", "0"))
+
+
+def test_a_run_without_adversaries_has_no_such_table(run_folder: Callable[..., Path]) -> None:
+    assert achieved_rows(RunFolder.load(run_folder())) == []
+
+
+def idle(run: RunFolder, received: int = 40) -> RunFolder:
+    told = {"role": "adversary", "wires": ["agent/infra_1/detections"], "messages": received, "effects": {}}
+    told |= {"reports": 0, "agreement": "nothing to report", "unreported": 0, "unfounded": 0}
+    run.metrics["interposers"] = {"adversary_1": told}
+    return run
+
+
+def test_an_adversary_that_changed_nothing(attacked: RunFolder) -> None:
+    assert why(idle(attacked), None) == "it passed all 40 messages on unchanged"
+    assert why(idle(attacked, received=0), None) == "no message reached it"
+
+
+def test_an_attack_that_was_to_begin_after_the_end(attacked: RunFolder) -> None:
+    plan = {"label": "Attack", "kind": "attack", "at_s": 60.0, "until_s": None, "nodes": ["adversary_1"]}
+    attacked.scenario["timeline"] = [plan]
+    assert why(idle(attacked), None) == "its attack was to begin at 60 s, after the end of the run at 4.0 s"
+
+
+def test_an_adversary_that_crashed_before_it_changed_anything(attacked: RunFolder) -> None:
+    attacked.run["nodes"]["adversary_1"]["failures"] = {"detections": 3}
+    assert why(idle(attacked), None).startswith("it crashed before it changed anything")
+
+
+def test_an_adversary_that_was_not_measured(attacked: RunFolder) -> None:
+    attacked.metrics.pop("interposers")
+    assert why(attacked, None) == "what it did was not measured"
+
+
+NOT_ACCEPTED = {"inserted": 1, "inserted_share_centre": 0.0, "inserted_share_ego": 0.0}
+
+
+def test_objects_inserted_out_of_range(attacked: RunFolder) -> None:
+    assert "more than 100 m from the ego" in why(attacked, targets("inserted", x=500.0), **NOT_ACCEPTED)
+
+
+def test_objects_inserted_on_a_real_one_are_taken_for_it(attacked: RunFolder) -> None:
+    truth = attacked.objects
+    assert truth is not None
+    at = (truth["frame"] == 20) & (truth["kind"] == "truth") & (truth["estimator"] == "picture")
+    x, y = float(truth["x"][at][0]), float(truth["y"][at][0])
+    assert "within 2 m of a real object" in why(attacked, targets("inserted", n=1, x=x, y=y), **NOT_ACCEPTED)
+
+
+def test_objects_that_the_fusion_rejected(attacked: RunFolder) -> None:
+    assert "the fusion rejected everything" in why(attacked, targets("inserted", x=30.0, y=40.0), **NOT_ACCEPTED)
+    half = NOT_ACCEPTED | {"inserted_share_centre": 1.0}
+    assert "the ego did not take it over" in why(attacked, targets("inserted", x=30.0, y=40.0), **half)
+
+
+def test_objects_that_were_believed_need_no_reason(attacked: RunFolder) -> None:
+    believed = {"inserted": 1, "inserted_share_centre": 1.0, "inserted_share_ego": 1.0}
+    assert why(attacked, targets("inserted", x=30.0, y=40.0), **believed) == ""
+
+
+def test_changes_in_frames_that_are_not_scored(attacked: RunFolder) -> None:
+    attacked.metrics["scored_frames"] = [0, 10]
+    believed = {"inserted": 1, "inserted_share_centre": 1.0, "inserted_share_ego": 1.0}
+    reason = "everything that it did was in frames that are not scored"
+    assert why(attacked, targets("inserted", x=30.0, y=40.0), **believed) == reason
+
+
+HIDDEN: dict[str, tuple[dict[str, Any], str]] = {
+    "others": ({"seen_by_others": True}, "other agents still saw what it removed, all the time"),
+    "clutter": ({"object": -1}, "what it removed was no object of the scene, but clutter"),
+    "nobody": ({"judged_centre": False, "judged_ego": False}, "what it removed is not scored"),
+    "coasting": ({}, "what it removed was still tracked"),
+}
+
+
+@pytest.mark.parametrize(("columns", "reason"), HIDDEN.values(), ids=HIDDEN)
+def test_objects_that_were_removed_and_not_missed(attacked: RunFolder, columns: dict[str, Any], reason: str) -> None:
+    nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
+    assert reason in why(attacked, targets("removed", **columns), **nothing)
+    assert why(attacked, targets("removed", **columns), **(nothing | {"hidden_share_ego": 1.0})) == ""
+
+
+def test_objects_that_were_moved_and_not_displaced(attacked: RunFolder) -> None:
+    nothing = {"moved": 1, "moved_share_centre": 0.0, "moved_share_ego": 0.0, "moved_error_m_centre": 0.4}
+    assert "0.40 m off on average" in why(attacked, targets("moved", error_m_centre=0.4), **nothing)
+
+
+DRIVES = {
+    "truth": {"corridor_objects": 2.0, "min_ttc_s": None, "brake_share": 0.0},
+    "mission": {"corridor_objects": 2.5, "min_ttc_s": 0.4, "brake_share": 0.25, "corridor_false": 0.5}
+    | {"corridor_missed": 0.0, "needless_brake_share": 0.25, "needless_brake_share_attack": 0.125}
+    | {"missed_brake_share": 0.0, "missed_brake_share_attack": 0.0},
+}
+
+
+def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunFolder) -> None:
+    assert driving_rows(attacked) == []
+    attacked.metrics["driving"] = {"ego": DRIVES}
+    truth, mission = driving_rows(attacked)
+    assert (truth.estimate, truth.false, truth.ttc_s, truth.needless) == ("truth", DASH, "never", DASH)
+    assert (mission.estimate, mission.false, mission.ttc_s) == ("ego with picture", "0.50", "0.4")
+    assert (mission.needless, mission.omitted) == ("25.0% (12.5% by attack)", "0.0%")
+
+
+def drive(needless: list[int]) -> dict[str, np.ndarray]:
+    """driving.parquet of 40 frames: the ego with the picture brakes needlessly in some."""
+    part: dict[str, list[Any]] = {name: [] for name in ("frame", "agent", "estimate", "false", "missed", "ttc_s")}
+    part |= {name: [] for name in ("brake", "needless", "omitted")}
+    for estimate in ("truth", "mission"):
+        for frame in range(40):
+            brakes = estimate == "mission" and frame in needless
+            values = (frame, "ego", estimate, int(brakes), 0, 1.0 if brakes else np.nan, brakes, brakes, False)
+            for column, value in zip(part.values(), values, strict=True):
+                column.append(value)
+    return {name: np.array(column) for name, column in part.items()}
+
+
+def test_needless_braking_is_drawn_when_it_happens(attacked: RunFolder) -> None:
+    assert driving_over_time(attacked, None) is None
+    object.__setattr__(attacked, "driving", drive([20, 21, 22]))
+    figure = driving_over_time(attacked, 21)
+    assert figure is not None
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "brakes needlessly" in labels
+    (bars,) = (each for each in figure.axes[2].collections if each.get_label() == "brakes needlessly")
+    spans = [path.get_extents() for path in bars.get_paths()]
+    assert sorted(round(float(span.x0 + span.x1) / 2, 3) for span in spans) == [2.0, 2.1, 2.2]
+
+
+def test_an_older_run_says_that_achievements_are_not_known(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder("uncoordinated")
+    metrics = json.loads((folder / "metrics.json").read_text())
+    for name in ("achieved", "driving", "interposers"):
+        metrics.pop(name)
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    run = RunFolder.load(folder)
+    assert any("what attacks achieved is not known" in sentence for sentence in run.missing)
+    assert {row.why for row in achieved_rows(run)} == {("what it did was not measured",)}

@@ -1,0 +1,101 @@
+"""Two runs are compared only if their differences mean something."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from mast_zenoh.errors import NotComparable, RunFolderError
+from mast_zenoh.report import comparison, write_report
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.terminal import show_run
+
+Pair = tuple[Path, Path]
+
+
+@pytest.fixture
+def pair(run_folder: Callable[..., Path]) -> Pair:
+    return run_folder("uncoordinated"), run_folder()
+
+
+def edit(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def test_the_page_has_both_runs_and_the_difference(pair: Pair) -> None:
+    run, other = pair
+    page = write_report(run, against=other).read_text()
+    assert "6.2 more false objects a frame in the common picture than baseline-1, due to adversary_1" in page
+    assert "compared with baseline-1" in page
+    assert "(+6.25)" in page
+    assert "beyond those of baseline-1 in the same frame" in page
+    assert "(+6.25)" not in write_report(run).read_text()
+
+
+def test_the_terminal_has_both_runs_and_the_difference(pair: Pair) -> None:
+    page = io.StringIO()
+    show_run(Console(file=page, width=80), *pair)
+    assert "6.25 (+6.25)" in page.getvalue()
+    assert "6.2 more false objects a frame" in page.getvalue()
+
+
+def test_runs_of_one_name_are_told_apart_by_their_folders(pair: Pair) -> None:
+    run, other = pair
+    for folder in pair:
+        edit(folder / "run.json", lambda data: data.update(name="mine"))
+    assert comparison.reference(RunFolder.load(run), other).name == "baseline"
+
+
+REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "metrics.json is missing": (lambda folder: (folder / "metrics.json").unlink(), "has no results"),
+    "another length": (
+        lambda folder: edit(folder / "metrics.json", lambda data: data.update(frames=39)),
+        "found 40 and 39 frames",
+    ),
+    "another seed": (lambda folder: edit(folder / "run.json", lambda data: data.update(seed=4)), "with seed 4"),
+    "other agents": (
+        lambda folder: edit(folder / "metrics.json", lambda data: data.update(agents={"car": data["agents"]["ego"]})),
+        "found no agent ego",
+    ),
+}
+
+
+@pytest.mark.parametrize(("spoil", "message"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_compared_is_refused(pair: Pair, spoil: Callable[[Path], Any], message: str) -> None:
+    run, other = pair
+    spoil(other)
+    with pytest.raises(NotComparable, match=message):
+        write_report(run, against=other)
+
+
+def test_another_scene_is_refused(pair: Pair) -> None:
+    run, other = pair
+    scene = RunFolder.load(other).recording
+    assert scene is not None
+    moved = replace(scene.truth, position=scene.truth.position + 1.0)
+    replace(scene, truth=moved).save(other / "scene.npz")
+    with pytest.raises(NotComparable, match="expected the same scene and seed"):
+        write_report(run, against=other)
+
+
+def test_without_recordings_the_scenarios_say_whether_the_scenes_are_one(pair: Pair) -> None:
+    run, other = pair
+    (other / "scene.npz").unlink()
+    assert comparison.reference(RunFolder.load(run), other).name == "baseline-1"
+    edit(other / "scenario.json", lambda data: data.update(scene={"type": "Other"}))
+    with pytest.raises(NotComparable, match="an unknown scene"):
+        comparison.reference(RunFolder.load(run), other)
+
+
+def test_a_folder_that_is_no_run_is_refused(pair: Pair, tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match="no such folder"):
+        write_report(pair[0], against=tmp_path / "nosuch")

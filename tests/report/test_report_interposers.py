@@ -1,0 +1,136 @@
+"""What interposers did, beside what they reported: verdicts, live ones, those on the picture's way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mast_zenoh.report.diagram import draw_wiring
+from mast_zenoh.report.interposers import Interposer, adversaries_by_agent, interposers
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.style import svg
+from mast_zenoh.report.wiring import Spot, all_wires, layout, wire_rows
+from mast_zenoh.report.words import compromised, reading
+
+MEASURED = {"messages": 40, "effects": {"inserted": 3, "corrupted": 2}, "reports": 0, "agreement": "silent"}
+MEASURED |= {"unreported": 5, "unfounded": 0, "role": "adversary", "wires": ["agent/infra_1/tracks"]}
+
+
+def wire(key: str, chain: tuple[str, ...] = (), before: str = "") -> dict[str, Any]:
+    publisher, *to = ("command_center", "ego", "infra_1") if key == "cc/picture" else ("infra_1", "broker")
+    legs: list[dict[str, Any]] = [{"key": key, "from": publisher, "to": to}]
+    if before:
+        legs[0]["to"] = [chain[0], *(name for name in to if name != before)]
+        legs.append({"key": f"{key}/@tap/{before}/0", "from": chain[0], "to": [before], "before": before})
+    elif chain:
+        legs = [{"key": f"{key}/@tap/0", "from": publisher, "to": [chain[0]]}, {"key": key, "from": chain[0], "to": to}]
+    message = key.rpartition("/")[2]
+    ends = {"publisher": publisher, "subscribers": to}
+    return {"key": key, "message": message, "legs": legs, "interposers": list(chain)} | ends
+
+
+def run_of(
+    wires: list[dict[str, Any]],
+    measured: dict[str, Any] | None = None,
+    nodes: dict[str, Any] | None = None,
+    interceptions: tuple[dict[str, Any], ...] = (),
+) -> RunFolder:
+    roles = {"ego": "agent", "infra_1": "agent", "command_center": "command_center", "broker": "broker"}
+    known = {name: {"role": role, "exit": 0, "ended": "ok"} for name, role in roles.items()} | (nodes or {})
+    run = {"nodes": known, "interceptions": list(interceptions), "status": "ok"}
+    metrics = {"interposers": measured or {}}
+    return RunFolder(Path("run"), run, {}, {"wires": wires}, metrics, None, None, None, None, ())
+
+
+def only(run: RunFolder) -> Interposer:
+    (found,) = interposers(run)
+    return found
+
+
+def test_what_it_did_stands_beside_what_it_reported() -> None:
+    found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}))
+    assert (found.verdict, found.said, found.other, found.changed) == ("silent", "nothing", "2 corrupted", 5)
+    lying = MEASURED | {"reports": 7, "agreement": "disagrees", "unreported": 1, "unfounded": 3}
+    found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": lying}))
+    assert found.said == "7 (1 unreported, 3 unfounded)"
+
+
+FAILURE = {"handler": "on_tracks", "count": 4, "frames": 4, "first_frame": 1, "last_frame": 4}
+FAILURE |= {"exception": "ValueError: no", "where": "mine.py:3"}
+CRASHES = {
+    "a handler failed": {"failures": [FAILURE], "exit": 0, "ended": "ok"},
+    "a handler failed in a run of an older version": {"failures": {"tracks": 4}, "exit": 0, "ended": "ok"},
+    "its process ended": {"failures": [], "exit": 1, "ended": "exit code 1"},
+}
+EXPECTED = {
+    "killed by the scenario": {"exit": -9, "ended": "killed by the scenario; killed by signal 9 (SIGKILL)"},
+    "released": {"exit": -15, "ended": "released; killed by signal 15 (SIGTERM)"},
+}
+
+
+@pytest.mark.parametrize("node", CRASHES.values(), ids=CRASHES)
+def test_a_crash_goes_before_what_it_reported(node: dict[str, Any]) -> None:
+    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
+    assert only(run).verdict == "crashed"
+    assert "mallory crashed." in reading(run)
+
+
+@pytest.mark.parametrize("node", EXPECTED.values(), ids=EXPECTED)
+def test_a_node_that_was_ended_on_purpose_has_not_crashed(node: dict[str, Any]) -> None:
+    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
+    assert only(run).verdict == "silent"
+
+
+def test_an_adversary_on_the_downlink_is_named_by_its_victim() -> None:
+    run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
+    assert only(run).before == ("ego",)
+    assert adversaries_by_agent(interposers(run)) == {"ego": ("mallory",)}
+    assert compromised(run) == "the picture's way to ego"
+
+
+def test_a_node_on_a_wire_of_no_agent_is_named_by_the_wire() -> None:
+    assert compromised(run_of([wire("cc/picture", ("mallory",))])) == "the wire cc/picture"
+
+
+LIVE = {"action": "intercept", "node": "mallory", "wires": ["agent/infra_1/tracks"], "frame": 44}
+RELEASE = {"action": "release", "node": "mallory", "wires": ["agent/infra_1/tracks"], "frame": 90}
+
+
+def test_a_node_that_came_and_went_while_the_run_went_on_is_named_and_drawn() -> None:
+    run = run_of([wire("agent/infra_1/tracks")], {"mallory": MEASURED}, interceptions=(LIVE, RELEASE))
+    found = only(run)
+    assert (found.live, found.released) == (44, 90)
+    assert found.description == "mallory (inserted live in frame 44)"
+    (row,) = wire_rows(run)
+    assert row.intercepted
+    assert row.when == {"mallory": "frames 44 to 89"}
+    plan = layout(run)
+    assert plan is not None
+    assert Spot("mallory", after=1) in plan.places
+    figure = draw_wiring(run)
+    assert figure is not None
+    assert "frames 44 to 89" in {text.get_text() for text in figure.axes[0].texts}
+    assert b"<svg" in svg(figure)
+
+
+def test_a_node_that_is_still_there_is_drawn_once() -> None:
+    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, interceptions=(LIVE,))
+    (only_wire,) = all_wires(run)
+    assert only_wire["interposers"] == ["mallory"]
+    assert wire_rows(run)[0].when == {"mallory": "from frame 44"}
+
+
+def test_an_interposer_of_a_run_without_measurements_says_so() -> None:
+    found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))]))
+    assert (found.verdict, found.effects, found.changed) == ("not measured", None, 0)
+
+
+def test_links_come_last_and_are_no_adversaries() -> None:
+    link = MEASURED | {"role": "link", "effects": {"dropped": 9}}
+    chain = wire("agent/infra_1/tracks", ("link_1",))
+    chain["interposers"].append("mallory")
+    run = run_of([chain], {"link_1": link, "mallory": MEASURED})
+    assert [each.name for each in interposers(run)] == ["mallory", "link_1"]
+    assert adversaries_by_agent(interposers(run)) == {"infra_1": ("mallory",)}
