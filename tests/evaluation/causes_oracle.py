@@ -78,7 +78,7 @@ class Causes:
         )
 
     def active(self, row: Row) -> set[str]:
-        """The interposers that can have caused an error: active in the 8 s before, on a wire that reaches the estimate."""
+        """The interposers that can have caused an error: active in the 8 s before, where it reaches the estimate."""
         return {
             attack["interposer"]
             for attack in self.attacks
