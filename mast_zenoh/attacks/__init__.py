@@ -19,6 +19,7 @@ Everything is in the world frame; nodes convert. See docs/attacks.md.
 """
 
 from mast_zenoh.attacks.adversary import Attack, CoordinatedAttack, PassThrough, UncoordinatedAttack
+from mast_zenoh.attacks.application import alter
 from mast_zenoh.attacks.conflict import ConflictSelection
 from mast_zenoh.attacks.coordination import Coordination, Coordinator
 from mast_zenoh.attacks.coverage import Coverage, coverage_of
@@ -52,5 +53,6 @@ __all__ = [
     "UncoordinatedAttack",
     "UncoordinatedSelection",
     "VictimLike",
+    "alter",
     "coverage_of",
 ]
