@@ -23,10 +23,11 @@ from mast_zenoh.interposition import Place, insert
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.interception import SECRET_FILE, place_json, seal
 from mast_zenoh.node import Node
-from mast_zenoh.resolved import NodeSpec, Resolved, build_node
+from mast_zenoh.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_client
-from mast_zenoh.scenario.nodes import node_spec
+from mast_zenoh.scenario.nodes import inform, node_spec
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.settings import nested
 from mast_zenoh.wiring import ANY, Endpoint, Leg, Wire, Wiring
 
@@ -56,6 +57,7 @@ def intercept(
     record = _running(run)
     resolved = Resolved.read(run)
     node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
+    inform({node: spec}, Recording.load(run / RECORDING))
     told = {"file": spec.file, "type": spec.type, "role": spec.role, "config": spec.config, "on_exit": spec.on_exit}
     return _ask(run, record, {"do": "intercept", "name": node, "spec": told, "place": place_json(place)})
 

@@ -54,7 +54,7 @@ def nodes_of(
         add(name, "adversary", config)
     if scenario.get("coordinator") is not None:
         add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
-    _inform(specs, recording)
+    inform(specs, recording)
     add("evaluator", "evaluator", {"agents": agents, **scenario.get("evaluator", {})})
     for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
@@ -73,14 +73,14 @@ def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mappin
         yield name, config
 
 
-def _inform(specs: dict[str, NodeSpec], recording: Recording) -> None:
+def inform(specs: Mapping[str, NodeSpec], recording: Recording) -> None:
     """Tell adversaries and coordinators what attackers know of the scene, as far as they want to know."""
     attackers = {name: spec for name, spec in specs.items() if spec.role in ("adversary", "coordinator")}
     victims = list(dict.fromkeys(str(spec.config["agent"]) for spec in attackers.values() if "agent" in spec.config))
     for spec in attackers.values():
         cls = loading.node_class(Path(spec.file), spec.type)
         if "surroundings" in inspect.signature(cls).parameters:
-            mine = victims if spec.role == "coordinator" else [str(spec.config["agent"])]
+            mine = victims if spec.role == "coordinator" else [str(spec.config[k]) for k in ("agent",) if k in spec.config]
             spec.config.setdefault("surroundings", surroundings_of(recording, mine))
 
 
