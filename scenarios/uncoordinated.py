@@ -22,7 +22,7 @@ def scenario(
 
     fraction_…: of the agent's objects that vanish, or are moved;
 
-    region: where false objects are put: in_view, ego_path, victim_only, or paper (about the agent, no noise);
+    region: where false objects are put: in_view, ego_path, victim_only, or paper (about the agent, never missed);
 
     attack_start_s: when it begins, in scene time; reselect_every_s: how often each chooses new targets.
     """

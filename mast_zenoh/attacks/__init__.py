@@ -19,7 +19,7 @@ Everything is in the world frame; nodes convert. See docs/attacks.md.
 """
 
 from mast_zenoh.attacks.adversary import Attack, CoordinatedAttack, PassThrough, UncoordinatedAttack
-from mast_zenoh.attacks.application import apply
+from mast_zenoh.attacks.application import alter, apply
 from mast_zenoh.attacks.conflict import ConflictSelection
 from mast_zenoh.attacks.coordination import Coordination, Coordinator
 from mast_zenoh.attacks.coverage import Coverage, coverage_of
@@ -53,6 +53,7 @@ __all__ = [
     "UncoordinatedAttack",
     "UncoordinatedSelection",
     "VictimLike",
+    "alter",
     "apply",
     "coverage_of",
 ]

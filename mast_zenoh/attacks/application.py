@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mast_zenoh.attacks.imitation import typical
@@ -11,6 +13,28 @@ from mast_zenoh.geometry import within_range
 from mast_zenoh.matching import greedy
 from mast_zenoh.states import Floats, Ints, ObjectStates
 from mast_zenoh.tracking.neighbours import neighbours
+
+
+def alter(
+    objects: ObjectStates,
+    *,
+    insert: ObjectStates | None = None,
+    hide: Sequence[int] = (),
+    move: Sequence[int] = (),
+    offset: Floats | None = None,
+) -> Tampering:
+    """The tampering of an attack that knows what it wants: insert objects, hide rows, move rows by `offset` (k, 3) m.
+
+    The changes are reported with the numbers 0, 1, … as targets: inserted, then hidden, then moved.
+    """
+    hidden, moved = np.asarray(hide, np.int64), np.asarray(move, np.int64)
+    targets = Targets(
+        ObjectStates.empty() if insert is None else insert,
+        objects.select(hidden),
+        objects.select(moved),
+        np.zeros((len(moved), 3)) if offset is None else offset,
+    ).numbered(0)
+    return carry_out(targets, targets.add, objects, np.arange(len(objects)), hidden, moved)
 
 
 def apply(

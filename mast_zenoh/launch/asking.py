@@ -26,8 +26,7 @@ from mast_zenoh.node import Node
 from mast_zenoh.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_client
-from mast_zenoh.scenario.nodes import node_spec
-from mast_zenoh.scenario.reconnaissance import surroundings_of
+from mast_zenoh.scenario.nodes import inform, node_spec
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.settings import nested
 from mast_zenoh.wiring import ANY, Endpoint, Leg, Wire, Wiring
@@ -56,8 +55,9 @@ def intercept(
     ports), ConfigurationError (its parameters or name), StartError (it did not come up), RunError (nobody changed).
     """
     record = _running(run)
-    resolved = replace(Resolved.read(run), recording=Recording.load(run / RECORDING))
+    resolved = Resolved.read(run)
     node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
+    inform({node: spec}, Recording.load(run / RECORDING))
     told = {"file": spec.file, "type": spec.type, "role": spec.role, "config": spec.config, "on_exit": spec.on_exit}
     return _ask(run, record, {"do": "intercept", "name": node, "spec": told, "place": place_json(place)})
 
@@ -100,8 +100,6 @@ def plan(
         raise ConfigurationError(f"there is a node {name!r} already: give another --name")
     if "agent" in signature(cls).parameters and target.subject in resolved.nodes:
         config.setdefault("agent", target.subject)
-    if "surroundings" in signature(cls).parameters and resolved.recording is not None:
-        config.setdefault("surroundings", surroundings_of(resolved.recording, [str(config.get("agent", ""))]))
     spec = replace(node_spec(path, name, cls.role, config | {"file": str(path)}), on_exit="continue")
     build_node(spec, name, str(path))
     subject = str(spec.config.get("agent", target.subject))

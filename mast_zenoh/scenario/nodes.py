@@ -54,7 +54,7 @@ def nodes_of(
         add(name, "adversary", config)
     if scenario.get("coordinator") is not None:
         add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
-    _inform(specs, recording)
+    inform(specs, recording)
     ages = [specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config]
     held = {"picture_age_s": max(ages)} if ages else {}  # by the evaluator, as long as by the agents
     add("evaluator", "evaluator", {"agents": agents, **held, **scenario.get("evaluator", {})})
@@ -75,14 +75,15 @@ def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mappin
         yield name, config
 
 
-def _inform(specs: dict[str, NodeSpec], recording: Recording) -> None:
+def inform(specs: Mapping[str, NodeSpec], recording: Recording) -> None:
     """Tell adversaries and coordinators what attackers know of the scene, as far as they want to know."""
     attackers = {name: spec for name, spec in specs.items() if spec.role in ("adversary", "coordinator")}
     victims = list(dict.fromkeys(str(spec.config["agent"]) for spec in attackers.values() if "agent" in spec.config))
     for spec in attackers.values():
         cls = loading.node_class(Path(spec.file), spec.type)
         if "surroundings" in inspect.signature(cls).parameters:
-            mine = victims if spec.role == "coordinator" else [str(spec.config["agent"])]
+            own = [str(spec.config["agent"])] if "agent" in spec.config else []
+            mine = victims if spec.role == "coordinator" else own
             spec.config.setdefault("surroundings", surroundings_of(recording, mine))
 
 

@@ -7,7 +7,7 @@ from attack_worlds import at, equal, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.attacks import ACTIONS, Targets, apply
+from mast_zenoh.attacks import ACTIONS, Targets, alter, apply
 from mast_zenoh.attacks.application import carry_out
 from mast_zenoh.messages import SCHEMAS
 from mast_zenoh.states import ObjectStates
@@ -81,6 +81,16 @@ def test_the_report_says_what_was_done_before_and_after():
     assert report.before_position[:, :2].tolist() == [[0.0, 0.0], [0.0, 0.0], [20.0, 0.0]]
     assert report.after_position[:, :2].tolist() == [[5.0, 5.0], [0.0, 0.0], [20.0, 4.0]]
     assert report.velocity[:, 0].tolist() == [3.0, 1.0, 2.0]
+
+
+def test_an_attack_can_say_which_rows_it_hides_and_moves():
+    objects = world(5)
+    tampering = alter(objects, insert=at((1.0, 2.0)), hide=[3], move=[1], offset=np.array([[5.0, 0.0, 0.0]]))
+    seen = tampering.applied_to(objects)
+    assert seen.id.tolist()[:4] == objects.id[[0, 1, 2, 4]].tolist()
+    assert np.allclose(seen.position[1] - objects.position[1], [5.0, 0.0, 0.0])
+    assert seen.position[4, :2].tolist() == [1.0, 2.0]
+    assert tampering.report.target.tolist() == [0, 1, 2]
 
 
 def test_the_report_has_the_columns_of_its_message():

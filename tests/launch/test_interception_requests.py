@@ -62,6 +62,8 @@ def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], rol
 def test_our_adversary_gets_the_wire_the_clock_and_its_agents_pose_and_a_key_to_report_on(resolved: Resolved) -> None:
     name, spec, place = plan(resolved, TRACKS, "adversary.py", settings=ATTACK)
     assert (name, spec.role, spec.on_exit) == ("adversary_1", "adversary", "continue")
+    assert resolved.recording is not None
+    inform({name: spec}, resolved.recording)
     surroundings = spec.config.pop("surroundings")
     assert (surroundings["victims"], next(iter(surroundings["agents"]))) == (["infra_1"], "ego"), "it knows the scene"
     assert spec.config == {"agent": "infra_1", "attack": {"type": "UncoordinatedAttack", "start_s": 0}}

@@ -1,0 +1,92 @@
+"""Targets stay with their objects: through missed frames, beside neighbours, and whatever the order of the rows."""
+
+from __future__ import annotations
+
+import numpy as np
+from attack_worlds import SECOND, at, world
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.attacks.following import Follower
+from mast_zenoh.attacks.ordering import canonical_order
+from mast_zenoh.states import ObjectStates
+
+PERIOD = SECOND // 10
+NO_ID = -1
+
+
+def follow(frames: list[ObjectStates], wanted: tuple[float, float], radius: float = 6.0) -> list[int]:
+    """The row that the target chosen at `wanted` in the first frame has in each frame, -1 where it is not seen."""
+    follower, target, rows = Follower(radius), at(wanted), []
+    for frame, objects in enumerate(frames):
+        order = canonical_order(objects)
+        follower.observe(objects.select(order), frame * PERIOD)
+        target, row = follower.locate(target, 0.5)
+        rows.append(int(order[row[0]]) if row[0] >= 0 else -1)
+    return rows
+
+
+def unnamed(*places: tuple[float, float]) -> ObjectStates:
+    return at(*places, id=np.full(len(places), NO_ID))
+
+
+def test_a_target_waits_while_its_object_is_not_seen_and_never_takes_its_neighbour():
+    both, neighbour = unnamed((0.0, 0.0), (3.0, 0.0)), unnamed((3.0, 0.0))
+    frames = [both] * 5 + [neighbour] * 20 + [both] * 3
+    assert follow(frames, (0.0, 0.0)) == [0] * 5 + [-1] * 20 + [0] * 3
+
+
+def test_without_a_neighbour_to_be_mistaken_for_it_a_target_is_found_again_farther_away():
+    frames = [unnamed((0.4 * k, 0.0)) for k in range(8)] + [unnamed()] * 8 + [unnamed((0.4 * 16 + 1.0, 0.0))]
+    assert follow(frames, (0.0, 0.0))[-1] == 0
+
+
+def test_ids_decide_where_places_do_not():
+    """Two pedestrians pass through each other."""
+    frames = [at((0.1 * k, 0.0), (2.0 - 0.1 * k, 0.0), id=np.array([7, 8])) for k in range(20)]
+    assert follow(frames, (0.0, 0.0)) == [0] * 20
+
+
+def test_an_id_that_jumps_to_another_object_is_not_followed():
+    before = at((0.0, 0.0), (4.0, 0.0), id=np.array([7, 8]))
+    mixed_up = at((0.0, 0.0), (4.0, 0.0), id=np.array([9, 7]))
+    assert follow([before] * 5 + [mixed_up] * 5, (0.0, 0.0)) == [0] * 10
+
+
+def test_a_lost_target_takes_no_object_that_was_another_one_in_the_last_frame():
+    """Whichever objects are missed: a target is its own object, or nothing."""
+    rng = np.random.default_rng(3)
+    start = np.array([[4.0 * k, 0.0] for k in range(8)])
+    velocity = np.array([[5.0, 0.0]] * 8)
+    for wanted in range(8):
+        follower, target = Follower(6.0), at(tuple(start[wanted]))
+        for frame in range(80):
+            seen = rng.random(8) < 0.7 if frame else np.ones(8, bool)
+            places = start + velocity * frame * 0.1 + (rng.normal(0.0, 0.2, (8, 2)) if frame else 0.0)
+            rows = np.flatnonzero(seen)
+            objects = unnamed(*map(tuple, places[rows]))
+            order = canonical_order(objects)
+            follower.observe(objects.select(order), frame * PERIOD)
+            target, row = follower.locate(target, 0.5)
+            if row[0] >= 0:
+                assert rows[order[row[0]]] == wanted
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 1000), st.booleans())
+def test_no_target_moves_farther_than_its_gate_and_no_two_are_one_object(seed, named):
+    rng = np.random.default_rng(seed)
+    follower, objects = Follower(4.0), world(10, seed=seed, spread=8.0)
+    targets = objects.select(slice(0, 4)).with_(id=np.arange(4))
+    for frame in range(12):
+        shaken = objects.with_(
+            position=objects.position + rng.normal(0.0, 1.0, (10, 3)),
+            velocity=np.zeros((10, 3)),
+            id=objects.id if named else np.full(10, NO_ID),
+        )
+        seen = shaken.select(np.flatnonzero(rng.random(10) < 0.6))
+        seen = seen.select(canonical_order(seen))
+        follower.observe(seen, frame * PERIOD)
+        targets, row = follower.locate(targets, 2.0)
+        held = row[row >= 0]
+        assert len(set(held.tolist())) == len(held)

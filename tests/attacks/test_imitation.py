@@ -1,0 +1,158 @@
+"""False objects look like the victim's own: as noisy, as often missed, and nowhere that the victim cannot see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from attack_worlds import ORIGIN, SECOND, at
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.attacks import Exact, UncoordinatedAttack, UncoordinatedSelection, VictimLike, coverage_of
+from mast_zenoh.attacks.ordering import canonical_order
+from mast_zenoh.attacks.statistics import VictimStatistics
+from mast_zenoh.states import ObjectStates
+
+PERIOD = SECOND // 10
+PLACES = [(8.0 * i - 32.0, 8.0 * j - 32.0) for i in range(9) for j in range(9)]
+
+
+def detected(frame: int, share: float, std: float, stated: bool = True) -> ObjectStates:
+    """Standing objects as a detector with this share of hits and this noise shows them."""
+    rng = np.random.default_rng(frame)
+    seen = np.flatnonzero(rng.random(len(PLACES)) < share)
+    objects = at(*PLACES, id=np.full(len(PLACES), -1))
+    covariance = np.zeros((len(PLACES), 9, 9))
+    covariance[:, :3, :3] = std**2 * np.eye(3) if stated else 0.0
+    noisy = objects.with_(
+        position=objects.position + rng.normal(0.0, std, objects.position.shape),
+        size=objects.size + rng.normal(0.0, 0.15, objects.size.shape),
+        yaw=rng.normal(0.0, 0.06, len(PLACES)),
+        score=rng.uniform(0.6, 1.0, len(PLACES)),
+        covariance=covariance,
+    )
+    noisy = noisy.select(seen)
+    return noisy.select(canonical_order(noisy))
+
+
+def tracked(frame: int) -> ObjectStates:
+    """The same as a tracker shows them: never missed, with errors of 0.3 m that hardly change."""
+    objects = detected(0, 1.0, 0.3)
+    shaken = np.random.default_rng(frame).normal(0.0, 0.01, objects.position.shape)
+    return objects.with_(id=np.arange(len(objects)), position=objects.position + shaken)
+
+
+def learned(rows, frames: int = 30) -> VictimStatistics:
+    statistics = VictimStatistics()
+    for frame in range(frames):
+        statistics.observe(rows(frame), frame * PERIOD, ORIGIN)
+    return statistics
+
+
+@pytest.mark.parametrize("share", [0.6, 0.8, 0.95])
+def test_the_share_of_frames_in_which_an_object_is_missed_is_learned(share):
+    statistics = learned(lambda frame: detected(frame, share, 0.2))
+    assert statistics.share_detected(np.array([30.0]))[0] == pytest.approx(share, abs=0.05)
+
+
+def test_the_noise_of_detections_is_learned_and_is_new_in_every_frame():
+    statistics = learned(lambda frame: detected(frame, 0.9, 0.2))
+    assert statistics.std == pytest.approx((0.2, 0.15, 0.06), rel=0.15)
+    assert statistics.correlation < 0.15
+
+
+def test_tracks_are_not_missed_and_their_errors_last():
+    statistics = learned(tracked)
+    assert np.all(statistics.share_detected(np.array([5.0, 45.0])) == 1.0)
+    assert statistics.correlation > 0.9
+
+
+def test_a_gap_in_the_messages_teaches_nothing_wrong():
+    rows = {frame: detected(frame, 0.8, 0.2) for frame in (0, 1, 5, 6, 20)}
+    statistics = VictimStatistics()
+    for frame, objects in rows.items():
+        statistics.observe(objects, frame * PERIOD, ORIGIN)
+    assert statistics.std == VictimStatistics().std
+
+
+FALSE = at((10.0, 3.0), (-20.0, 5.0), (3.0, -28.0), (25.0, 20.0))
+
+
+def shown(imitation: VictimLike, rows, frames: int = 400) -> list[ObjectStates]:
+    imitation.bind(1, "scene", "adversary_1")
+    result, where = [], coverage_of(np.array([0.0, 0.0, 40.0]))
+    for frame in range(frames):
+        real = rows(frame)
+        imitation.observe(real, frame * PERIOD, ORIGIN)
+        result.append(imitation.show(frame, FALSE, real, where, where.victims[0]))
+    return result[40:]
+
+
+def test_false_detections_have_the_noise_the_misses_and_the_scores_of_real_ones():
+    some = shown(VictimLike(), lambda frame: detected(frame, 0.7, 0.25))
+    share = sum(map(len, some)) / (len(some) * len(FALSE))
+    assert share == pytest.approx(0.7, abs=0.06)
+    errors = np.concatenate([each.position - FALSE.position[each.id] for each in some])
+    assert errors.std(axis=0) == pytest.approx(0.25, rel=0.1)
+    yaw = np.concatenate([each.yaw for each in some])
+    assert yaw.std() == pytest.approx(0.06, rel=0.2)
+    scores = np.concatenate([each.score for each in some])
+    assert 0.6 <= scores.min() < 0.65
+    assert 0.95 < scores.max() <= 1.0
+
+
+def test_noise_is_there_where_detections_do_not_state_it():
+    some = shown(VictimLike(), lambda frame: detected(frame, 0.9, 0.25, stated=False))
+    errors = np.concatenate([each.position - FALSE.position[each.id] for each in some])
+    assert errors.std() == pytest.approx(0.25, rel=0.15)
+
+
+def test_false_tracks_do_not_flicker_or_shake():
+    some = shown(VictimLike(), tracked)
+    assert {len(each) for each in some} == {len(FALSE)}
+    steps = np.diff([each.position for each in some], axis=0)
+    errors = np.array([each.position - FALSE.position for each in some])
+    assert steps.std() < 0.35 * errors.std()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_false_object_inside_a_real_one_is_not_shown(seed):
+    rng = np.random.default_rng(seed)
+    real = at((10.0, 3.0), id=np.array([-1]))
+    offset, yaw = rng.uniform(-1.0, 1.0, 3) * [1.5, 0.8, 0.0], rng.uniform(-3.0, 3.0, 1)
+    false = real.with_(position=real.position + offset, yaw=yaw, id=np.array([4]))
+    where = coverage_of(np.array([0.0, 0.0, 40.0]))
+    imitation = VictimLike(misses=False, noise=False)
+    assert len(imitation.show(0, false, real, where, where.victims[0])) == 0
+    apart = false.with_(position=false.position + np.array([0.0, 12.0, 0.0]))
+    assert len(imitation.show(0, apart, real, where, where.victims[0])) == 1
+
+
+def test_exact_false_objects_have_the_covariance_and_score_of_the_victims_typical_object():
+    real = detected(0, 1.0, 0.1).select(slice(0, 3))
+    real = real.with_(score=np.array([0.6, 0.9, 0.7]), covariance=np.eye(9) * np.array([9.0, 1.0, 4.0])[:, None, None])
+    where = coverage_of(ORIGIN)
+    same = Exact().show(0, FALSE, real, where, where.victims[0])
+    assert np.array_equal(same.position, FALSE.position)
+    assert np.array_equal(same.covariance, np.tile(4.0 * np.eye(9), (4, 1, 1)))
+    assert same.score.tolist() == [0.7] * 4
+
+
+@pytest.mark.parametrize("imitation", [Exact(), VictimLike()])
+def test_false_objects_are_plausible_where_there_is_nothing_to_imitate(imitation):
+    where = coverage_of(np.array([0.0, 0.0, 40.0]))
+    added = imitation.show(0, FALSE, ObjectStates.empty(), where, where.victims[0])
+    assert len(added) > 0
+    assert np.all(np.linalg.eigvalsh(added.covariance) > 0.0)
+    assert np.all((added.score > 0.5) & (added.score <= 1.0))
+
+
+def test_false_objects_beyond_range_of_the_victim_wait():
+    selection = UncoordinatedSelection(n_false_positives=40.0, region="paper", velocity_std_mps=0.0)
+    attack = UncoordinatedAttack(start_s=0.0, selection=selection, imitation=Exact(), max_range_m=30.0)
+    attack.bind(1, "adversary_1")
+    tampering = attack.step(0, 0, detected(0, 1.0, 0.1), ORIGIN)
+    distance = np.hypot(*tampering.added.position[:, :2].T)
+    assert 0 < len(distance) < len(tampering.targets.add)
+    assert distance.max() <= 30.0

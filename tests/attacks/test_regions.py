@@ -1,0 +1,165 @@
+"""False objects are put where they could be real: in view, outside buildings and other objects, on the ego's path."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from attack_worlds import at
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.attacks import ConflictSelection, Coverage, Surroundings, UncoordinatedSelection
+from mast_zenoh.attacks.coverage import touching
+from mast_zenoh.attacks.propagation import TrajectoryPropagation
+from mast_zenoh.attacks.regions import fastest_within, path_ahead
+from mast_zenoh.states import ObjectStates, concatenate
+from mast_zenoh.streams import stream
+
+LEVEL = np.eye(3).ravel().tolist()
+#: Blocks on both sides of a street along x, 12 m wide.
+BLOCKS = [
+    [[x, y], [x + 20.0, y], [x + 20.0, y + 20.0], [x, y + 20.0]]
+    for x in (-60.0, -30.0, 10.0, 40.0)
+    for y in (6.0, -26.0)
+]
+LOOKS_EAST = dict(limits_deg=[-45.0, 45.0, -60.0, 30.0], max_range_m=80.0, mount_rotation=LEVEL)
+ALL_ROUND = dict(limits_deg=[-180.0, 180.0, -60.0, 30.0], max_range_m=80.0, mount_rotation=LEVEL)
+
+
+def pose(x: float, y: float, time_s: float = 0.0, half_turn: bool = False) -> list[float]:
+    return [time_s, x, y, 0.0, *((0.0, 0.0, 0.0, 1.0) if half_turn else (1.0, 0.0, 0.0, 0.0))]
+
+
+#: The ego drives east at 10 m/s; a pole looks east from the west end, another one west from x = 40.
+KNOWN = Surroundings(
+    agents={
+        "ego": ALL_ROUND
+        | dict(mount_position=[0.0, 0.0, 1.8], route=[pose(-40.0 + 10.0 * t, 0.0, float(t)) for t in range(9)]),
+        "infra_1": LOOKS_EAST | dict(mount_position=[0.0, 0.0, 8.0], route=[pose(-70.0, 0.0)]),
+        "infra_2": LOOKS_EAST | dict(mount_position=[0.0, 0.0, 8.0], route=[pose(40.0, 0.0, half_turn=True)]),
+    },
+    victims=("infra_1",),
+    buildings=BLOCKS,
+    building_height=[12.0] * len(BLOCKS),
+)
+TRAFFIC = at((-30.0, -2.0), (-10.0, 2.0), (15.0, -2.0), id=np.full(3, -1))
+
+
+def coverage(victim: str = "infra_1", time_s: float = 0.0, surroundings: Surroundings = KNOWN) -> Coverage:
+    sensor = surroundings.sensors[victim]
+    return Coverage(surroundings, (sensor.view(*sensor.route.at(time_s)),), time_s)
+
+
+def false_objects(region: str, seed: int, where: Coverage, n: float = 6.0) -> ObjectStates:
+    selection = UncoordinatedSelection(n_false_positives=n, region=region)
+    return selection.select(TRAFFIC, where, stream(seed)).add
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(["in_view", "ego_path", "victim_only"]), st.integers(0, 10_000))
+def test_false_objects_are_in_view_and_never_in_a_building_or_another_object(region, seed):
+    where = coverage()
+    false = false_objects(region, seed, where)
+    assert where.seen(false, TRAFFIC, where.victims[0]).all()
+    assert not KNOWN.inside_buildings(false.position).any()
+    assert not touching(false, TRAFFIC).any()
+    for k in range(len(false)):
+        assert not touching(false.select(slice(k, k + 1)), false.select(np.arange(len(false)) != k)).any()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.sampled_from(["in_view", "victim_only"]), st.integers(0, 10_000))
+def test_their_way_ends_before_a_building(region, seed):
+    false, model = false_objects(region, seed, coverage()), TrajectoryPropagation()
+    for k in range(200):
+        false = model.advance(false, 0.1, k * 0.1, stream(0))
+    assert np.all(false.velocity == 0.0)
+    assert not KNOWN.inside_buildings(false.position).any()
+
+
+def test_the_papers_distribution_knows_neither_views_nor_buildings():
+    false = concatenate([false_objects("paper", seed, coverage()) for seed in range(60)])
+    where = coverage()
+    assert where.seen(false, ObjectStates.empty(), where.victims[0]).mean() < 0.5
+    assert KNOWN.inside_buildings(false.position).any()
+
+
+def test_on_the_egos_path_they_are_ahead_of_it_in_its_lane_and_slower():
+    where = coverage(time_s=2.0)  # the ego is at x = -20
+    false = concatenate([false_objects("ego_path", seed, where) for seed in range(20)])
+    assert len(false) > 20
+    ahead = false.position[:, 0] + 20.0
+    assert np.all((ahead >= 10.0) & (ahead <= 60.0))
+    assert np.all(np.abs(false.position[:, 1]) <= 1.75)
+    assert np.all(np.hypot(*false.velocity[:, :2].T) <= 0.5 * 10.0 + 1e-9)
+    assert np.allclose(false.yaw, 0.0)
+
+
+def test_what_only_the_victim_sees_no_other_known_sensor_covers():
+    where = coverage(time_s=8.0)  # the ego has gone to x = 40
+    false = concatenate([false_objects("victim_only", seed, where) for seed in range(40)])
+    boxes = np.concatenate([false.position, false.size], axis=1)
+    for view in where.others():
+        assert not where.visible(view, boxes).any()
+
+
+def test_a_place_that_cannot_be_found_is_left_out():
+    walled_in = Surroundings(
+        agents={"infra_1": LOOKS_EAST | dict(mount_position=[0.0, 0.0, 2.0], route=[pose(0.0, 0.0)])},
+        victims=("infra_1",),
+        buildings=[[[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]]],
+        building_height=[20.0],
+    )
+    assert len(false_objects("in_view", 1, coverage(surroundings=walled_in), 30.0)) == 0
+
+
+def test_the_speed_is_what_the_way_allows():
+    speed = fastest_within(np.array([0.0, 10.0, 100.0]))
+    assert np.allclose(speed * 10.0 + speed**2 / 6.0, [0.0, 10.0, 100.0])
+
+
+def test_behind_the_end_of_its_route_the_ego_goes_straight_on():
+    path = path_ahead(coverage(time_s=8.0))
+    assert path is not None
+    place, yaw = path.at(np.array([30.0]))
+    assert place.tolist() == [[70.0, 0.0]]
+    assert yaw.tolist() == [0.0]
+
+
+def test_walls_hide_what_is_behind_and_not_what_is_above_or_in_front():
+    eye = np.array([20.0, -4.0, 2.0])
+    places = np.array([[20.0, 40.0, 1.0], [20.0, 40.0, 60.0], [20.0, 4.0, 1.0]])
+    assert KNOWN.behind_walls(eye, places).tolist() == [True, False, False]
+
+
+# The object that matters most
+
+
+def moving(*states: tuple[float, float, float, float]) -> ObjectStates:
+    table = np.array(states)
+    return at(*map(tuple, table[:, :2])).with_(velocity=np.column_stack([table[:, 2:], np.zeros(len(table))]))
+
+
+def chosen(selection: ConflictSelection, objects: ObjectStates) -> list[list[float]]:
+    return selection.select(objects, coverage("ego"), stream(0)).remove.position[:, :2].tolist()
+
+
+def test_the_object_that_comes_nearest_to_the_ego_is_hidden_and_never_the_ego_itself():
+    objects = moving((-40.0, 0.5, 10.0, 0.0), (0.0, 3.0, 0.0, 0.0), (-30.0, -5.0, -10.0, 0.0))
+    assert chosen(ConflictSelection(unseen_by_ego=False), objects) == [[0.0, 3.0]]
+
+
+def test_an_object_behind_a_corner_is_hidden_before_one_that_the_ego_sees():
+    objects = moving((0.0, 3.0, 0.0, 0.0), (0.0, 40.0, 0.0, -4.0))
+    assert chosen(ConflictSelection(), objects) == [[0.0, 40.0]]
+
+
+def test_a_place_can_be_named_instead():
+    objects = moving((0.0, 3.0, 0.0, 0.0), (0.0, 40.0, 0.0, -4.0), (30.0, 2.0, 0.0, 0.0))
+    assert chosen(ConflictSelection(near=(29.0, 0.0)), objects) == [[30.0, 2.0]]
+
+
+@pytest.mark.parametrize("arguments", [{"n_objects": 0}, {"horizon_s": 0.0}])
+def test_senseless_values_are_refused(arguments):
+    with pytest.raises(ValueError, match=next(iter(arguments))):
+        ConflictSelection(**arguments)
