@@ -137,6 +137,11 @@ class Overheard:
         """Raise MessageError wherever a subscriber of the key would refuse the message."""
         _ = self.header, self.body
 
+    @property
+    def encoded(self) -> bool:
+        """Whether it came as bytes, so that its columns are views that keep all of it alive."""
+        return isinstance(self._content, bytes)
+
     def same_bytes(self, other: Overheard) -> bool:
         """Whether both are known to be the same bytes. In one process messages are not encoded to find that out: there
         it is whether both are the same message, passed on without having been made anew."""

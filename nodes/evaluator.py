@@ -8,7 +8,7 @@ what they received. What it returns becomes metrics.json and the tables of the r
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -66,6 +66,8 @@ class Evaluator(Node):
         )
         self.heard = Heard(Record(agents))
         self.routes: dict[str, Route] = {}
+        self.takes: dict[str, Callable[[Overheard, Route], None]] = {}
+        self.metered: set[str] = set()
         self.recent: dict[str, deque[tuple[Overheard, Snapshot]]] = defaultdict(partial(deque, maxlen=REMEMBERED))
 
     def start(self, context: Context) -> None:
@@ -90,14 +92,18 @@ class Evaluator(Node):
         wiring = context.wiring
         self.heard.meter.follow(wiring, first_frame)
         self.routes = routes(wiring, self.agents)
-        context.ignore(set(wiring.keys()) - self.routes.keys() - self.heard.meter.keys())
+        self.takes = {key: getattr(self, route.take) for key, route in self.routes.items()}
+        self.metered = set(self.heard.meter.keys())
+        context.ignore(set(wiring.keys()) - self.routes.keys() - self.metered)
 
     def on_everything(self, message: Overheard, context: Context) -> None:
         """A message on any key. One that its subscribers refuse is no estimate; to the meter it is an effect."""
-        self.heard.meter.add(message)
-        route = self.routes.get(message.key)
-        if route is not None:
-            getattr(self, route.take)(message, route)
+        key = message.key
+        if key in self.metered:
+            self.heard.meter.add(message)
+        if key in self.routes:
+            route = self.routes[key]
+            self.takes[key](message, route)
 
     def take_clock(self, message: Overheard, route: Route) -> None:
         """A frame begins."""
@@ -137,13 +143,16 @@ class Evaluator(Node):
         objects = None
         if route.wire:
             recent = self.recent[route.wire]
-            objects = next((kept for other, kept in recent if other.same_bytes(message)), None)
+            for other, kept in recent:
+                if other.same_bytes(message):
+                    objects = kept
+                    break
         if objects is None:
             body = message.body
             states = ObjectStates.from_columns(body)
             if "origin" in body:
                 states = states_to_world(states, body["origin"], body["rotation"])
-            objects = Snapshot.of(states)
+            objects = Snapshot.of(states, views=message.encoded)
             if route.wire:
                 recent.append((message, objects))
         self.heard.record.add(message.header.frame, route.series, objects, message.step)

@@ -2,12 +2,15 @@
 
 from baseline import scenario as baseline
 
+from mast_zenoh.scenario import victims_of
+
 
 def scenario(
     n_adversaries=2,
     false_positives=5.0,
     fraction_false_negatives=0.2,
     fraction_translations=0.0,
+    region="in_view",
     attack_start_s=4.0,
     reselect_every_s=20.0,
     scene="intersection",
@@ -16,15 +19,17 @@ def scenario(
     n_mobile=None,
 ):
     """As `uncoordinated`; reselect_every_s: how often the coordinator makes a new plan."""
-    return baseline(scene, scene_index, n_infrastructure, n_mobile) | dict(
+    attack = dict(
+        type="CoordinatedAttack",
+        start_s=attack_start_s,
+        imitation=dict(type="Exact" if region == "paper" else "VictimLike"),
+    )
+    unattacked = baseline(scene, scene_index, n_infrastructure, n_mobile)
+    return unattacked | dict(
         name="coordinated",
         adversaries={
-            f"adversary_{i}": dict(
-                type="Adversary",
-                agent=f"infra_{i}",
-                attack=dict(type="CoordinatedAttack", start_s=attack_start_s),
-            )
-            for i in range(1, n_adversaries + 1)
+            f"adversary_{i}": dict(type="Adversary", agent=agent, attack=attack)
+            for i, agent in enumerate(victims_of(unattacked["scene"], n_adversaries), 1)
         },
         coordinator=dict(
             coordination=dict(
@@ -34,6 +39,7 @@ def scenario(
                 selection=dict(
                     type="CoordinatedSelection",
                     n_false_positives=false_positives,
+                    region=region,
                     fraction_false_negatives=fraction_false_negatives,
                     fraction_translations=fraction_translations,
                 ),

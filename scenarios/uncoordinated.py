@@ -2,13 +2,17 @@
 
 from baseline import scenario as baseline
 
+from mast_zenoh.scenario import victims_of
+
 
 def scenario(
     n_adversaries=2,
     false_positives=5.0,
     fraction_false_negatives=0.2,
     fraction_translations=0.0,
+    region="in_view",
     attack_start_s=4.0,
+    reselect_every_s=20.0,
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,
@@ -16,24 +20,32 @@ def scenario(
 ):
     """n_adversaries: agents compromised; false_positives: mean number added by each (Poisson);
 
-    fraction_…: of the agent's objects that vanish, or are moved; attack_start_s: when it begins, in scene time.
+    fraction_…: of the agent's objects that vanish, or are moved;
+
+    region: where false objects are put: in_view, ego_path, victim_only, or paper (about the agent, no noise);
+
+    attack_start_s: when it begins, in scene time; reselect_every_s: how often each chooses new targets.
     """
     attack = dict(
         type="UncoordinatedAttack",
         start_s=attack_start_s,
+        reselect_every_s=reselect_every_s,
+        imitation=dict(type="Exact" if region == "paper" else "VictimLike"),
         selection=dict(
             type="UncoordinatedSelection",
             n_false_positives=false_positives,
+            region=region,
             fraction_false_negatives=fraction_false_negatives,
             fraction_translations=fraction_translations,
         ),
         propagation=dict(type="TrajectoryPropagation"),
     )
-    return baseline(scene, scene_index, n_infrastructure, n_mobile) | dict(
+    unattacked = baseline(scene, scene_index, n_infrastructure, n_mobile)
+    return unattacked | dict(
         name="uncoordinated",
         adversaries={
-            f"adversary_{i}": dict(type="Adversary", agent=f"infra_{i}", attack=attack)
-            for i in range(1, n_adversaries + 1)
+            f"adversary_{i}": dict(type="Adversary", agent=agent, attack=attack)
+            for i, agent in enumerate(victims_of(unattacked["scene"], n_adversaries), 1)
         },
         keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml"]),
     )

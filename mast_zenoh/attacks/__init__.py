@@ -4,6 +4,7 @@
     coverage      where false objects could be real
     regions       where they are put
     selection     what to insert, hide and move
+    conflict      which object matters most
     clusters      what several adversaries see, one row per object
     propagation   how false objects move
     campaign      selection and propagation over time
@@ -19,6 +20,7 @@ Everything is in the world frame; nodes convert. See docs/attacks.md.
 
 from mast_zenoh.attacks.adversary import Attack, CoordinatedAttack, PassThrough, UncoordinatedAttack
 from mast_zenoh.attacks.application import apply
+from mast_zenoh.attacks.conflict import ConflictSelection
 from mast_zenoh.attacks.coordination import Coordination, Coordinator
 from mast_zenoh.attacks.coverage import Coverage, coverage_of
 from mast_zenoh.attacks.imitation import Exact, Imitation, VictimLike
@@ -31,6 +33,7 @@ __all__ = [
     "ACTIONS",
     "Attack",
     "Changes",
+    "ConflictSelection",
     "CoordinatedAttack",
     "CoordinatedSelection",
     "Coordination",

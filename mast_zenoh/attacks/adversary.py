@@ -25,6 +25,8 @@ from mast_zenoh.tracking.view import SensorView
 ATTACH_M = 2.5
 #: m; a target that an adversary has chosen itself is at its object.
 OWN_TARGET_M = 0.1
+#: Messages in which an object must have been seen to be a target.
+ESTABLISHED = 3
 #: s, for how long objects are followed before the attack begins, so that their velocities are known.
 LEAD_S = 1.0
 
@@ -213,7 +215,7 @@ class UncoordinatedAttack(_TargetedAttack):
     ) -> Targets | None:
         view = self._selection.view(seen)
         if self._campaign.due(time_ns):
-            view = view.select(self._follower.established())
+            view = view.select(self._follower.established(ESTABLISHED))
         return self._campaign.begin(frame, time_ns, view, coverage)
 
     def _hold(self, targets: Targets, time_ns: int) -> None:

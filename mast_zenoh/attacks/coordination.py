@@ -19,6 +19,9 @@ from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.tracking.view import SensorView
 
+#: Frames in which an object must have been reported to be a target.
+ESTABLISHED = 10
+
 
 class Coordination(ABC):
     """Tells adversaries, every frame, what to do in the next."""
@@ -97,7 +100,8 @@ class Coordinator(Coordination):
         coverage = Coverage(self._surroundings, views, time_ns / NANOSECONDS)
         # The members of a cluster change, and with them its id: it says nothing.
         self._follower.observe(view.with_(id=np.full(len(view), -1, np.int64)), time_ns)
-        targets = self._campaign.begin(frame, time_ns, view, coverage)
+        candidates = view.select(self._follower.established(ESTABLISHED)) if self._campaign.due(time_ns) else view
+        targets = self._campaign.begin(frame, time_ns, candidates, coverage)
         if targets is None:
             return (Targets.empty(time_ns),) * len(agent_positions)
         both = concatenate([targets.remove, targets.move])

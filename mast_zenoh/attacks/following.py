@@ -26,16 +26,17 @@ GATE_M, GATE_GROWTH_MPS = 1.5, 3.0
 FASTEST_MPS = 20.0
 #: s, after which an object that is no target is forgotten; and one that was seen only once.
 FORGOTTEN_S, CLUTTER_S = 1.0, 0.35
-#: m; a row with the id of a track is that track unless it is farther from it than this.
-SAME_ID_M = 8.0
+#: m; a row with the id of a track is that track unless it is farther from it than this: the victim's tracker mixes up
+#: neighbours at times.
+SAME_ID_M = 2.5
 #: Least gains of the filter: position, velocity.
 LEAST_GAINS = 0.5, 0.15
 LIMITS = (GATE_M, GATE_GROWTH_MPS, FASTEST_MPS, FORGOTTEN_S, CLUTTER_S, SAME_ID_M, *LEAST_GAINS)
 
 #: s; a track is new for so long: it may be the object of a target that this victim did not see before.
 NEW_S = 0.5
-#: Messages in which an object must have been seen to be a target.
-ESTABLISHED = 3
+#: m; no two road users have their middles so near each other.
+SAME_PLACE_M = 1.0
 
 
 class Follower:
@@ -66,7 +67,7 @@ class Follower:
         """The targets where their objects are, and (k,) the row of the newest message that each is; -1: not seen.
 
         A target that has no object yet takes the nearest one within `attach_m` m that is no other's: any object when
-        the target is asked for the first time, afterwards only one that has just appeared.
+        the target is asked for the first time, afterwards only one that has just appeared, or is at the same place.
         """
         numbers = targets.id
         track = np.full(len(numbers), -1, np.int64)
@@ -86,10 +87,10 @@ class Follower:
         position[held], velocity[held] = mine[:, PLACE], mine[:, VELOCITY]
         return targets.with_(position=position, velocity=velocity), row
 
-    def established(self) -> Bools:
-        """(n,) which rows of the newest message are of objects seen before: clutter does not last."""
+    def established(self, messages: int) -> Bools:
+        """(n,) which rows of the newest message are of objects seen in so many messages: clutter does not last."""
         tracks = self._tracks
-        rows = tracks[(tracks[:, ROW] >= 0) & (tracks[:, HITS] >= min(ESTABLISHED, self._messages)), ROW]
+        rows = tracks[(tracks[:, ROW] >= 0) & (tracks[:, HITS] >= min(messages, self._messages)), ROW]
         result = np.zeros(len(self._objects), bool)
         result[rows.astype(np.int64)] = True
         return result
@@ -107,8 +108,9 @@ class Follower:
         there = self._objects.position[self._tracks[free, ROW].astype(np.int64)]
         i, j, dx, dy = neighbours(targets.position[loose], there, np.full(len(loose), attach_m, np.float64))
         new = self._tracks[free[j], AGE] <= NEW_S
-        allowed = (~asked[i] | new).nonzero()[0]
-        i, j, cost = i[allowed], j[allowed], (dx * dx + dy * dy)[allowed]
+        cost = dx * dx + dy * dy
+        allowed = (~asked[i] | new | (cost < SAME_PLACE_M**2)).nonzero()[0]
+        i, j, cost = i[allowed], j[allowed], cost[allowed]
         chosen = greedy(i, j, cost)
         track[loose[i[chosen]]] = free[j[chosen]]
         self._tracks[free[j[chosen]], TARGET] = targets.id[loose[i[chosen]]]

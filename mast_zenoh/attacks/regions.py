@@ -262,9 +262,10 @@ class Path:
 
 def path_ahead(coverage: Coverage) -> Path | None:
     """The ego's path from where its route has it at this time, and straight on behind its end; None if unknown."""
-    route = coverage.surroundings.ego_route
-    if route is None:
+    ego = coverage.surroundings.ego_sensor
+    if ego is None:
         return None
+    route = ego.route
     here, _ = route.at(coverage.time_s)
     soon, _ = route.at(coverage.time_s + 1.0)
     later = route.position[route.time_s > coverage.time_s + 1e-9]

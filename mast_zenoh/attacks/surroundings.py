@@ -118,9 +118,9 @@ class Surroundings:
         self._first_wall = np.cumsum([0, *map(len, outlines)])[:-1].astype(np.int64)
 
     @property
-    def ego_route(self) -> Route | None:
-        """The route of the first agent; None if no agent is known."""
-        return next((sensor.route for sensor in self.sensors.values()), None)
+    def ego_sensor(self) -> AgentSensor | None:
+        """The sensor and the route of the ego, which is the first agent; None if no agent is known."""
+        return next(iter(self.sensors.values()), None)
 
     def view(self, agent: str, position: Floats, rotation: Floats) -> SensorView:
         """What the sensor of an agent with this pose covers: (3,) m, (3, 3)."""

@@ -145,16 +145,15 @@ def _judge(
     known[others] = at >= 0
     others, row = others[at >= 0], rows[at[at >= 0]]
     missed = judged.outcome[row] == MISSED
-    error[others] = _error(scores, row)
+    error[others] = _error(scores, row, np.flatnonzero(inside & judged.is_track & (judged.outcome == MATCHED)))
     off = np.isin(done.kind[others], (MOVED, ALTERED)) & (np.nan_to_num(error[others]) > DISPLACED_M)
     believed[others] = missed | off
     return believed, known, error
 
 
-def _error(scores: Scores, rows: Ints) -> Floats:
-    """(n,) m: bird's-eye distance from truth rows of `scores.judged` to the tracks matched with them; NaN without."""
+def _error(scores: Scores, rows: Ints, tracks: Ints) -> Floats:
+    """(n,) m: bird's-eye distance from truth rows of `scores.judged` to those of matched tracks; NaN without."""
     judged, error = scores.judged, np.full(len(rows), np.nan)
-    tracks = judged.rows(MATCHED, tracks=True)
     wanted = judged.series[rows], judged.frame[rows], judged.match_id[rows]
     at = find(wanted, (judged.series[tracks], judged.frame[tracks], judged.id[tracks]))
     hit = (at >= 0) & (judged.outcome[rows] == MATCHED)

@@ -172,6 +172,8 @@ class _Case:
         for later in (False, True):
             found = t.adjacent(cause >= 0, (cause >= 0) | (t.outcome == MATCHED), self.coast, later=later)
             filled = (false & (cause < 0) & (found >= 0)).nonzero()[0]
+            if later:  # nothing is due to what began after it
+                filled = filled[t.frame[filled] >= self._begun(t.series[filled], by[found[filled]])]
             cause[filled], by[filled] = cause[found[filled]], by[found[filled]]
         # A track of a real object that is being hidden, moved or altered goes astray.
         matched = t.outcome == MATCHED
@@ -180,6 +182,22 @@ class _Case:
         lone, last = lone[last >= 0], last[last >= 0]
         self._blame_hiding(t.match[last], t.frame[lone], t.series[lone], lone, cause, by)
         return cause, by
+
+    def _begun(self, series: Ints, by: Bools) -> Ints:
+        """(n,) frame in which the first of some culprits (n, c) first showed an object that can be seen in a series.
+
+        Where there is no culprit: the first of all links.
+        """
+        done = self.done
+        begun = np.full((len(done.culprits) + 1, len(self.scores.series)), self.span)  # links come last
+        shows = np.isin(done.kind, (INSERTED, MOVED))
+        for culprit in range(-1, len(done.culprits)):
+            rows = (shows & (done.culprit == culprit)).nonzero()[0]
+            if len(rows):
+                frame = np.where(done.reach[done.passage[rows]], done.frame[rows, None], self.span)
+                begun[culprit] = frame.min(axis=0)
+        whose = np.column_stack([by, ~by.any(axis=1)])
+        return np.asarray(np.where(whose, begun[:, series].T, self.span).min(axis=1))
 
     def _blame_hiding(self, truth_id: Ints, frame: Ints, series: Ints, rows: Ints, cause: Ints, by: Bools) -> None:
         """Set cause and culprits of `rows`, which are about these objects, where these were hidden lately."""
@@ -192,11 +210,12 @@ class _Case:
 
     def _natural_tracks(self, false: Bools, cause: Ints) -> None:
         """Causes of the false tracks that nobody shows."""
-        t, u, how = self.tracks, self._all_truths(), self.how
+        t, how = self.tracks, self.how
         matched = t.outcome == MATCHED
         lone = (false & (cause < 0)).nonzero()[0]
         if not len(lone):
             return
+        u = self._truths_beside(t.row[lone])
         last = t.adjacent(matched, matched, self.coast)[lone]
         places = t.places(lone)
         everything = Places(self.truth_frame, self.truth.boxes.position)
@@ -220,13 +239,13 @@ class _Case:
         cut = np.isin(cause[lone], (LAG, DUPLICATE)) & ~self.own[t.series[lone]] & self.severed.has(of, t.frame[lone])
         cause[lone[cut]] = FAULT
 
-    def _all_truths(self) -> Histories:
-        """The truth rows of all series in which there is a false track, in no particular order."""
+    def _truths_beside(self, rows: Ints) -> Histories:
+        """The truth rows of the series and frames of some rows of `scores.judged`."""
         judged = self.scores.judged
-        involved = np.zeros(len(self.scores.series), bool)
-        involved[self.tracks.series] = True
-        rows = np.flatnonzero(~judged.is_track & involved[judged.series])
-        return Histories.of(self.scores, rows, self.span)
+        group = judged.boxes.group
+        involved = np.zeros(int(group.max(initial=0)) + 1, bool)
+        involved[group[rows]] = True
+        return Histories.of(self.scores, np.flatnonzero(~judged.is_track & involved[group]), self.span)
 
     def _missed(self, missed: Bools, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the missed objects."""

@@ -85,14 +85,11 @@ class Hidden:
             yield code, culprit, same & reach[series]
 
 
-def joined(names: Sequence[str], by: Bools) -> NDArray[np.str_]:
-    """(n,) the names in each row of (n, a), joined by "+"."""
+def joined(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
+    """(n,) str, the names in each row of (n, a), joined by "+"."""
+    result = np.full(len(by), "", object)
     some = np.flatnonzero(by.any(axis=1))
-    kind = np.zeros(len(some), np.int64)
-    first = np.zeros(0, np.int64)
-    for column in by[some].T:
-        _, first, kind = np.unique(2 * kind + column, return_index=True, return_inverse=True)
-    words = ["+".join(name for name, mine in zip(names, each, strict=True) if mine) for each in by[some[first]]]
-    result = np.zeros(len(by), dtype=f"<U{max(map(len, words), default=1)}")
-    result[some] = np.array(words or [""])[kind]
+    rows, kind = np.unique(by[some], axis=0, return_inverse=True) if len(some) else (by[:0], some)
+    words = ["+".join(name for name, mine in zip(names, row, strict=True) if mine) for row in rows.tolist()]
+    result[some] = np.array([*words, ""], object)[kind.ravel()]
     return result

@@ -115,9 +115,14 @@ def _beside(objects: Objects, path: Floats, along: Floats, here: Floats) -> tupl
     )
     coming = along[point] >= here[objects.frame[row]] - _STEP_M
     row, point = row[coming], point[coming]
-    apart = np.hypot(*(objects.position[row, :2] - path[point]).T)
-    order = np.lexsort((apart, row))
-    first = order[np.diff(row[order], prepend=-1) != 0]
+    if not len(row):
+        return row, point
+    offset = objects.position[row, :2] - path[point]
+    apart = np.einsum("ij,ij->i", offset, offset)
+    start = np.diff(row, prepend=-1) != 0  # the pairs come by row
+    nearest = apart == np.minimum.reduceat(apart, start.nonzero()[0])[np.cumsum(start) - 1]
+    row, point = row[nearest], point[nearest]
+    first = np.diff(row, prepend=-1) != 0
     return row[first], point[first]
 
 

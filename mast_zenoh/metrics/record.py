@@ -68,7 +68,7 @@ class TrackTable:
 
 
 class Snapshot(NamedTuple):
-    """What metrics need of the objects of one message: copies, for the arrays of a message keep all of it alive.
+    """What metrics need of the objects of one message.
 
     id (n,) int64, position (n, 3) m, size (n, 3) m, yaw (n,) rad, velocity (n, 3) m/s, score (n,); world frame
     """
@@ -81,9 +81,10 @@ class Snapshot(NamedTuple):
     score: Floats
 
     @classmethod
-    def of(cls, states: ObjectStates) -> Snapshot:
-        """The snapshot of states."""
-        return cls(*[column.copy() for column in _columns_kept(states)])
+    def of(cls, states: ObjectStates, *, views: bool = False) -> Snapshot:
+        """The snapshot of states; views: their columns are views of something larger, which is not to be kept alive."""
+        columns = _columns_kept(states)
+        return cls(*([column.copy() for column in columns] if views else columns))
 
 
 _columns_kept = attrgetter(*Snapshot._fields)
@@ -119,7 +120,8 @@ class Record:
         ):
             if array.shape != expected:
                 raise ValueError(f"truth of frame {frame}, {name}: found shape {array.shape}, expected {expected}")
-        self._truth[frame] = (Snapshot.of(objects), points.copy(), agent_position.copy(), agent_object.copy())
+        boxes = Snapshot.of(objects, views=True)
+        self._truth[frame] = (boxes, points.copy(), agent_position.copy(), agent_object.copy())
 
     def add(self, frame: int, series: Sequence[Series], objects: Snapshot, step: int | None = None) -> None:
         """An estimate of a frame, which belongs to several series: it is scored only once.

@@ -15,7 +15,7 @@ from mast_zenoh.states import Bools, Floats, Ints
 
 #: A table: one array per column, all of one length.
 Table = dict[str, NDArray[Any]]
-Texts = NDArray[np.str_]
+Texts = NDArray[Any]  # of str
 
 #: The columns of the table per frame, and what else a summary holds of an estimate.
 COLUMNS = (
@@ -80,10 +80,6 @@ class Judged(NamedTuple):
     def id(self) -> Ints:
         """(n,) of the boxes."""
         return self.boxes.id
-
-    def rows(self, outcome: int, *, tracks: bool) -> Ints:
-        """The rows of tracks, or of truth objects, with an outcome."""
-        return np.flatnonzero((self.outcome == outcome) & (self.is_track == tracks))
 
 
 class Switches(NamedTuple):

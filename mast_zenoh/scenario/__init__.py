@@ -10,7 +10,7 @@
 What comes of it is in `mast_zenoh.resolved`: processes get that as JSON, never the Python file.
 """
 
-from mast_zenoh.scenario.reading import agents_of, choose_scene, load
+from mast_zenoh.scenario.reading import agents_of, choose_scene, load, victims_of
 from mast_zenoh.scenario.resolution import resolve
 from mast_zenoh.scenario.shape import MODES, RUN_DEFAULTS
 
@@ -21,4 +21,5 @@ __all__ = [
     "choose_scene",
     "load",
     "resolve",
+    "victims_of",
 ]

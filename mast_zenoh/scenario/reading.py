@@ -44,6 +44,19 @@ def agents_of(scene: str | Mapping[str, Any]) -> tuple[str, ...]:
     return scenes.prepare(built, 0, 1, json.dumps(spec, sort_keys=True)).agent_names
 
 
+def victims_of(scene: str | Mapping[str, Any], count: int) -> tuple[str, ...]:
+    """The names of `count` agents for adversaries: those that stand still first, never the ego.
+
+    Raises ConfigurationError if the scene has fewer.
+    """
+    others = agents_of(scene)[1:]
+    standing = [name for name in others if name.startswith("infra")]
+    victims = (*standing, *(name for name in others if name not in standing))
+    if not 0 <= count <= len(victims):
+        raise ConfigurationError(f"n_adversaries: found {count}, expected 0 to {len(victims)}: {', '.join(victims)}")
+    return victims[:count]
+
+
 def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]:
     """(file, scenario dict) of a scenario file, under settings `key=value` as given to `--set`.
 

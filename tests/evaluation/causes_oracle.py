@@ -78,11 +78,11 @@ class Causes:
         )
 
     def active(self, row: Row) -> set[str]:
-        """The interposers that can have caused an error of a frame: that did something within 8 s, where it reaches."""
+        """The interposers that can have caused an error: active in the 8 s before, where it reaches the estimate."""
         return {
             attack["interposer"]
             for attack in self.attacks
-            if abs(attack["frame"] - row["frame"]) <= 2 * COAST and reaches(attack, row["agent"], row["estimator"])
+            if 0 <= row["frame"] - attack["frame"] <= 2 * COAST and reaches(attack, row["agent"], row["estimator"])
         }
 
     def natural_track(self, row: Row) -> str:

@@ -21,6 +21,7 @@ from mast_zenoh.geometry import rotation_from_quaternion
 from mast_zenoh.messagelog.reader import read
 
 RANGE_M, GATE_M, MIN_POINTS = 100.0, 2.0, 5
+HELD = 5  # frames: 0.5 s, for which an agent goes on with a picture
 #: An estimate: agent and estimator.
 Series = tuple[str, str]
 #: Objects by id: x and y, m, world frame.
@@ -51,6 +52,7 @@ def frames_of(folder: Path) -> dict[Series, list[Frame]]:
     publisher = {leg["key"]: wire["publisher"] for wire in wires for leg in wire["legs"]}
     truths: dict[int, Any] = {}
     believed: dict[Series, dict[int, Objects]] = defaultdict(dict)
+    arrived: dict[str, list[tuple[int, int, Objects]]] = defaultdict(list)  # by agent: step, frame, picture
     for message in read(folder):
         if message.key != "scene/truth" and message.key not in takes:
             continue
@@ -64,7 +66,16 @@ def frames_of(folder: Path) -> dict[Series, list[Frame]]:
             truths[header.frame] = body
             continue
         for series in takes[message.key]:
-            believed[series].setdefault(header.frame, _world(body))
+            objects = believed[series].setdefault(header.frame, _world(body))
+            if series[1] == "picture_received":
+                arrived[series[0]].append((message.step, header.frame, objects))
+    for agent, pictures in arrived.items():
+        held = believed[agent, "picture_on_arrival"]
+        for now in truths:
+            there = [(frame, objects) for step, frame, objects in pictures if step <= now]
+            newest = max(there, key=lambda each: each[0], default=None)
+            if newest is not None and now - newest[0] <= HELD:
+                held[now] = newest[1]
     agents = list(truths[0]["agents"])
     result = {}
     for agent, estimator in believed:

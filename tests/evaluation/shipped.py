@@ -22,6 +22,7 @@ VARIANTS: dict[str, list[tuple[str, ...]]] = {
     ],
     "attack_during_partition": [("partition_s=1.0", "partition_until_s=2.0", "kill_s=2.4", "restart_after_s=0.6")],
     "two_hosts": [("partition_s=0", "run.mode=lockstep")],
+    "hide_object": [("attack_start_s=1.5",)],  # it chooses its target once, when there must be tracks
     "rogue": [("run.mode=lockstep", "run.record=True")],
 }
 
@@ -31,11 +32,17 @@ def every() -> list[tuple[str, ...]]:
     found = []
     for path in sorted((bundle.ROOT / "scenarios").glob("*.py")):
         parameters = inspect.signature(loading.function("scenarios", path.stem, "scenario")[1]).parameters
-        early = ("attack_start_s=0.5",) if "attack_start_s" in parameters else ()
-        found += [(path.stem, *early, *more) for more in VARIANTS.get(path.stem, [()])]
+        for more in VARIANTS.get(path.stem, [()]):
+            own_start = any(setting.startswith("attack_start_s=") for setting in more)
+            early = ("attack_start_s=0.5",) if "attack_start_s" in parameters and not own_start else ()
+            found.append((path.stem, *early, *more))
     return found
 
 
 def label(variant: Any) -> str:
     """What a test of a variant is called."""
     return "-".join(word.rpartition("=")[2] for word in variant if "." not in word.partition("=")[0])
+
+
+#: Scenarios in which no interposer changes anything.
+HARMLESS = ("baseline", "passthrough", "two_hosts")

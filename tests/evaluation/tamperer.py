@@ -74,8 +74,11 @@ def changed(body, rng: np.random.Generator, rate: float, frame: int):
     rows["position"][moved] += rng.normal(0.0, 4.0, (moved.sum(), 3))
     scored = ~moved & (rng.random(n) < rate)
     rows["score"][scored] *= 0.5
+    replaced = ~moved & ~scored & (rng.random(n) < rate)
+    rows["position"][replaced] += rng.normal(0.0, 0.3, (replaced.sum(), 3))
+    rows["size"][replaced] *= 1.1
     if "id" in rows:
-        renamed = ~moved & ~scored & (rng.random(n) < rate)
+        renamed = ~moved & ~scored & ~replaced & (rng.random(n) < rate)
         rows["id"][renamed] += 5000
     keep = rng.random(n) >= rate
     rows = {name: column[keep] for name, column in rows.items()}

@@ -9,7 +9,15 @@ from achievement_oracle import Run, Target, rows, summary
 from played import Played
 from shipped import every, label
 
-ATTACKED = ("uncoordinated", "coordinated", "realistic_network", "attack_during_partition", "rogue")
+ATTACKED = (
+    "uncoordinated",
+    "coordinated",
+    "realistic_network",
+    "attack_during_partition",
+    "rogue",
+    "downlink",
+    "hide_object",
+)
 VARIANTS = [variant for variant in every() if variant[0] in ATTACKED]
 
 

@@ -9,7 +9,7 @@ import pytest
 from played import Played
 from scoring_oracle import Row, Series, by_loop, by_motmetrics, frames_of
 
-ESTIMATORS = {"local", "received", "picture", "picture_received", "mission"}
+ESTIMATORS = {"local", "received", "picture", "picture_received", "picture_on_arrival", "mission"}
 
 
 def assert_equal(played: Played, scores: dict[Series, list[Row]]) -> None:

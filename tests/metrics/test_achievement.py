@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from measured import PERIOD_S, Row, effects, labelled
 from metric_oracles import cars
@@ -46,6 +46,9 @@ THERE, GONE = cars(CAR, id=[5]), ObjectStates.empty()
 FRAMES = 40
 
 
+@example(tried=set(range(20)), missed=set(range(10)))
+@example(tried=set(range(19)), missed=set(range(10)))
+@example(tried=set(range(9)), missed=set(range(9)))
 @given(tried=st.sets(st.integers(0, FRAMES - 1), min_size=1), missed=st.sets(st.integers(0, FRAMES - 1)))
 def test_an_object_is_hidden_when_missed_for_a_second_and_in_most_frames_in_which_it_was_tried(
     tried: set[int], missed: set[int]

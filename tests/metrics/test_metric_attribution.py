@@ -80,6 +80,17 @@ def test_a_false_track_stays_its_adversarys_while_it_coasts_on_after_the_lie_has
     assert causes(table) == [(frame, "track", "inserted", "eve") for frame in range(30)]
 
 
+def test_a_false_track_from_before_the_first_lie_is_natural_until_then() -> None:
+    """A track of clutter stands at 40 m; from frame 5 on the adversary shows an object there."""
+    lies = [("eve", frame, "inserted", 3, (40.0, 0.0), (0.0, 0.0)) for frame in range(5, 10)]
+    picture = [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])] * 10
+    found = causes(seen([CAR] * 10, picture, lies))
+    assert found == [
+        *((frame, "track", "clutter", "") for frame in range(5)),
+        *((frame, "track", "inserted", "eve") for frame in range(5, 10)),
+    ]
+
+
 def test_it_is_nobodys_when_it_lasts_far_longer_than_a_track_can_coast() -> None:
     lies = [("eve", 0, "inserted", 3, (40.0, 0.0), (0.0, 0.0))]
     picture = [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])] * 100

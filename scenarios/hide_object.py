@@ -1,0 +1,51 @@
+"""One road user disappears: adversaries on every agent hide the object that matters most from the command centre.
+
+It is the object that will come nearest to the ego among those that the ego cannot see itself: a car behind a corner, a
+cyclist behind a truck. All agents' tracks of it are removed, so nobody reports it, and the ego drives on without it.
+"""
+
+from baseline import scenario as baseline
+
+from mast_zenoh.scenario import agents_of
+
+
+def scenario(
+    attack_start_s=4.0,
+    n_objects=1,
+    horizon_s=6.0,
+    unseen_by_ego=True,
+    near=None,
+    scene="intersection",
+    scene_index=None,
+    n_infrastructure=None,
+    n_mobile=None,
+):
+    """n_objects: how many to hide; horizon_s: how far ahead the attacker looks; near: hide what is at (x, y) m instead;
+
+    unseen_by_ego: prefer objects that the ego's own sensor cannot see.
+    """
+    unattacked = baseline(scene, scene_index, n_infrastructure, n_mobile)
+    return unattacked | dict(
+        name="hide_object",
+        adversaries={
+            f"adversary_{i}": dict(
+                type="Adversary", agent=agent, attack=dict(type="CoordinatedAttack", start_s=attack_start_s)
+            )
+            for i, agent in enumerate(agents_of(unattacked["scene"]))
+        },
+        coordinator=dict(
+            coordination=dict(
+                type="Coordinator",
+                start_s=attack_start_s,
+                reselect_every_s=None,
+                selection=dict(
+                    type="ConflictSelection",
+                    n_objects=n_objects,
+                    horizon_s=horizon_s,
+                    unseen_by_ego=unseen_by_ego,
+                    near=near,
+                ),
+            )
+        ),
+        keyexpr=dict(map="testbed.toml", rewrites=["on_tracks.toml", "coordination.toml"]),
+    )

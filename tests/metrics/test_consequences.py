@@ -1,0 +1,102 @@
+"""What errors of an estimate would mean for a vehicle: needless and missed braking, and whether an attack caused it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from measured import Row, effects, labelled, passage
+from metric_oracles import cars
+
+from mast_zenoh.metrics import Driving, Record, Series, consequences
+from mast_zenoh.metrics.consequences import Drive
+from mast_zenoh.metrics.record import Snapshot
+from mast_zenoh.states import ObjectStates
+
+FRAMES = 40
+#: The ego drives east at 10 m/s; its safe distance from what stands is 5 + 0.25 + 11^2 / 8 = 20.4 m, its own length and
+#: the other's 4.5 m: it has to brake for a car that stands at 50 m from frame 26 on.
+FIRST = 26
+CAR = (50.0, 0.0)
+
+
+def ego(frame: int) -> tuple[float, float]:
+    return float(frame), 0.0
+
+
+def driven(
+    truth: list[tuple[float, float]], local: list[list[tuple[float, float]]], lies: list[Row] | None = None
+) -> dict[tuple[str, str], Drive]:
+    """What the ego would do, given objects that stand and what it has tracked in each frame."""
+    record = Record(["ego"])
+    for frame, tracked in enumerate(local):
+        objects = cars(ego(frame), *truth, velocity=np.array([[10.0, 0.0, 0.0], *[[0.0] * 3] * len(truth)]))
+        record.add_truth(frame, objects, np.full((len(objects), 1), 50), np.array([[*ego(frame), 0.0]]), np.array([0]))
+        believed = cars(ego(frame), *tracked, id=[100, *(200 + k for k in range(len(tracked)))])
+        record.add(frame, [Series("ego", "local")], Snapshot.of(believed))
+    found = effects(*(lies or []), passages=[passage("eve", "detections", "ego")] if lies else ())
+    scores, _, labels, _ = labelled(record, found)
+    return consequences.drives(Driving(), record, scores, labels, record.truth(scores.frames))
+
+
+def frames(mask: np.ndarray) -> list[int]:
+    return np.flatnonzero(mask).tolist()
+
+
+def test_an_estimate_that_is_right_brakes_when_the_truth_does() -> None:
+    found = driven([CAR], [[CAR]] * FRAMES)
+    for estimate in ("truth", "local"):
+        drive = found["ego", estimate]
+        assert frames(drive.brake) == list(range(FIRST, FRAMES))
+        assert drive.gap_m == pytest.approx([CAR[0] - frame - 4.5 for frame in range(FRAMES)])
+        assert drive.ttc_s == pytest.approx(drive.gap_m / 10.0)
+        assert not drive.needless.any()
+        assert not drive.omitted.any()
+    assert found["ego", "truth"].objects.tolist() == [1] * FRAMES, "the ego is not in its own way"
+
+
+@pytest.mark.parametrize("attacked", [True, False])
+def test_a_brake_that_is_missed_is_an_attacks_if_the_object_was_hidden_by_one(attacked: bool) -> None:
+    hidden: list[Row] = [("eve", frame, "removed", 0, CAR, (0.0, 0.0)) for frame in range(FRAMES)]
+    drive = driven([CAR], [[]] * FRAMES, hidden if attacked else [])["ego", "local"]
+    assert frames(drive.omitted) == list(range(FIRST, FRAMES))
+    assert frames(drive.attacked) == (list(range(FIRST, FRAMES)) if attacked else [])
+    assert drive.missed.tolist() == [1] * FRAMES
+    assert not drive.brake.any()
+    assert np.isinf(drive.gap_m).all()
+
+
+@pytest.mark.parametrize("attacked", [True, False])
+def test_a_needless_brake_is_an_attacks_if_it_is_for_what_one_inserted(attacked: bool) -> None:
+    shown: list[Row] = [("eve", frame, "inserted", 7, CAR, (0.0, 0.0)) for frame in range(FRAMES)]
+    drive = driven([], [[CAR]] * FRAMES, shown if attacked else [])["ego", "local"]
+    assert frames(drive.needless) == list(range(FIRST, FRAMES))
+    assert frames(drive.attacked) == (list(range(FIRST, FRAMES)) if attacked else [])
+    assert drive.false.tolist() == [1] * FRAMES
+    assert not drive.omitted.any()
+
+
+def test_an_attack_elsewhere_in_the_corridor_is_not_to_blame_for_a_needless_brake() -> None:
+    """The adversary shows an object that is too far ahead to brake for; the clutter that is near is nobody's."""
+    far = (90.0, 0.0)
+    shown: list[Row] = [("eve", frame, "inserted", 7, far, (0.0, 0.0)) for frame in range(FRAMES)]
+    drive = driven([], [[CAR, far]] * FRAMES, shown)["ego", "local"]
+    assert frames(drive.needless) == list(range(FIRST, FRAMES))
+    assert not drive.attacked.any()
+    assert drive.false[FIRST] == 2
+
+
+def test_an_agent_that_is_no_object_of_the_scene_is_no_vehicle() -> None:
+    record = Record(["pole"])
+    record.add_truth(0, cars(CAR), np.full((1, 1), 50), np.zeros((1, 3)), np.array([-1]))
+    record.add(0, [Series("pole", "local")], Snapshot.of(ObjectStates.empty()))
+    scores, _, labels, _ = labelled(record, effects())
+    assert consequences.drives(Driving(), record, scores, labels, record.truth(scores.frames)) == {}
+
+
+def test_the_summary_is_over_the_scored_frames() -> None:
+    found = consequences.summary(driven([CAR], [[]] * FRAMES), slice(20, 30))["ego"]
+    assert found["truth"]["brake_share"] == pytest.approx((30 - FIRST) / 10)
+    assert found["local"]["missed_brake_share"] == pytest.approx((30 - FIRST) / 10)
+    assert found["local"]["corridor_missed"] == 1.0
+    assert found["local"]["min_ttc_s"] is None
+    assert found["truth"]["min_ttc_s"] == pytest.approx((CAR[0] - 29 - 4.5) / 10.0)
