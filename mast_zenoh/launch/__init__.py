@@ -1,6 +1,7 @@
 """Starts, watches and stops the processes of a run.
 
 local        one run and its folder: on a mesh, or in this process
+twin         the same run without its adversaries
 launching    the run on a mesh, from the first process to the last
 supervisor   who starts, watches and ends nodes;  processes: as processes of this machine
 steps        what the scenario does to them

@@ -22,8 +22,9 @@ OBJECT_M2 = 12.5
 SWITCH = 2.0
 #: Part of the largest change that an earlier estimate must show to be named instead: there the change arises.
 SAME_CHANGE = 0.8
-#: Part of a change that a cause must account for to be named.
-NAMED = 0.2
+#: Part of a change that attacks or faults must account for to be named as its cause; and, of what is due to attacks,
+#: the part that an adversary must account for.
+NAMED, CULPRIT = 0.2, 0.05
 
 
 #: What metrics.json holds of one estimate of one agent.

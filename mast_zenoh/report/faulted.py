@@ -99,7 +99,7 @@ def blame_table(metrics: Mapping[str, Mapping[str, Any]], agent: str) -> Table |
     rows = {label: row for label, told in metrics.items() for row in blame_rows(told) if row.agent == agent}
     if not rows:
         return None
-    title = "Whose doing, objects per frame in the picture"
+    title = "Causes of missed and false objects, per frame in the picture"
     table = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("", justify="left", no_wrap=True)
     for _, what in _WHAT:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mast_zenoh.report.changes import DISPLACED, IDENTITY, NAMED, Change
+from mast_zenoh.report.changes import CULPRIT, DISPLACED, IDENTITY, Change
 from mast_zenoh.report.interposers import EFFECTS, Interposer, interposers
 from mast_zenoh.report.runfolder import RunFolder
 
@@ -113,7 +113,7 @@ def causes(run: RunFolder, change: Change) -> list[str]:
     if change.is_attack:
         known = {each.name: each for each in interposers(run)}
         total = sum(change.by.values())
-        main = [name for name, rows in change.by.most_common() if rows >= NAMED * total]
+        main = [name for name, rows in change.by.most_common() if rows >= CULPRIT * total]
         if not main:
             main = [each.name for each in known.values() if each.changed and not each.is_link]
         names = [known[name].description if name in known else name for name in main] or ["adversaries"]

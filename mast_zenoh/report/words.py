@@ -143,16 +143,18 @@ def _other_changes(run: RunFolder, reference: Reference | None) -> list[str]:
     main = changes.largest(found)
     if main is None:
         return []
-    others = []
+    by_cause: dict[str, list[str]] = {}
     for kind in changes.KEYS:
         change = changes.largest([each for each in found if each.kind == kind and each.estimate != "local"])
         if change is None or kind == main.kind or abs(change.weight) < phrases.NOTHING / 2:
             continue
-        others.append(more_or_less(change, run.ego) if reference is not None else amount(change, run.ego))
-    if not others:
-        return []
-    tail = f"than {reference.name}" if reference is not None else "due to the same causes"
-    return [f"{capital(listed(others))} {tail}."]
+        cause = phrases.causes(run, change)
+        same = cause == phrases.causes(run, main)
+        due = "the same causes" if same and len(cause) > 1 else listed(cause) or "nothing that was measured"
+        text = more_or_less(change, run.ego) if reference is not None else amount(change, run.ego)
+        by_cause.setdefault(due, []).append(text)
+    than = f" than {reference.name}" if reference is not None else ""
+    return [f"{capital(listed(texts))}{than}, due to {due}." for due, texts in by_cause.items()]
 
 
 def _transit(run: RunFolder) -> list[str]:

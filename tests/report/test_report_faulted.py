@@ -75,7 +75,7 @@ def attacked_and_faulted(run_folder: Callable[..., Path]) -> Path:
 
 def test_the_page_has_the_split_the_checks_and_the_latency(attacked_and_faulted: Path) -> None:
     page = write_report(attacked_and_faulted).read_text("utf-8")
-    for heading in ("Whose doing", "What was checked", "How late"):
+    for heading in ("Causes of missed and false objects", "Checks", "Latency"):
         assert f">{heading}</h2>" in page
     assert "0.75 a frame are missed because of links and faults, 0.25 because of attacks" in page
     assert "Not everything that was checked holds: collation." in page
@@ -99,8 +99,8 @@ def test_a_run_without_links_and_faults_has_none_of_that(run_folder: Callable[..
     assert figure is not None
     assert len(figure.axes) == 3
     page = write_report(folder).read_text("utf-8")
-    for heading in ("Whose doing", "What was checked", "How late"):
-        assert heading not in page
+    for heading in ("Causes of missed and false objects", "Checks", "Latency"):
+        assert f">{heading}</h2>" not in page
     assert "fault" not in page.replace("default", "")
 
 
@@ -151,7 +151,7 @@ def test_an_older_run_without_causes_has_no_chart_of_them(run_folder: Callable[.
     path = folder / "objects.parquet"
     pyarrow.parquet.write_table(pyarrow.parquet.read_table(path).drop_columns(["cause", "by"]), path)
     assert causes_over_time(RunFolder.load(folder), None) is None
-    assert "What was checked" not in write_report(folder).read_text("utf-8")
+    assert ">Checks</h2>" not in write_report(folder).read_text("utf-8")
 
 
 NAMES = (
@@ -232,7 +232,7 @@ def test_the_terminal_tells_of_runs_with_faults_who_is_to_blame(
     assert "0.75    0.25     0.50   0.00    7.50     0.12" in text
     assert "check collation: failed (2 tracks <lost>)" in text
     plain = shown(run_folder())
-    assert "Whose doing" not in plain
+    assert "Causes of missed and false objects" not in plain
     assert "check" not in plain
 
 

@@ -160,3 +160,37 @@ def test_a_study_names_the_strongest_attack_and_every_run(three_runs: dict[str, 
 
 def test_lists_read_like_lists() -> None:
     assert [listed(names) for names in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == ["", "a", "a and b", "a, b and c"]
+
+
+def test_every_kind_of_change_is_named_with_its_own_cause(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder("uncoordinated")
+
+    def change(metrics: dict[str, Any]) -> None:
+        picture = metrics["agents"]["ego"]["picture"]
+        picture["fn_split"] = {"fault": 0.5, "attack": 0.0, "natural": 0.7}
+
+    edit(folder / "metrics.json", change)
+    partition = {"label": "Partition infra_2", "kind": "fault", "at_s": 0.5, "until_s": 1.0}
+    edit(folder / "scenario.json", lambda scenario: scenario.update(timeline=[partition]))
+    run = RunFolder.load(folder)
+    assert headline(run).endswith("are due to adversary_1 and adversary_2")
+    assert "0.5 missed objects a frame in the common picture, due to Partition infra_2." in reading(run)
+
+
+def test_what_happens_to_the_picture_on_its_way_is_named(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder()
+
+    def change(metrics: dict[str, Any]) -> None:
+        ego = metrics["agents"]["ego"]
+        ego["picture_on_arrival"] = ego["picture"] | {"rmse_m": 0.9}
+
+    edit(folder / "metrics.json", change)
+    sentence = "The picture when it arrives has 0.49 m more RMSE than when the command centre sent it."
+    assert sentence in reading(RunFolder.load(folder))
+
+
+def test_a_difference_that_nothing_measured_explains_says_so(run_folder: Callable[..., Path]) -> None:
+    folder, reference = run_folder(), RunFolder.load(run_folder("coordinated"))
+    edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["local"]["fn"].update(mean=30.0))
+    text = headline(RunFolder.load(folder), Reference(reference, "the other"))
+    assert text == "19.5 more missed objects a frame in what the ego sees alone than the other, by no measured cause"
