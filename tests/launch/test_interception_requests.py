@@ -17,6 +17,7 @@ from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeF
 from mast_zenoh.launch.asking import intercept, plan, release
 from mast_zenoh.launch.interception import place_json, place_of, seal, unseal
 from mast_zenoh.resolved import Resolved
+from mast_zenoh.scenario.nodes import inform
 from mast_zenoh.settings import nested
 
 TRACKS = "agent/infra_1/tracks"
