@@ -74,7 +74,7 @@ def test_without_a_folder_the_run_names_its_own(mast, tmp_path: Path) -> None:
             "did you mean 'assign_radius'",
         ),
         (("run", "baseline", "--set", "scene=intersecton"), 10, "did you mean 'intersection'"),
-        (("run", "uncoordinated", "--set", "n_adversaries=9"), 10, "no agent 'infra_5'"),
+        (("run", "uncoordinated", "--set", "n_adversaries=9"), 10, "n_adversaries: found 9, expected 0 to 4"),
         (("run", "baseline", "--set", "keyexpr.map=testbd.toml"), 11, "did you mean 'testbed.toml'"),
         (("run", "baseline", "--set", "keyexpr.rewrites=['on_trcks.toml']"), 11, "did you mean 'on_tracks.toml'"),
         (("run", "baseline", "--set", "broker.file='brokr.py'"), 12, "did you mean 'broker.py'"),
