@@ -80,7 +80,8 @@ def inform(specs: Mapping[str, NodeSpec], recording: Recording) -> None:
     for spec in attackers.values():
         cls = loading.node_class(Path(spec.file), spec.type)
         if "surroundings" in inspect.signature(cls).parameters:
-            mine = victims if spec.role == "coordinator" else [str(spec.config[k]) for k in ("agent",) if k in spec.config]
+            own = [str(spec.config["agent"])] if "agent" in spec.config else []
+            mine = victims if spec.role == "coordinator" else own
             spec.config.setdefault("surroundings", surroundings_of(recording, mine))
 
 
