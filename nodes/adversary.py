@@ -54,6 +54,7 @@ class Adversary(Node):
         self.agent = agent
         self.surroundings = surroundings
         self.poses: dict[int, Body] = {}
+        self.seen: tuple[bytes, SensorView] | None = None  # newest pose, and the view from it
         self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque(), "picture": deque()}
         self.directives: LatestBefore[Targets] = LatestBefore()
 
@@ -190,8 +191,12 @@ class Adversary(Node):
             context.relay(f"{schema}_out", received, forged.applied_to(states).columns() | reference)
 
     def view(self, pose: Body) -> SensorView:
-        """What the victim's sensor covers."""
-        return self.surroundings.view(self.agent, pose["position"], rotation_from_quaternion(pose["rotation"]))
+        """What the victim's sensor covers; remembered, because most agents stand still."""
+        key = pose["position"].tobytes() + pose["rotation"].tobytes()
+        if self.seen is None or self.seen[0] != key:
+            rotation = rotation_from_quaternion(pose["rotation"])
+            self.seen = (key, self.surroundings.view(self.agent, pose["position"], rotation))
+        return self.seen[1]
 
     def support(self, support: np.ndarray, tampering: Tampering) -> np.ndarray:
         """By how many agents each object of a forged picture is said to be seen: false ones by as many as usual."""
