@@ -1,0 +1,60 @@
+"""What the shipped scenarios promise: who is deceived, of what, and who is not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mast_zenoh import scenario
+from mast_zenoh.runtime.inproc import InProcess
+
+FRAMES = 90
+
+
+def played(name: str, *settings: str) -> dict[str, Any]:
+    """What the evaluator measures of a scenario on the generated junction."""
+    path, content = scenario.load(name, ["attack_start_s=3.0", *settings])
+    results: dict[str, Any] = InProcess(scenario.resolve(path, content, frames=FRAMES)).run()["evaluator"]
+    return results
+
+
+@pytest.fixture(scope="module")
+def hidden() -> dict[str, Any]:
+    return played("hide_object")
+
+
+@pytest.fixture(scope="module")
+def downlink() -> dict[str, Any]:
+    return played("downlink", "false_positives=6.0")
+
+
+def test_the_hidden_object_is_missed_by_the_picture_almost_all_the_time(hidden) -> None:
+    achieved = hidden["metrics"]["achieved"]["all"]
+    assert achieved["success_centre"]
+    assert achieved["hidden_share_centre"] == 1.0
+    assert achieved["hidden_time_share_centre"] > 0.9
+
+
+def test_all_agents_that_report_the_object_hide_the_same_one(hidden) -> None:
+    targets = hidden["tables"]["targets"]
+    known = targets["object"][targets["object"] >= 0]
+    values, counts = np.unique(known, return_counts=True)
+    assert counts.max() / counts.sum() >= 0.97, values
+
+
+def test_on_the_downlink_the_ego_alone_is_deceived(downlink) -> None:
+    ego = downlink["metrics"]["agents"]["ego"]
+    assert ego["mission"]["fp"]["mean"] > ego["picture"]["fp"]["mean"] + 0.3
+    achieved = downlink["metrics"]["achieved"]["all"]
+    assert achieved["inserted_share_ego"] > 0.5
+    assert achieved["inserted_share_centre"] == 0.0
+
+
+@pytest.mark.parametrize("name", ["hidden", "downlink"])
+def test_what_adversaries_report_is_what_they_did(name: str, request: pytest.FixtureRequest) -> None:
+    interposers = request.getfixturevalue(name)["metrics"]["interposers"]
+    verdicts = {name: each["agreement"] for name, each in interposers.items()}
+    assert set(verdicts.values()) <= {"agrees", "nothing to report"}, verdicts
+    assert "agrees" in verdicts.values()
