@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from math import hypot
+
 import numpy as np
 
 from mast_zenoh.effects.table import Effects
-from mast_zenoh.matching import greedy
-from mast_zenoh.metrics.boxes import pairs_in_groups
 from mast_zenoh.states import Floats, Ints
 
 #: s, for which an inserted object may be left out of the messages and still be the same one.
@@ -14,6 +15,8 @@ LONGEST_GAP_S = 1.0
 #: m and m/s; without an id an inserted object is found again this near to where it should be, and so much farther for
 #: every second since: by what a vehicle can drive before its velocity is known, by what it can turn away after that.
 NEAR_M, UNKNOWN_MPS, KNOWN_MPS = 1.5, 35.0, 8.0
+#: Least gains of the filter that follows an object without an id: position, velocity.
+_LEAST_GAINS = 0.3, 0.05
 #: Frames over which the velocity of an object is measured, on either side.
 SPAN = 4
 
@@ -57,52 +60,65 @@ def _by_id(frame: Ints, id_: Ints, gap: int) -> Ints:
     return label
 
 
+class _Object:
+    """An inserted object while it is followed: an alpha-beta filter with growing memory (Bar-Shalom, Li and
+    Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.5)."""
+
+    __slots__ = ("frame", "label", "seen", "vx", "vy", "x", "y")
+
+    def __init__(self, label: int, frame: int, x: float, y: float) -> None:
+        self.label, self.frame, self.seen = label, frame, 1
+        self.x, self.y, self.vx, self.vy = x, y, 0.0, 0.0
+
+    def misfit(self, frame: int, x: float, y: float, period_s: float) -> float | None:
+        """m from where it should be in a frame; None: it cannot be there."""
+        elapsed = (frame - self.frame) * period_s
+        apart = hypot(x - self.x - self.vx * elapsed, y - self.y - self.vy * elapsed)
+        unsure = UNKNOWN_MPS if self.seen == 1 else KNOWN_MPS + UNKNOWN_MPS / self.seen**2
+        return apart if apart <= NEAR_M + unsure * elapsed else None
+
+    def take(self, frame: int, x: float, y: float, period_s: float) -> None:
+        """It is there now."""
+        elapsed, k = (frame - self.frame) * period_s, self.seen
+        alpha = max(2.0 * (2 * k + 1) / ((k + 1) * (k + 2)), _LEAST_GAINS[0])
+        beta = max(6.0 / ((k + 1) * (k + 2)), _LEAST_GAINS[1])
+        self.x, self.y = self.x + self.vx * elapsed, self.y + self.vy * elapsed
+        off_x, off_y = x - self.x, y - self.y
+        self.x, self.y = self.x + alpha * off_x, self.y + alpha * off_y
+        self.vx, self.vy = self.vx + beta * off_x / elapsed, self.vy + beta * off_y / elapsed
+        self.frame, self.seen = frame, k + 1
+
+
 def _by_motion(frame: Ints, position: Floats, gap: int, period_s: float) -> Ints:
-    """(n,) labels: each row continues the object that should be nearest to it, the nearest pair first.
-
-    Rows of consecutive frames are joined first; then ends of episodes with beginnings that are 2, 3, … frames later.
-    """
-    n = len(frame)
-    following, before = np.full(n, -1, np.int64), np.full(n, -1, np.int64)
-    velocity, known = np.zeros((n, 2)), np.zeros(n, bool)
-    steps = [1, 1, *range(2, gap + 1)]  # twice: once all velocities are known, what is nearest is known better
-    for turn, step in enumerate(steps):
-        if turn == 1:
-            known = before >= 0
-            velocity[known] = (position[known] - position[before[known]])[:, :2] / period_s
-            following[:], before[:] = -1, -1
-        elif turn > 1:
-            linked = before >= 0
-            way = (position[linked] - position[before[linked]])[:, :2]
-            velocity[linked] = way / ((frame[linked] - frame[before[linked]]) * period_s)[:, None]
-            known = linked
-        ends, begins = (following < 0).nonzero()[0], (before < 0).nonzero()[0]
-        expected = position[ends, :2] + velocity[ends] * (step * period_s)
-        i, j = _within(frame[ends] + step, expected, frame[begins], position[begins, :2], step * period_s)
-        apart = np.hypot(*(expected[i] - position[begins[j], :2]).T)
-        reach = NEAR_M + np.where(known[ends[i]], KNOWN_MPS, UNKNOWN_MPS) * (step * period_s)
-        near = (apart <= reach).nonzero()[0]
-        i, j, apart = i[near], j[near], apart[near]
-        chosen = greedy(i, j, apart)
-        following[ends[i[chosen]]], before[begins[j[chosen]]] = begins[j[chosen]], ends[i[chosen]]
-    label = np.full(n, -1, np.int64)
-    heads = (before < 0).nonzero()[0]
-    label[heads] = np.arange(len(heads))
-    row = heads
-    while len(row):
-        follower = following[row]
-        row = row[follower >= 0]
-        label[following[row]] = label[row]
-        row = following[row]
+    """(n,) labels of rows in the order of their frames: each continues the object that should be nearest to it, the
+    nearest pair of a frame first."""
+    label = np.full(len(frame), -1, np.int64)
+    followed: list[_Object] = []
+    labels = 0
+    bounds = np.flatnonzero(np.diff(frame, prepend=-1, append=-1))
+    for first, end in pairwise(bounds.tolist()):
+        now = int(frame[first])
+        places = position[first:end, :2].tolist()
+        followed = [each for each in followed if now - each.frame <= gap]
+        pairs = [
+            (misfit, i, j)
+            for i, each in enumerate(followed)
+            for j, (x, y) in enumerate(places)
+            if (misfit := each.misfit(now, x, y, period_s)) is not None
+        ]
+        taken: set[int] = set()
+        free = dict(enumerate(places))
+        for _, i, j in sorted(pairs):
+            if i not in taken and j in free:
+                taken.add(i)
+                x, y = free.pop(j)
+                followed[i].take(now, x, y, period_s)
+                label[first + j] = followed[i].label
+        for j, (x, y) in free.items():
+            followed.append(_Object(labels, now, x, y))
+            label[first + j] = labels
+            labels += 1
     return label
-
-
-def _within(a_frame: Ints, a: Floats, b_frame: Ints, b: Floats, seconds: float) -> tuple[Ints, Ints]:
-    """Pairs of places of one frame that a vehicle may have covered in so many seconds."""
-    if not len(a) or not len(b):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    flat = [np.column_stack([place, np.zeros(len(place))]) for place in (a, b)]
-    return pairs_in_groups(a_frame, flat[0], b_frame, flat[1], NEAR_M + UNKNOWN_MPS * seconds)
 
 
 def _velocity(effects: Effects, rows: Ints, episode: Ints, period_s: float) -> Floats:

@@ -1,0 +1,74 @@
+"""Inserted objects that have no ids are the same objects from frame to frame, whatever noise and gaps they have."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.effects import EFFECTS, Effects
+from mast_zenoh.effects.episodes import LONGEST_GAP_S, insertions
+
+PERIOD_S = 0.1
+
+
+def inserted(frame: list[int], place: list[tuple[float, float]], id_: list[int] | None = None) -> Effects:
+    """Insertions of one passage, by frame."""
+    n = len(frame)
+    order = np.argsort(frame, kind="stable")
+    zeros, nowhere = np.zeros(n, np.int64), np.full((n, 3), np.nan)
+    return Effects(
+        passages=(),
+        received=(),
+        passage=zeros,
+        code=np.full(n, EFFECTS.index("inserted")),
+        frame=np.asarray(frame, np.int64)[order],
+        seq=zeros,
+        step=np.asarray(frame, np.int64)[order],
+        id=np.full(n, -1) if id_ is None else np.asarray(id_, np.int64)[order],
+        before=nowhere,
+        after=np.column_stack([np.asarray(place, float).reshape(n, 2), np.zeros(n)])[order],
+        velocity=nowhere,
+        whole=np.zeros(n, bool),
+        frames_late=zeros,
+        time_ns=zeros,
+        columns=np.full(n, "", object),
+    )
+
+
+def drive(
+    rng: np.random.Generator, start: tuple[float, float], velocity: tuple[float, float], frames: int, share: float
+) -> tuple[list[int], list[tuple[float, float]]]:
+    """Frames and noisy places of an object that is shown in a share of the frames, never with a gap of a second."""
+    shown = [k for k in range(frames) if k % 8 == 0 or rng.random() < share]
+    noise = rng.normal(0.0, 0.4, (len(shown), 2))
+    places = [(start[0] + velocity[0] * k * PERIOD_S, start[1] + velocity[1] * k * PERIOD_S) for k in shown]
+    return shown, [(x + dx, y + dy) for (x, y), (dx, dy) in zip(places, noise.tolist(), strict=True)]
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 2**32 - 1), speed=st.floats(0.0, 15.0), share=st.floats(0.4, 1.0))
+def test_noise_and_misses_do_not_split_an_object(seed: int, speed: float, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    frames, places = drive(rng, (0.0, 0.0), (speed, 0.0), 100, share)
+    others, far = drive(rng, (0.0, 40.0), (-speed, 0.0), 100, share)
+    rows, episode, velocity = insertions(inserted(frames + others, places + far), PERIOD_S)
+    assert len(rows) == len(frames) + len(others)
+    assert len(np.unique(episode)) == 2
+    late = episode == episode[-1]
+    assert abs(abs(np.median(velocity[late][:, 0])) - speed) < 2.0
+
+
+def test_an_object_that_is_gone_for_long_is_another_one_when_it_comes_again() -> None:
+    gap = round(LONGEST_GAP_S / PERIOD_S)
+    for pause, objects in ((gap, 1), (gap + 1, 2)):
+        frames = [*range(10), *range(9 + pause, 20 + pause)]
+        _, episode, _ = insertions(inserted(frames, [(0.0, 0.0)] * len(frames)), PERIOD_S)
+        assert len(np.unique(episode)) == objects
+
+
+def test_ids_decide_where_there_are_any() -> None:
+    frames = [k for k in range(20) for _ in range(2)]
+    places = [(0.0, 0.0), (0.2, 0.0)] * 20
+    _, episode, _ = insertions(inserted(frames, places, [7, 8] * 20), PERIOD_S)
+    assert np.bincount(episode).tolist() == [20, 20]
