@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.runtime.results import EVALUATOR
+from mast_zenoh.tables import write_table
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
@@ -124,51 +124,6 @@ def _write_named(folder: Path, name: object, table: object) -> str:
     except (ValueError, TypeError, RuntimeError) as error:  # Arrow's own are among them
         return " ".join(str(error).split())[:200]
     return ""
-
-
-def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """A table as Parquet; a NaN is a missing value."""
-    from pyarrow import parquet  # only the launcher writes tables; nodes must not pay for the import
-
-    parquet.write_table(arrow_table(columns), path)
-
-
-def read_table(path: Path) -> dict[str, NDArray[Any]]:
-    """The columns of a table that `write_table` wrote; raises RunFolderError when it is missing or broken."""
-    import pyarrow
-    from pyarrow import parquet
-
-    try:
-        return columns_of(parquet.read_table(path))
-    except (OSError, pyarrow.ArrowException) as error:
-        raise RunFolderError(f"{path}: {error}") from None
-
-
-def arrow_table(columns: Mapping[str, Any]) -> Any:
-    """Columns as an Arrow table: text as a dictionary, a NaN as a missing value."""
-    import pyarrow
-
-    def column(values: Any) -> Any:
-        array = np.asarray(values)
-        if array.dtype.kind in "OU":
-            return pyarrow.array([str(value) for value in array], pyarrow.string()).dictionary_encode()
-        return pyarrow.array(array, from_pandas=True)
-
-    return pyarrow.table({name: column(values) for name, values in columns.items()})
-
-
-def columns_of(table: Any) -> dict[str, NDArray[Any]]:
-    """The columns that `arrow_table` made a table of: text as arrays of str, a missing number as NaN."""
-    import pyarrow
-
-    found: dict[str, NDArray[Any]] = {}
-    for name in table.column_names:
-        column = table.column(name)
-        if pyarrow.types.is_dictionary(column.type):
-            found[name] = np.array(column.to_pylist(), str)
-        else:
-            found[name] = column.to_numpy()
-    return found
 
 
 def finite(value: Any) -> Any:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mast_zenoh.errors import MastError
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.states import Bools
+from mast_zenoh.tables import from_arrow, read_arrow
 
 #: A table: one array per column, all of one length.
 Table = dict[str, NDArray[Any]]
@@ -69,16 +70,17 @@ def scene(path: Path) -> Recording:
     return Recording.load(path)
 
 
-def table(columns: tuple[str, ...], filters: Any = None, *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
-    """A reader of a Parquet table: these columns, of the rows that pass `filters`; `optional` ones where they are."""
+def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
+    """A reader of a Parquet table: these columns, of the rows of one agent if any; `optional` ones where they are."""
 
     def read(path: Path) -> Table:
-        content = pyarrow.parquet.read_table(path, filters=filters)
+        content = read_arrow(path)
         absent = sorted(set(columns) - set(content.column_names))
         if absent:
             raise ValueError(f"found no column {', '.join(absent)}")
         there = (*columns, *(name for name in optional if name in content.column_names))
-        return {name: content.column(name).to_numpy() for name in there}
+        result = from_arrow(content.select(there))
+        return rows(result, result["agent"] == agent) if agent else result
 
     return read
 

@@ -76,8 +76,7 @@ class RunFolder:
         metrics = read("metrics.json", files.json_object, "no table of means", {})
         counts = read("metrics.parquet", files.table(_COUNTS), "no counts over time", None)
         recording = read("scene.npz", files.scene, "no buildings, agents and camera view in the pictures", None)
-        of_ego = [("agent", "==", _ego(metrics, counts, recording))]
-        objects = files.table(_OBJECTS, of_ego, optional=("cause", "by"))
+        objects = files.table(_OBJECTS, _ego(metrics, counts, recording) or "", optional=("cause", "by"))
         boxes = read("objects.parquet", objects, "no bird's-eye and camera views", None)
         lack = "what interposers changed is not marked"
         expected = any(wire.get("interposers") for wire in wiring.get("wires", ()))

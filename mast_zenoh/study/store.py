@@ -14,6 +14,7 @@ from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.table_file import write_parquet
 from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.tables import from_arrow, read_arrow, to_arrow
 
 _ABOUT = b"mast-zenoh"
 
@@ -90,16 +91,16 @@ class Store:
             "warning": outcome.warning,
             "metrics": run_folder.finite(outcome.metrics),
         }
-        table = run_folder.arrow_table(outcome.per_frame)
+        table = to_arrow(outcome.per_frame)
         table = table.replace_schema_metadata({_ABOUT: json.dumps(about, allow_nan=False).encode()})
         write_parquet(self._path(trial), table)
 
     def load(self, trial: Trial) -> Outcome | None:
         """What came of a trial; None if it is not done, its file is broken, or failures in it are not allowed now."""
         try:
-            table = parquet.read_table(self._path(trial))
+            table = read_arrow(self._path(trial))
             about = json.loads(table.schema.metadata[_ABOUT])
-            columns = run_folder.columns_of(table)
+            columns = from_arrow(table)
             if about["warning"] and not trial.allow_failures:
                 return None
             rest = {"cpu_s": about["cpu_s"], "warning": about["warning"]}

@@ -11,7 +11,6 @@ from pathlib import Path
 import pyarrow
 
 from mast_zenoh.errors import TrialsFailed
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.report.study_facts import FailedTrial, StudyFacts
 from mast_zenoh.report.study_rows import StudyRow
 from mast_zenoh.study import results
@@ -21,6 +20,7 @@ from mast_zenoh.study.store import Store
 from mast_zenoh.study.summary import Samples
 from mast_zenoh.study.table_file import TableFile
 from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.tables import to_arrow
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def _write_parquet(
 
     Only the trials of one scene and seed are in memory at a time.
     """
-    trial_schema = run_folder.arrow_table(results.columns(trials[0], [])).schema
+    trial_schema = to_arrow(results.columns(trials[0], [])).schema
     frame_schema = pyarrow.schema([*list(trial_schema)[:3], *store.frame_schema(trials)])
     per_trial, per_frame = (ParameterColumns(study, schema.names) for schema in (trial_schema, frame_schema))
     done: Counter[str] = Counter()
@@ -105,10 +105,8 @@ def _write_parquet(
                 label = outcome.trial.configuration
                 of_trial = results.values(outcome, paired)
                 samples.add(outcome, of_trial)
-                trial_file.append(
-                    per_trial.add(run_folder.arrow_table(results.columns(outcome.trial, of_trial)), label)
-                )
-                frame_file.append(per_frame.add(run_folder.arrow_table(results.frames(outcome)), label))
+                trial_file.append(per_trial.add(to_arrow(results.columns(outcome.trial, of_trial)), label))
+                frame_file.append(per_frame.add(to_arrow(results.frames(outcome)), label))
                 done[label] += 1
     return done, samples.rows()
 

@@ -19,6 +19,7 @@ from mast_zenoh.runtime import failures, results
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.results import EVALUATOR
 from mast_zenoh.study import identity
+from mast_zenoh.tables import read_table
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,6 @@ def _on_a_mesh(resolved: Resolved, allow_failures: bool) -> Played:
         if ended.error:
             raise ended.error
         metrics = run_folder.read_json(ended.folder / "metrics.json")
-        return metrics, run_folder.read_table(ended.folder / "metrics.parquet"), ended.failures
+        return metrics, read_table(ended.folder / "metrics.parquet"), ended.failures
     finally:
         shutil.rmtree(folder, ignore_errors=True)

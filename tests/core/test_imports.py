@@ -38,6 +38,7 @@ LAYERS = (
         "columns",
         "messages",
         "bundle",
+        "tables",
     ),
     ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics", "links", "faults"),
     ("geometry", "matching", "states", "steps", "streams", "kernels", "errors", "release", "__init__"),

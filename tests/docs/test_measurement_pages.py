@@ -12,8 +12,8 @@ import pytest
 from mast_zenoh import scenario
 from mast_zenoh.effects import EFFECTS
 from mast_zenoh.launch import local
-from mast_zenoh.launch.folder import read_table
 from mast_zenoh.metrics.causes import CAUSES
+from mast_zenoh.tables import read_table
 
 DOCS = Path(__file__).parents[2] / "docs"
 METRICS = (DOCS / "metrics.md").read_text(encoding="utf-8")

@@ -15,10 +15,10 @@ from watched import Watched
 
 from mast_zenoh import codec, scenario
 from mast_zenoh.launch import local
-from mast_zenoh.launch.folder import read_table
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import Body
 from mast_zenoh.resolved import Resolved
+from mast_zenoh.tables import read_table
 
 DOCS = Path(__file__).parents[2] / "docs"
 FRAMES = 36

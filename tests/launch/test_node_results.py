@@ -13,6 +13,7 @@ import pytest
 from mast_zenoh import scenario
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import local
+from mast_zenoh.tables import read_table
 
 METRICS = {"frames": 3, "agents": {}}
 TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
@@ -45,7 +46,7 @@ def test_only_the_evaluator_writes_to_the_top_of_the_folder(tmp_path: Path) -> N
     }
     top = tmp_path / "run"
     assert run_folder.read_json(top / "metrics.json") == METRICS | {"late": {"ego": 1}}
-    assert run_folder.read_table(top / "metrics.parquet").keys() == TABLE.keys()
+    assert read_table(top / "metrics.parquet").keys() == TABLE.keys()
     assert run_folder.read_json(top / "results/zeta/results.json") == {"metrics": {"mine": 1}}
     assert run_folder.read_json(top / "results/evaluator/results.json") == {"more": [1]}
 
@@ -103,12 +104,12 @@ def test_a_second_node_that_returns_metrics_and_tables_changes_none_of_the_run(t
     ended = local.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
     assert ended.error is None
     assert run_folder.read_json(ended.folder / "metrics.json")["frames"] == 5
-    assert "rmse_m" in run_folder.read_table(ended.folder / "metrics.parquet")
+    assert "rmse_m" in read_table(ended.folder / "metrics.parquet")
     own = ended.folder / "results" / "counter"
     assert run_folder.read_json(own / "results.json") == {
         "metrics": {"frames": "mine", "mean": None, "all": [*range(5)]}
     }
-    assert run_folder.read_table(own / "metrics.parquet")["frame"].tolist() == [*range(5)]
+    assert read_table(own / "metrics.parquet")["frame"].tolist() == [*range(5)]
     assert not list(tmp_path.rglob("other.parquet"))
     (notice,) = (notice for notice in ended.record["notices"] if notice["kind"] == "results")
     assert "other: table '../other': expected a name" in notice["text"]

@@ -10,7 +10,7 @@ import pytest
 from launched import Observer, eventually
 
 from mast_zenoh.launch import asking
-from mast_zenoh.launch.folder import read_table
+from mast_zenoh.tables import read_table
 
 pytestmark = pytest.mark.mesh
 SHOVER = """

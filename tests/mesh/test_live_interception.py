@@ -18,10 +18,10 @@ from launched import Launched, Observer, eventually
 from mast_zenoh import codec, scenario
 from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, StartError, WiringError
 from mast_zenoh.launch import asking
-from mast_zenoh.launch.folder import read_table
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.mesh import ATTACHMENT
+from mast_zenoh.tables import read_table
 
 pytestmark = pytest.mark.mesh
 LIVE = Path(__file__).parent / "live"

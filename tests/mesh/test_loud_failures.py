@@ -14,6 +14,7 @@ from launched import Launched
 from mast_zenoh import scenario
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import local
+from mast_zenoh.tables import read_table
 
 pytestmark = pytest.mark.mesh
 FRAMES = 12
@@ -109,7 +110,7 @@ def test_a_node_file_without_main_takes_part_and_a_list_of_processes_tells_which
         assert str(tmp_path / "counter.py") in commands[name]
         assert commands[name][commands[name].index("--name") + 1] == name
     own = run.out / "results" / "counter"
-    assert run_folder.read_table(own / "metrics.parquet")["frame"].tolist() == [*range(20)]
+    assert read_table(own / "metrics.parquet")["frame"].tolist() == [*range(20)]
     assert run_folder.read_json(run.out / "metrics.json")["frames"] == 20
     assert "results: 1 refused: other: table '../other': expected a name" in output
     assert not list(tmp_path.rglob("other.parquet"))

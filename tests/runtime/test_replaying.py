@@ -11,11 +11,11 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import local, measuring
 from mast_zenoh.messagelog.events import REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.runtime.replaying import replay
+from mast_zenoh.tables import read_table
 
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parents[2] / "scenarios").glob("*.py"))
 #: These act on hosts or in real time, which one process cannot.
@@ -32,7 +32,7 @@ def recorded(folder: Path, name: str, *settings: str, frames: int = 60) -> Path:
 
 def results_in(folder: Path) -> dict[str, Any]:
     """Everything that the evaluator has left in a run folder."""
-    tables = {path.name: run_folder.read_table(path) for path in folder.glob("*.parquet")}
+    tables = {path.name: read_table(path) for path in folder.glob("*.parquet")}
     return {"metrics.json": json.loads((folder / "metrics.json").read_text()), **tables}
 
 

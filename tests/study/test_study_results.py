@@ -8,12 +8,12 @@ import pytest
 from made_outcomes import FRAMES, outcome, study
 from pyarrow import parquet
 
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.study import results
 from mast_zenoh.study.numbers import Number, numbers
 from mast_zenoh.study.parameters import ParameterColumns
 from mast_zenoh.study.summary import Samples
 from mast_zenoh.study.table_file import TableFile
+from mast_zenoh.tables import to_arrow
 
 NAN = float("nan")
 
@@ -107,7 +107,7 @@ def test_tables_written_in_pieces_are_one_table_in_which_missing_columns_are_nul
     pieces = [{"name": [name] * 2, **({"mine": [float(i)] * 2} if i else {})} for i, name in enumerate("abc")]
     with TableFile(tmp_path / "t.parquet", schema) as file:
         for piece in pieces:
-            file.append(run_folder.arrow_table(piece))
+            file.append(to_arrow(piece))
         assert not (tmp_path / "t.parquet").exists()
     table = parquet.read_table(tmp_path / "t.parquet")
     assert table.to_pydict() == {"name": list("aabbcc"), "mine": [None, None, 1.0, 1.0, 2.0, 2.0]}

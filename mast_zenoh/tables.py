@@ -1,0 +1,92 @@
+"""Tables: columns by name, in memory and as Parquet files."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from importlib.abc import MetaPathFinder
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow
+from numpy.typing import NDArray
+from pyarrow import parquet
+
+from mast_zenoh.errors import RunFolderError
+
+
+class _NoPandas(MetaPathFinder):
+    """Finds no pandas, as if it were not installed."""
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> None:
+        if fullname == "pandas":
+            raise ModuleNotFoundError("pandas is not needed here", name=fullname)
+
+
+def _spare_pandas() -> None:
+    """Keep pyarrow from loading pandas, which takes 0.3 s where it is installed and is not needed here.
+
+    pyarrow looks for pandas at its first conversion, and again when it is really needed.
+    """
+    if "pandas" not in sys.modules:
+        finder = _NoPandas()
+        sys.meta_path.insert(0, finder)
+        try:
+            pyarrow.array([0])
+        finally:
+            sys.meta_path.remove(finder)
+
+
+_spare_pandas()
+
+
+def write_table(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write a table as Parquet; a NaN is a missing value."""
+    parquet.write_table(to_arrow(columns), path)
+
+
+def read_table(path: Path) -> dict[str, NDArray[Any]]:
+    """The columns of a table that `write_table` wrote; raises RunFolderError when it is missing or broken."""
+    try:
+        return from_arrow(read_arrow(path))
+    except (OSError, pyarrow.ArrowException) as error:
+        raise RunFolderError(f"{path}: {error}") from None
+
+
+def read_arrow(path: Path) -> Any:
+    """A Parquet file as an Arrow table; raises OSError or ArrowException when it is missing or broken."""
+    with parquet.ParquetFile(path) as file:
+        return file.read()
+
+
+def to_arrow(columns: Mapping[str, Any]) -> Any:
+    """Columns as an Arrow table: text as a dictionary, a NaN as a missing value."""
+
+    def column(values: Any) -> Any:
+        array = np.asarray(values)
+        if array.dtype.kind == "U":
+            array = array.astype(object)
+        if array.dtype.kind == "O":
+            try:
+                texts = pyarrow.array(array, pyarrow.string())
+            except (pyarrow.ArrowException, TypeError):  # not all of it is text
+                texts = pyarrow.array([str(value) for value in array], pyarrow.string())
+            return texts.dictionary_encode()
+        return pyarrow.array(array, from_pandas=True)
+
+    return pyarrow.table({name: column(values) for name, values in columns.items()})
+
+
+def from_arrow(table: Any) -> dict[str, NDArray[Any]]:
+    """The columns that `to_arrow` made a table of: text as arrays of str, a missing number as NaN."""
+    columns: dict[str, NDArray[Any]] = {}
+    for name in table.column_names:
+        column = table.column(name).unify_dictionaries().combine_chunks()
+        if not pyarrow.types.is_dictionary(column.type):
+            columns[name] = column.to_numpy(zero_copy_only=False)
+        elif column.null_count:
+            columns[name] = np.array(column.to_pylist(), str)
+        else:
+            columns[name] = np.array([*column.dictionary.to_pylist(), ""], str)[column.indices.to_numpy()]
+    return columns

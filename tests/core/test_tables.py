@@ -1,0 +1,63 @@
+"""Tables survive a file, and writing one does not load pandas."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.tables import from_arrow, read_table, to_arrow, write_table
+
+texts = st.lists(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=8), max_size=20)
+
+
+@settings(deadline=None)
+@given(texts=texts, data=st.data())
+def test_columns_come_back_as_they_were(texts: list[str], data: st.DataObject) -> None:
+    n = len(texts)
+    table = {
+        "object": np.array(texts, object),
+        "text": np.array(texts, str) if n else np.zeros(0, "U1"),
+        "number": np.array(data.draw(st.lists(st.floats(), min_size=n, max_size=n)), float),
+        "whole": np.arange(n),
+        "yes": np.arange(n) % 2 == 0,
+    }
+    again = from_arrow(to_arrow(table))
+    assert again.keys() == table.keys()
+    for name in ("object", "text"):
+        assert again[name].tolist() == texts
+    for name in ("number", "whole", "yes"):
+        np.testing.assert_array_equal(again[name], table[name])
+
+
+def test_a_table_that_is_none_is_named(tmp_path: Path) -> None:
+    (tmp_path / "bad.parquet").write_text("hello")
+    for name in ("bad.parquet", "absent.parquet"):
+        with pytest.raises(RunFolderError, match=name):
+            read_table(tmp_path / name)
+
+
+def test_what_is_not_text_in_a_column_of_text_is_written_as_text(tmp_path: Path) -> None:
+    write_table(tmp_path / "t.parquet", {"mixed": np.array(["a", 3, 0.5], object)})
+    assert read_table(tmp_path / "t.parquet")["mixed"].tolist() == ["a", "3", "0.5"]
+
+
+def test_pandas_is_not_loaded_for_tables_and_still_there_for_who_needs_it(tmp_path: Path) -> None:
+    pytest.importorskip("pandas")
+    program = (
+        "import sys, numpy as np\n"
+        "from pathlib import Path\n"
+        "from mast_zenoh.tables import read_arrow, read_table, write_table\n"
+        "path = Path('t.parquet')\n"
+        "write_table(path, {'name': np.array(['a', 'b']), 'x': np.array([1.0, np.nan])})\n"
+        "read_table(path)\n"
+        "assert 'pandas' not in sys.modules\n"
+        "assert read_arrow(path).to_pandas()['name'].tolist() == ['a', 'b']\n"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
