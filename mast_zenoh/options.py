@@ -58,14 +58,17 @@ class SecureCommand(TyperCommand):
 
 def conclude(ended: Run, *, report: bool, against: str | None = None) -> None:
     """Show the results of a run, compared with another if one is named, and raise what it failed by."""
-    from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
+    from mast_zenoh.report import comparison, html, terminal  # after the run: drawing libraries are slow to load
+    from mast_zenoh.report.runfolder import RunFolder
 
     scored = (ended.folder / "metrics.json").is_file()
     other = reference_folder(ended.folder, against) if against is not None and scored else None
+    run = RunFolder.load(ended.folder)
+    reference = None if other is None else comparison.reference(run, other)
     if scored:
-        terminal.show_run(out, ended.folder, other)
+        terminal.show_loaded(out, run, reference)
     if report:
-        out.print(f"report: {html.write_report(ended.folder, against=other)}", highlight=False)
+        out.print(f"report: {html.write_page(run, reference=reference)}", highlight=False)
     else:
         out.print(f"run folder: {ended.folder}", highlight=False)
     show_notices(ended)

@@ -46,7 +46,11 @@ def write_report(run_folder: Path, frame: int | None = None, against: Path | Non
     NotComparable if the runs cannot be compared.
     """
     run = RunFolder.load(run_folder)
-    reference = None if against is None else comparison.reference(run, against)
+    return write_page(run, frame, None if against is None else comparison.reference(run, against))
+
+
+def write_page(run: RunFolder, frame: int | None = None, reference: Reference | None = None) -> Path:
+    """The same of a run that has been read."""
     estimate = _estimate(run, reference)
     if frame is None:
         chosen = choose_frame(run, reference.run if reference else None, estimate)

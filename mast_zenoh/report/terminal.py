@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from mast_zenoh.report import comparison
+from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.explanations import explanations
 from mast_zenoh.report.faulted import blame_table, check_lines
 from mast_zenoh.report.interposers import BAD, interposers
@@ -38,7 +39,11 @@ def show_run(console: Console, run_folder: Path, against: Path | None = None) ->
     Raises NotComparable if the two cannot be compared.
     """
     run = RunFolder.load(run_folder)
-    reference = None if against is None else comparison.reference(run, against)
+    show_loaded(console, run, None if against is None else comparison.reference(run, against))
+
+
+def show_loaded(console: Console, run: RunFolder, reference: Reference | None = None) -> None:
+    """The same of a run that has been read."""
     runs = {run.label: run} if reference is None else {reference.name: reference.run, run.label: run}
     metrics = {label: each.metrics for label, each in runs.items()}
     table = score_table(metrics, agent=run.ego or "ego", reference=reference.name if reference else None)
