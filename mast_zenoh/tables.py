@@ -78,15 +78,15 @@ def to_arrow(columns: Mapping[str, Any]) -> Any:
     return pyarrow.table({name: column(values) for name, values in columns.items()})
 
 
-def from_arrow(table: Any) -> dict[str, NDArray[Any]]:
-    """The columns that `to_arrow` made a table of: text as arrays of str, a missing number as NaN."""
+def from_arrow(table: Any, rows: NDArray[Any] | slice = slice(None)) -> dict[str, NDArray[Any]]:
+    """The columns that `to_arrow` made a table of: text as arrays of str, a missing number as NaN; of these rows."""
     columns: dict[str, NDArray[Any]] = {}
     for name in table.column_names:
         column = table.column(name).unify_dictionaries().combine_chunks()
         if not pyarrow.types.is_dictionary(column.type):
-            columns[name] = column.to_numpy(zero_copy_only=False)
+            columns[name] = column.to_numpy(zero_copy_only=False)[rows]
         elif column.null_count:
-            columns[name] = np.array(column.to_pylist(), str)
+            columns[name] = np.array(column.to_pylist(), str)[rows]
         else:
-            columns[name] = np.array([*column.dictionary.to_pylist(), ""], str)[column.indices.to_numpy()]
+            columns[name] = np.array([*column.dictionary.to_pylist(), ""], str)[column.indices.to_numpy()[rows]]
     return columns

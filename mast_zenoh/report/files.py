@@ -79,8 +79,9 @@ def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...
         if absent:
             raise ValueError(f"found no column {', '.join(absent)}")
         there = (*columns, *(name for name in optional if name in content.column_names))
-        result = from_arrow(content.select(there))
-        return rows(result, result["agent"] == agent) if agent else result
+        if not agent:
+            return from_arrow(content.select(there))
+        return from_arrow(content.select(there), from_arrow(content.select(["agent"]))["agent"] == agent)
 
     return read
 
