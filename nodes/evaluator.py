@@ -52,6 +52,7 @@ class Evaluator(Node):
         skip_first: int = 6,
         skip_last: int = 10,
         picture_age_s: float = 0.5,
+        picture_ages_s: dict[str, float] | None = None,
         driving: Driving | None = None,
         metrics: tuple[Metric, ...] = (),
     ) -> None:
@@ -61,6 +62,7 @@ class Evaluator(Node):
             skip_first=skip_first,
             skip_last=skip_last,
             picture_age_s=picture_age_s,
+            picture_ages_s=picture_ages_s or {},
             driving=driving or Driving(),
             metrics=metrics,
         )

@@ -10,8 +10,8 @@ receive. Nothing here depends on what an interposer says about itself.
 See docs/effects.md.
 """
 
+from mast_zenoh.effects.message_effects import MESSAGE_EFFECTS
 from mast_zenoh.effects.meter import Meter
-from mast_zenoh.effects.passages import MESSAGE_EFFECTS
 from mast_zenoh.effects.rows import OBJECT_EFFECTS
 from mast_zenoh.effects.table import EFFECTS, Effects, Pose, Poses, effects_of
 

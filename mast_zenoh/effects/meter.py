@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mast_zenoh.effects.passages import Interval, PassageMeter
+from mast_zenoh.effects.message_effects import Interval
+from mast_zenoh.effects.passages import PassageMeter
 from mast_zenoh.node import Overheard
 from mast_zenoh.wiring import Passage, Wiring
 

@@ -2,79 +2,42 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+
+import numpy as np
 
 from mast_zenoh.effects import objects
+from mast_zenoh.effects.damaged import Id, resembled
+from mast_zenoh.effects.message_effects import (
+    CHANGE_FRAMES,
+    CORRUPTED,
+    DELAYED,
+    DROPPED,
+    FORGED,
+    REFRAMED,
+    REPEATED,
+    RESTAMPED,
+    UNSETTLED,
+    Interval,
+    MessageEffect,
+)
 from mast_zenoh.effects.objects import ObjectChanges, Passed
 from mast_zenoh.errors import MessageError
 from mast_zenoh.node import Overheard
 from mast_zenoh.wiring import Passage
 
-#: What can happen to a whole message.
-DELAYED, DROPPED, REPEATED, CORRUPTED, RESTAMPED, REFRAMED, FORGED, UNSETTLED = MESSAGE_EFFECTS = (
-    "delayed",
-    "dropped",
-    "repeated",
-    "corrupted",
-    "restamped",
-    "reframed",
-    "forged",
-    "unsettled",
-)
-
 #: Messages of one passage that wait for their counterpart; beyond these the oldest is judged without it.
 MOST_WAITING = 4096
-#: Messages of which it is remembered that they were sent on, so that they are recognised when they come again.
-REMEMBERED = 4096
+#: Messages that are kept after they were sent on, so that they are recognised when they are sent again.
+REMEMBERED = 128
+#: Share of the messages of a passage that must be as late for it to be a usual delay.
+USUAL_SHARE = 0.05
 #: Changed messages that are compared at once.
 BATCH = 64
-#: Frames by which nodes may differ in real time about when a live change of the wiring took place.
-CHANGE_FRAMES = 2
-#: Part of the bytes of two messages that must be equal for one to be taken for a damaged copy of the other.
-SIMILAR = 0.9
 
-#: What identifies a message among those of its wire's publisher: frame and sequence number.
-Id = tuple[int, int]
-
-
-class MessageEffect(NamedTuple):
-    """What an interposer did to one message.
-
-    effect:  one of MESSAGE_EFFECTS
-    frame, seq: of the message; -1 where nobody can read them
-    step:    frame in which the interposer received it (forged: sent it)
-    frames_late: by how many frames it was sent on later than it was received
-    time_ns: ns, by how much the time in its header was changed
-    columns: names of the columns, not of single objects, that were changed
-    """
-
-    effect: str
-    frame: int
-    seq: int
-    step: int
-    frames_late: int = 0
-    time_ns: int = 0
-    columns: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """The frames in which a passage is part of the wiring: from `begin`, before `end` (None: to the end of the run)."""
-
-    begin: int
-    end: int | None = None
-
-    def has(self, step: int) -> bool:
-        """Whether a message that was sent in a step took this way."""
-        return self.begin <= step and (self.end is None or step < self.end)
-
-    def near_change(self, step: int) -> bool:
-        """Whether the passage came or went, while the run went on, about when a message was sent."""
-        return (self.begin > 0 and step < self.begin + CHANGE_FRAMES) or (
-            self.end is not None and step >= self.end - CHANGE_FRAMES
-        )
+#: ns; a message whose time is changed by more is of no use for its frame: its objects count as withheld.
+RESTAMPED_NS = 50_000_000
 
 
 class PassageMeter:
@@ -91,10 +54,13 @@ class PassageMeter:
         self.received = 0
         self._waiting: dict[Id, list[Overheard]] = {}  # received, and not sent on yet
         self._early: dict[Id, list[Overheard]] = {}  # sent, and not known to have been received
-        self._sent: dict[Id, int] = {}  # received and sent on: the frame in which it was received
+        self._sent: dict[Id, tuple[int, Overheard]] = {}  # by number: when it was received, and what was sent on
+        self._again: dict[Id, tuple[int, Overheard]] = {}  # the same of those that were sent again
         self._unreadable: tuple[list[Overheard], list[Overheard]] = [], []  # received and sent
         self._passed: list[Passed] = []  # sent on changed, and not compared yet
-        self._most_late = 0
+        self._first_sent: dict[int, Id] = {}  # by frame the number of the message about it that was sent first
+        self._rivals: dict[int, Overheard] = {}  # by frame the message that another one forestalled
+        self._late: Counter[int] = Counter()  # messages by how many frames late they were sent on
 
     def take_received(self, message: Overheard) -> None:
         """The interposer has received a message."""
@@ -108,6 +74,8 @@ class PassageMeter:
         if id_ in self._early:
             self._pair(id_, message, _first(self._early, id_))
             return
+        if self._first_sent.get(header.frame, id_) != id_:
+            self._forestalled(header.frame, message)
         self._waiting.setdefault(id_, []).append(message)
         if len(self._waiting) > MOST_WAITING:
             for oldest in self._waiting.pop(next(iter(self._waiting))):
@@ -122,9 +90,17 @@ class PassageMeter:
             return
         id_ = header.frame, header.seq
         if id_ in self._waiting:
+            self._first_sent.setdefault(header.frame, id_)
             self._pair(id_, _first(self._waiting, id_), message)
             return
+        first = self._first_sent.setdefault(header.frame, id_)
+        if first == id_:
+            rival = next((held[0] for other, held in self._waiting.items() if other[0] == header.frame), None)
+            if rival is not None:
+                self._forestalled(header.frame, rival)
         self._early.setdefault(id_, []).append(message)
+        if id_ in self._sent:
+            self._again[id_] = self._sent[id_]
         if len(self._early) > MOST_WAITING:
             oldest = next(iter(self._early))
             self._surplus(oldest, self._early.pop(oldest))
@@ -133,25 +109,30 @@ class PassageMeter:
         """The run is over, its last frame was `last_step`: judge what has found no counterpart."""
         self._settle()
         self._pair_unreadable()
+        late = self._usual_delay()
         for messages in self._waiting.values():
             for message in messages:
-                if self.interval.near_change(message.step) or message.step + self._most_late > last_step:
+                if self.interval.near_change(message.step):
                     self._note(UNSETTLED, message)
+                elif message.step + late > last_step:
+                    self._withheld(UNSETTLED, message)  # nobody can tell whether it would still have come
                 else:
                     self._withheld(DROPPED, message)
         for id_, messages in self._early.items():
-            self._surplus(id_, [message for message in messages if not self.interval.near_change(message.step)])
+            self._surplus(id_, [message for message in messages if not self._of_change(message)])
         self._waiting.clear()
         self._early.clear()
 
     def _pair(self, id_: Id, received: Overheard, sent: Overheard) -> None:
         """Compare a message with what became of it."""
-        self._sent[id_] = received.step
+        self._sent.setdefault(id_, (received.step, sent))  # of several a subscriber takes the first
+        if id_ in self._early:
+            self._again[id_] = self._sent[id_]
         if len(self._sent) > REMEMBERED:
             del self._sent[next(iter(self._sent))]
         late = sent.step - received.step
         if late > 0:
-            self._most_late = max(self._most_late, late)
+            self._late[late] += 1
             self._withheld(DELAYED, received, frames_late=late)
         if not received.same_bytes(sent):
             self._compare(received, sent)
@@ -170,7 +151,10 @@ class PassageMeter:
             self._withheld(CORRUPTED, received)
             return
         if changed.time_ns != header.time_ns:
-            self._note(RESTAMPED, received, time_ns=changed.time_ns - header.time_ns)
+            shift_ns = changed.time_ns - header.time_ns
+            self._note(RESTAMPED, received, time_ns=shift_ns)
+            if abs(shift_ns) > RESTAMPED_NS:
+                self._whole(received, received=True)
         self._passed.append(Passed(header.frame, header.seq, received.step, before, after))
         if len(self._passed) >= BATCH:
             self._settle()
@@ -186,16 +170,32 @@ class PassageMeter:
                 self.effects.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
         self._passed = []
 
+    def _forestalled(self, frame: int, message: Overheard) -> None:
+        """Another message about its frame was sent before this one."""
+        self._rivals[frame] = message
+        if len(self._rivals) > REMEMBERED:
+            del self._rivals[next(iter(self._rivals))]
+
+    def _usual_delay(self) -> int:
+        """The most frames by which USUAL_SHARE of all messages were late: one late message excuses no others."""
+        needed, later = USUAL_SHARE * self.received, 0
+        for late, count in sorted(self._late.items(), reverse=True):
+            later += count
+            if later >= needed:
+                return late
+        return 0
+
     def _surplus(self, id_: Id, messages: Sequence[Overheard]) -> None:
         """Messages were sent more often than they were received, or without having been received at all.
 
-        Of several messages of one number a subscriber takes the first, which has been compared.
+        Sent again with another content, a message is forged.
         """
-        step = self._sent.get(id_)
+        known = self._again.get(id_)
         for message in messages:
-            if step is None:
+            if known is None or not (known[1].same_bytes(message) or known[1].payload == message.payload):
                 self._forged(message)
             else:
+                step = known[0]
                 self.effects.append(MessageEffect(REPEATED, *id_, step, max(0, message.step - step)))
 
     def _withheld(self, effect: str, message: Overheard, frames_late: int = 0) -> None:
@@ -203,10 +203,27 @@ class PassageMeter:
         self._note(effect, message, frames_late=frames_late)
         self._whole(message, received=True, frames_late=frames_late)
 
+    def _of_change(self, message: Overheard) -> bool:
+        """Whether a message may have gone past the passage while it came or went."""
+        return self.interval.near_change(message.step) and abs(message.header.frame - message.step) <= CHANGE_FRAMES
+
     def _forged(self, message: Overheard) -> None:
-        """A message was sent that had not been received."""
+        """A message was sent that had not been received.
+
+        Subscribers take the first message about a frame: one that forestalls another changes all that differs.
+        """
         self._note(FORGED, message)
-        self._whole(message, received=False)
+        header = message.header
+        rival = self._rivals.get(header.frame)
+        if rival is None or self._first_sent.get(header.frame) != (header.frame, header.seq):
+            self._whole(message, received=False)
+            return
+        try:
+            passed = Passed(header.frame, header.seq, message.step, rival.body, message.body)
+        except MessageError:
+            return
+        changes, _ = objects.changed(self.passage.message, [passed])
+        self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
 
     def _whole(self, message: Overheard, *, received: bool, frames_late: int = 0) -> None:
         try:
@@ -222,32 +239,22 @@ class PassageMeter:
     def _pair_unreadable(self) -> None:
         """What was sent and cannot be read: passed on as it came, a damaged copy of a message, or rubbish."""
         came, went = self._unreadable
-        payloads = [message.payload for message in came]
-        known = set(payloads)
+        unmatched = [(message.payload, message.step) for message in came]
+        known = {payload for payload, _ in unmatched}
         for message in went:
             payload = message.payload
-            if payload in payloads:
-                payloads.remove(payload)
+            if (same := next((each for each in unmatched if each[0] == payload), None)) is not None:
+                unmatched.remove(same)
                 continue
             if payload in known:
                 self.effects.append(MessageEffect(REPEATED, -1, -1, message.step))
                 continue
-            id_ = self._resembled(payload)
+            id_ = resembled(self._waiting, message)
             if id_ is None:
                 self.effects.append(MessageEffect(FORGED, -1, -1, message.step))
                 continue
             self._withheld(CORRUPTED, _first(self._waiting, id_))
-        step = came[0].step if came else -1
-        self.effects += [MessageEffect(DROPPED, -1, -1, step)] * len(payloads)
-
-    def _resembled(self, payload: bytes) -> Id | None:
-        """The waiting message of which these bytes are a damaged copy."""
-        for id_, messages in self._waiting.items():
-            original = messages[0].payload
-            equal = sum(a == b for a, b in zip(original, payload, strict=False))
-            if equal >= SIMILAR * max(len(original), len(payload)):
-                return id_
-        return None
+        self.effects += [MessageEffect(DROPPED, -1, -1, step) for _, step in unmatched]
 
     def _note(
         self,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.effects.passages import CORRUPTED, DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
+from mast_zenoh.effects.message_effects import CORRUPTED, DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
 from mast_zenoh.effects.rows import OBJECT_EFFECTS
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
 from mast_zenoh.matching import greedy
@@ -84,10 +84,8 @@ def _together(reports: Reports, columns: tuple[str, ...], nodes: Sequence[str]) 
         "of_frame": np.repeat(np.array([frame for _, frame, *_ in ordered], np.int64), rows),
     }
     for name in columns:
-        empty = np.zeros((0, 3) if name.endswith("position") else 0)
-        result[name] = np.concatenate([empty, *(body[name] for *_, body in ordered)])
-        if empty.ndim == 1:
-            result[name] = result[name].astype(np.int64)
+        empty = np.zeros((0, 3)) if name.endswith("position") else np.zeros(0, np.int64)
+        result[name] = np.concatenate([empty, *(body[name].astype(empty.dtype) for *_, body in ordered)])
     return result
 
 
@@ -97,13 +95,15 @@ def _objects(effects: Effects, whose: Ints, said: Mapping[str, NDArray[Any]], re
     What counts is at which places objects are gone, and at which they appear. Without ids, an object that is removed
     while another one is inserted beside it cannot be told from one that was moved: either report is right.
     """
-    span = int(max(effects.frame.max(initial=0), said["of_frame"].max(initial=0))) + 1
+    # Frames are numbered anew: messages and reports may name any.
+    known, numbers = np.unique(np.concatenate([effects.frame, said["of_frame"]]), return_inverse=True)
+    span, frame = len(known), np.split(numbers.reshape(-1), [len(effects)])
     names = np.array(_ACTIONS)[said["action"]]
-    group = said["node"] * span + said["of_frame"]
+    group = said["node"] * span + frame[1]
     claimed = _events(names, said["before_position"], said["after_position"], group)
     mine = np.flatnonzero(~effects.whole & (effects.code < len(OBJECT_EFFECTS)))
     code = np.array(EFFECTS)[effects.code[mine]]
-    group = whose[mine] * span + np.maximum(effects.frame[mine], 0)
+    group = whose[mine] * span + frame[0][mine]
     measured = _events(code, effects.before[mine], effects.after[mine], group)
     i, j = pairs_within(claimed.places.boxes(), measured.places.boxes(), SAME_PLACE_M)
     apart = np.linalg.norm(claimed.places.position[i] - measured.places.position[j], axis=1)
@@ -165,11 +165,14 @@ def _messages(
     return founded
 
 
-def summary(effects: Effects, agreement: Agreement, roles: Mapping[str, str], last_step: int) -> dict[str, Any]:
+def summary(
+    effects: Effects, agreement: Agreement, roles: Mapping[str, str], last_step: int, absent: Bools
+) -> dict[str, Any]:
     """By interposer: role, wires, how many messages it received, its effects counted, and whether its reports agree
     with them: "agrees", "silent" (it changed something and reported nothing), "disagrees", or "nothing to report".
 
     last_step: the last frame of the run; what was done in it no link reports any more
+    absent:    (n,) effects that are due to the interposer not being there; they are counted by themselves
     """
     result: dict[str, Any] = {}
     node_of = np.array([passage.node for passage in effects.passages], object)
@@ -178,11 +181,11 @@ def summary(effects: Effects, agreement: Agreement, roles: Mapping[str, str], la
     for node in dict.fromkeys(node_of.tolist()):
         mine = whose == node
         # Objects of a message that was withheld or forged as a whole are told of by the message.
-        shown = mine & ~effects.whole
+        shown = mine & ~effects.whole & ~absent
         reports = agreement.reports.get(node, 0)
         unreported = int(np.count_nonzero(shown & settled & ~agreement.reported))
         unfounded = agreement.unfounded.get(node, 0)
-        changed = bool(np.any(shown & (effects.code != CODE[UNSETTLED])))
+        changed = bool(np.any(shown & settled))
         if not changed and not reports:
             verdict = "nothing to report"
         elif changed and not reports:
@@ -196,6 +199,7 @@ def summary(effects: Effects, agreement: Agreement, roles: Mapping[str, str], la
             "wires": list(dict.fromkeys(effects.passages[k].wire for k in places)),
             "messages": sum(effects.received[k] for k in places),
             "effects": {name: int(n) for name, n in zip(EFFECTS, counts, strict=True) if n},
+            "absent": int(np.count_nonzero(mine & ~effects.whole & absent)),
             "reports": reports,
             "agreement": verdict,
             "unreported": unreported,

@@ -198,8 +198,10 @@ def _changed(a: Rows, b: Rows, left: Ints, right: Ints, names: tuple[str, ...]) 
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     if "id" not in names:
         return _by_appearance(a, b, left, right, names)
-    # A row that has nothing but another id is the same object; only then does the id decide.
-    content = tuple(name for name in names if name != "id")
+    # A row that has nothing but another id is the same object; only then does the id decide. In a batch of several
+    # agents' tracks an id is one of its agent's.
+    identity = tuple(name for name in ("agent", "id") if name in names)
+    content = tuple(name for name in names if name not in identity)
     at = find(tuple(column[right] for column in _place(b)), tuple(column[left] for column in _place(a)))
     q = np.flatnonzero(at >= 0)
     p = at[q]
@@ -208,7 +210,8 @@ def _changed(a: Rows, b: Rows, left: Ints, right: Ints, names: tuple[str, ...]) 
         same &= ~_rows_differ(a.columns[name][left[p]], b.columns[name][right[q]])
     p, q = left[p[same]], right[q[same]]
     left, right = left[~np.isin(left, p)], right[~np.isin(right, q)]
-    at = find((b.message[right], b.columns["id"][right]), (a.message[left], a.columns["id"][left]))
+    mine, others = ((side.message, *(side.columns[name] for name in identity)) for side in (a, b))
+    at = find(tuple(column[right] for column in others), tuple(column[left] for column in mine))
     hit = np.flatnonzero(at >= 0)
     return np.concatenate([p, left[at[hit]]]), np.concatenate([q, right[hit]])
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.effects.passages import MESSAGE_EFFECTS, PassageMeter
+from mast_zenoh.effects.message_effects import MESSAGE_EFFECTS
+from mast_zenoh.effects.passages import PassageMeter
 from mast_zenoh.effects.rows import MOVED, OBJECT_EFFECTS, UNCHANGED
 from mast_zenoh.geometry import rotation_from_quaternion
 from mast_zenoh.states import Floats, Ints

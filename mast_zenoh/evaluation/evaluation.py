@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from mast_zenoh.effects import Effects, effects_of, reports
-from mast_zenoh.evaluation.from_effects import manipulations, stopped
+from mast_zenoh.evaluation.from_effects import absent, manipulations, stopped
 from mast_zenoh.evaluation.heard import Heard
 from mast_zenoh.evaluation.tables import attacks
 from mast_zenoh.links import WIRES
@@ -42,7 +42,8 @@ class Evaluation:
     driving: how it is judged what an estimate would mean for driving
     skip_first, skip_last: frames left out of the summary at the beginning and at the end, because tracks need some
              frames to begin with; kept when they would be more than half of the run
-    picture_age_s: s, for how long an agent goes on with a picture when no newer one arrives
+    picture_age_s: s, for how long an agent goes on with a picture when no newer one arrives; picture_ages_s: of single
+             agents, by name
     attribution, reach: when an error is due to what
     Raises ValueError for values that make no sense.
     """
@@ -53,33 +54,38 @@ class Evaluation:
     skip_first: int = 6
     skip_last: int = 10
     picture_age_s: float = 0.5
+    picture_ages_s: Mapping[str, float] = field(default_factory=dict)
     attribution: Attribution = field(default_factory=Attribution)
     reach: Reach = field(default_factory=Reach)
 
     def __post_init__(self) -> None:
         if self.skip_first < 0 or self.skip_last < 0:
             raise ValueError(f"skip_first, skip_last: found {self.skip_first}, {self.skip_last}, expected 0 or more")
-        if not 0.0 <= self.picture_age_s < np.inf:
-            raise ValueError(f"picture_age_s: found {self.picture_age_s}, expected 0 or more")
+        for age_s in (self.picture_age_s, *self.picture_ages_s.values()):
+            if not 0.0 <= age_s < np.inf:
+                raise ValueError(f"picture_age_s: found {age_s}, expected 0 or more")
         user_metrics.check(self.metrics, COLUMNS)
 
     def of(self, heard: Heard) -> dict[str, Any]:
         """{"metrics": what metrics.json holds, "tables": by name the columns of the tables of the run folder}."""
-        heard.record.hold_pictures(round(self.picture_age_s / heard.period_s))
+        ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in heard.record.agents}
+        heard.record.hold_pictures({agent: round(age_s / heard.period_s) for agent, age_s in ages_s.items()})
         scores = self.scorer.score(heard.record)
         truth = heard.record.truth(scores.frames)
         effects = _measured(heard, scores)
+        away = absent(effects, heard.presence.idle(scores.frames), scores.frames)
         done = manipulations(
             effects,
             heard.roles,
             scores.series,
             _boxes(truth, scores),
             heard.period_s,
-            heard.presence.idle(scores.frames),
+            away,
         )
         severed = self._severed(heard, scores, truth, effects)
-        labels = self.attribution.label(scores, done, truth, heard.record.agents, heard.period_s, severed)
-        return _Results(self, heard, scores, truth, effects, done, labels).results()
+        attribution = replace(self.attribution, min_points=self.scorer.min_points)
+        labels = attribution.label(scores, done, truth, heard.record.agents, heard.period_s, severed)
+        return _Results(self, heard, scores, truth, effects, away, done, labels).results()
 
     def scored(self, frames: int) -> slice:
         """Which of so many frames the summary is of."""
@@ -120,6 +126,7 @@ class _Results:
     scores: Scores
     truth: TruthTable
     effects: Effects
+    away: Bools
     done: Manipulations
     labels: Any
 
@@ -139,6 +146,7 @@ class _Results:
             heard.ego,
             self._victims(),
             self.how.scorer.range_m,
+            self.how.scorer.min_points,
         )
         drives = consequences.drives(self.how.driving, heard.record, scores, labels, self.truth)
         summary, per_frame = self._scored(scored)
@@ -152,7 +160,7 @@ class _Results:
                     targets, done.culprits, scores, labels.switch_by, heard.ego, heard.period_s
                 ),
                 "driving": consequences.summary(drives, scored),
-                "interposers": reports.summary(self.effects, agreement, heard.roles, last),
+                "interposers": reports.summary(self.effects, agreement, heard.roles, last, self.away),
                 "latency_ms": {"sim_to_picture": percentiles(heard.latencies_ns())},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
             },

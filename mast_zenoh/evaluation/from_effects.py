@@ -39,7 +39,7 @@ def manipulations(
     series: Sequence[tuple[str, str]],
     truth: Boxes,
     period_s: float,
-    idle: Mapping[str, Bools],
+    away: Bools,
     limits: Limits | None = None,
 ) -> Manipulations:
     """The manipulations among the measured effects.
@@ -47,7 +47,7 @@ def manipulations(
     roles:  of the nodes; what links do counts as a fault
     series: s pairs (agent, estimator)
     truth:  all objects, world frame; group = frame
-    idle:   by node, (f,) bool: in which frames it was not there, so that a message which it withheld is nobody's doing
+    away:   (n,) of the effects, those that are due to an interposer not being there and so nobody's doing
     """
     limits = limits or Limits()
     is_link = np.array([roles.get(passage.node) == "link" for passage in effects.passages], bool)
@@ -79,7 +79,7 @@ def manipulations(
         velocity=np.nan_to_num(np.concatenate([velocity, effects.velocity[hidden]])),
         lasts=lasts[passage] if len(rows) else passage,
     )
-    return result.select(~_idle(effects, rows, idle))
+    return result.select(~away[rows])
 
 
 def _lasts(passage: Passage, is_link: bool, limits: Limits, period_s: float) -> int:
@@ -100,22 +100,27 @@ def _hidden(effects: Effects, limits: Limits) -> tuple[Ints, Ints]:
     return rows[counts], kind[counts]
 
 
-def _idle(effects: Effects, rows: Ints, idle: Mapping[str, Bools]) -> Bools:
-    """(n,) rows of whole messages that were withheld by a node which was not there."""
-    result = np.zeros(len(rows), bool)
+def absent(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
+    """(n,) effects on messages that did not get past an interposer because it was not there.
+
+    idle: by node, (f,) bool, in which of (f,) frames it was not there
+    """
+    result = np.zeros(len(effects), bool)
+    withheld = effects.whole.copy()
+    withheld[effects.rows("dropped", "delayed", "unsettled")] = True
     for index, passage in enumerate(effects.passages):
         away = idle.get(passage.node)
         if away is not None and away.any():
-            mine = ((effects.passage[rows] == index) & effects.whole[rows]).nonzero()[0]
-            step = np.clip(effects.step[rows[mine]], 0, len(away) - 1)
-            result[mine] = away[step]
+            mine = ((effects.passage == index) & withheld).nonzero()[0]
+            at = np.searchsorted(frames, effects.step[mine], side="right") - 1
+            result[mine] = away[np.clip(at, 0, len(away) - 1)]
     return result
 
 
 def stopped(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints) -> Bools:
     """(f, a) bool: a link dropped, damaged or delayed an agent's tracks of these frames, or the batch of all tracks."""
     result = np.zeros((len(frames), len(agents)), bool)
-    rows = effects.rows("dropped", "delayed", "corrupted")
+    rows = effects.rows("dropped", "delayed", "corrupted", "unsettled")
     for index, passage in enumerate(effects.passages):
         if roles.get(passage.node) != "link" or passage.port not in ("tracks", "collated"):
             continue

@@ -80,11 +80,14 @@ class LatestBefore(Generic[Item]):
             del self._items[min(self._items)]
 
     def get(self, frame: int) -> tuple[int, Item] | None:
-        """(frame, item): of those that came before `frame` the one about the latest, and when it came; or None."""
-        earlier = [(about, came) for came, (about, _) in self._items.items() if came < frame]
+        """(frame, item): of those that came before `frame` the one about the latest, and when it came; or None.
+
+        Of several about one frame the first that came counts.
+        """
+        earlier = [(about, -came) for came, (about, _) in self._items.items() if came < frame]
         if not earlier:
             return None
-        _, came = max(earlier)
+        came = -max(earlier)[1]
         return came, self._items[came][1]
 
 

@@ -77,6 +77,7 @@ def targets(
     ego: str,
     victims: dict[str, set[int]],
     range_m: float,
+    min_points: int,
 ) -> Targets:
     """What became of every manipulated object in the centre's picture and in what the ego acts on.
 
@@ -85,6 +86,7 @@ def targets(
     ego:     whose mission-critical estimate it is
     victims: by adversary, columns of the agents on whose wires it sits
     range_m: m, from an agent to the objects that its estimates are scored on
+    min_points: lidar points with which an agent sees an object
     """
     mine = done.select((done.culprit >= 0).nonzero()[0])
     key = np.column_stack([mine.culprit, mine.kind, mine.object, mine.frame]) if len(mine) else np.zeros((0, 4), int)
@@ -106,7 +108,7 @@ def targets(
         believed,
         judged,
         error,
-        _seen_by_others(mine, truth, scores.frames, victims),
+        _seen_by_others(mine, truth, scores.frames, victims, min_points),
     )
 
 
@@ -162,18 +164,17 @@ def _error(scores: Scores, rows: Ints, tracks: Ints) -> Floats:
     return error
 
 
-def _seen_by_others(done: Manipulations, truth: TruthTable, frames: Ints, victims: dict[str, set[int]]) -> Bools:
+def _seen_by_others(
+    done: Manipulations, truth: TruthTable, frames: Ints, victims: dict[str, set[int]], min_points: int
+) -> Bools:
     boxes = truth.boxes
     at = find((done.object, done.frame), (boxes.id, frames[boxes.group]))
     result = np.zeros(len(done), bool)
     for index, name in enumerate(done.culprits):
         free = [column for column in range(truth.points.shape[1]) if column not in victims.get(name, set())]
         rows = ((done.culprit == index) & (done.kind != INSERTED) & (at >= 0)).nonzero()[0]
-        result[rows] = (truth.points[at[rows]][:, free] >= _SEES).any(axis=1)
+        result[rows] = (truth.points[at[rows]][:, free] >= min_points).any(axis=1)
     return result
-
-
-_SEES = 5  #: lidar points with which an agent sees an object
 
 
 def summary(

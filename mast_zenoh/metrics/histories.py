@@ -10,6 +10,9 @@ from mast_zenoh.metrics.places import Places
 from mast_zenoh.metrics.scores import UNEVALUATED, Scores
 from mast_zenoh.states import Bools, Floats, Ints
 
+#: Ids below it are used as they are; an adversary may send any.
+_PLAIN_IDS = 1 << 32
+
 
 class Histories(NamedTuple):
     """n rows of `Scores.judged`, all tracks or all truth objects, by series, id and frame.
@@ -41,7 +44,10 @@ class Histories(NamedTuple):
     def of_wrong(cls, scores: Scores, outcome: int, span: int, *, tracks: bool) -> Histories:
         """All rows of those tracks, or truth objects, that have an outcome in any frame of a series."""
         judged = scores.judged
-        key = judged.series * (int(judged.id.max(initial=0)) + 1) + judged.id
+        ids = judged.id
+        if len(ids) and not (ids.min() >= 0 and ids.max() < _PLAIN_IDS):
+            ids = np.unique(ids, return_inverse=True)[1].reshape(-1)
+        key = judged.series * (int(ids.max(initial=0)) + 1) + ids
         rows = np.flatnonzero(judged.is_track == tracks)
         mine = key[rows]
         rows = rows[np.isin(mine, mine[judged.outcome[rows] == outcome])]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import NamedTuple
@@ -137,20 +138,20 @@ class Record:
                 arrival = frame if step is None else step, frame, objects
                 self._arrivals.setdefault(each.agent, []).append(arrival)
 
-    def hold_pictures(self, most_frames: int) -> None:
+    def hold_pictures(self, most_frames: Mapping[str, int]) -> None:
         """Make the series PICTURE_ON_ARRIVAL from the pictures received: in each frame the one about the latest frame
-        that has arrived, unless that is more than `most_frames` ago."""
+        that has arrived, unless that is more than `most_frames` of the agent ago."""
         frames = self.frames().tolist()
         for agent, arrivals in self._arrivals.items():
-            waiting = sorted(arrivals, key=lambda arrival: arrival[:2], reverse=True)
+            waiting = deque(sorted(arrivals, key=lambda arrival: arrival[:2]))  # of equals the first stays first
             newest: tuple[int, Snapshot] | None = None
             held = self._tracks.setdefault(Series(agent, PICTURE_ON_ARRIVAL), {})
             for now in frames:
-                while waiting and waiting[-1][0] <= now:
-                    _, about, snapshot = waiting.pop()
+                while waiting and waiting[0][0] <= now:
+                    _, about, snapshot = waiting.popleft()
                     if newest is None or about > newest[0]:
                         newest = about, snapshot
-                if newest is not None and now - newest[0] <= most_frames:
+                if newest is not None and now - newest[0] <= most_frames[agent]:
                     held[now] = newest[1]
 
     def frames(self) -> Ints:

@@ -11,6 +11,7 @@ from typing import Any
 from mast_zenoh import bundle, loading
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.metrics.achievement import ALL
 from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.scenario.reconnaissance import surroundings_of
 from mast_zenoh.scenes.recording import Recording, SceneAgent
@@ -28,6 +29,8 @@ def nodes_of(
     specs: dict[str, NodeSpec] = {}
 
     def add(name: str, role: str, config: Mapping[str, Any]) -> None:
+        if name == ALL:
+            raise ConfigurationError(f"{path}: {name}: the name means all adversaries together: choose another one")
         if name in specs:
             raise ConfigurationError(f"{path}: {name}: there is a node of this name already")
         specs[name] = node_spec(path, name, role, config)
@@ -55,9 +58,10 @@ def nodes_of(
     if scenario.get("coordinator") is not None:
         add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
     inform(specs, recording)
-    ages = [specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config]
-    held = {"picture_age_s": max(ages)} if ages else {}  # by the evaluator, as long as by the agents
-    add("evaluator", "evaluator", {"agents": agents, **held, **scenario.get("evaluator", {})})
+    ages = {name: specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config}
+    evaluator = scenario.get("evaluator", {})
+    held = {"picture_ages_s": ages} if ages and "picture_age_s" not in evaluator else {}
+    add("evaluator", "evaluator", {"agents": agents, **held, **evaluator})
     for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:

@@ -552,8 +552,13 @@ def test_pictures_are_scored_for_as_long_as_agents_go_on_with_them() -> None:
         hold(content)
         content["evaluator"] = {**content["evaluator"], "picture_age_s": 0.2}
 
-    ages = [tiny(edit=edit).nodes["evaluator"].config.get("picture_age_s") for edit in (None, hold, hold_and_say)]
-    assert ages == [None, 1.5, 0.2]
+    configs = [tiny(edit=edit).nodes["evaluator"].config for edit in (None, hold, hold_and_say)]
+    names = ("picture_age_s", "picture_ages_s")
+    assert [tuple(config.get(name) for name in names) for config in configs] == [
+        (None, None),
+        (None, {"infra_1": 1.5, "infra_2": 1.5}),
+        (0.2, None),
+    ]
 
 
 def test_an_agent_is_told_by_the_scene_what_it_is() -> None:

@@ -81,7 +81,8 @@ def _of_passage(
             continue
         pairs += [(frame, seq, *pair) for pair in zip_longest(came, went)]
     lateness = [went[0].step - came[0].step for _, _, came, went in pairs if came and went]
-    most_late = max([0, *lateness])
+    # One late message excuses no others: a delay is usual when a twentieth of all messages are as late.
+    usual = max((late for late in lateness if 20 * sum(each >= late for each in lateness) >= len(arrivals)), default=0)
     for frame, seq, came, went in pairs:
         number = {"frame": frame, "seq": seq}
         if went is None:
@@ -91,11 +92,14 @@ def _of_passage(
                 yield number | {"effect": "corrupted"}
             else:
                 # A message that may still be under way when the run ends is neither delivered nor dropped.
-                known = came[0].step + most_late <= last
+                known = came[0].step + usual <= last
                 yield number | {"effect": "dropped" if known else "unsettled"}
         elif came is None:
-            first = next(pair[2][0].step for pair in pairs if pair[:2] == (frame, seq) and pair[2])
-            yield number | {"effect": "repeated", "delay_s": _delay(went[0].step - first)}
+            first, relayed = next((pair[2][0], pair[3][0]) for pair in pairs if pair[:2] == (frame, seq) and pair[2])
+            if _same(relayed.content, went[0].content):
+                yield number | {"effect": "repeated", "delay_s": _delay(went[0].step - first.step)}
+            else:
+                yield number | {"effect": "forged"}
         else:
             if went[0].step > came[0].step:
                 yield number | {"effect": "delayed", "delay_s": _delay(went[0].step - came[0].step)}

@@ -38,7 +38,7 @@ class Tamperer(Node):
         port = f"{header.schema}_out"
         rng = context.rng(header.schema, header.frame, header.seq, context.frame)
         what = rng.permutation(
-            ["drop", "repeat", "delay", "restamp", "rubbish", "damage", "forge", "reframe", "speak", "crash"]
+            ["drop", "repeat", "again", "delay", "restamp", "rubbish", "damage", "forge", "reframe", "speak", "crash"]
         )
         what = {str(name) for name in what[rng.random(len(what)) < self.rate][:2]}
         body = changed(received.body, rng, self.rate, context.frame) if rng.random() < 0.7 else None
@@ -62,6 +62,8 @@ class Tamperer(Node):
         after_s = float(rng.choice([0.04, 0.1, 0.25])) if "delay" in what else 0.0
         for _ in range(2 if "repeat" in what else 1):
             context.relay(port, received, body, time_ns=time_ns, after_s=after_s)
+        if "again" in what:
+            context.relay(port, received, changed(received.body, rng, 1.0, context.frame), after_s=after_s)
 
 
 def changed(body, rng: np.random.Generator, rate: float, frame: int):

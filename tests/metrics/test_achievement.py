@@ -34,7 +34,7 @@ def achieved(
     scores, _, labels, done = labelled(record, effects(*lies))
     truth = record.truth(scores.frames)
     victims = {name: {1} for name in done.culprits}
-    found = achievement.targets(scores, labels.cause, done, truth, record.agents, "ego", victims, 100.0)
+    found = achievement.targets(scores, labels.cause, done, truth, record.agents, "ego", victims, 100.0, 5)
     return achievement.summary(found, done.culprits, scores, labels.switch_by, "ego", PERIOD_S)
 
 

@@ -169,7 +169,7 @@ def test_the_picture_on_arrival_is_the_newest_that_has_come_and_nothing_once_it_
         run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
     for frame, step in ((0, 1), (1, 3), (2, 2), (3, 4)):  # that of frame 1 is overtaken by that of frame 2
         run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), step)
-    run.hold_pictures(4)
+    run.hold_pictures({"ego": 4})
     frames = np.arange(12)
     held = run.tracks(Series("ego", "picture_on_arrival"), frames)
     place = dict(zip(held.boxes.group.tolist(), held.boxes.position[:, 0].tolist(), strict=True))

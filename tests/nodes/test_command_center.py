@@ -47,10 +47,18 @@ def test_two_agents_tracks_of_one_object_are_one_object_with_the_support_of_two(
 
 def test_a_batch_of_nothing_gives_a_picture_of_nothing(resolved) -> None:
     centre = Bench(resolved, "command_center")
-    centre.clock(0)
-    for empty in (batch(), batch((), ())):
-        ((_, message),) = centre.send("collated", empty, 0)
+    for frame, empty in enumerate((batch(), batch((), ()))):
+        centre.clock(frame)
+        ((_, message),) = centre.send("collated", empty, frame)
         assert len(message.body["id"]) == 0
+    assert not centre.host.failures
+
+
+def test_a_second_batch_of_a_frame_is_a_duplicate(resolved) -> None:
+    centre = Bench(resolved, "command_center")
+    centre.clock(0)
+    assert len(centre.send("collated", batch(((0.0, 0.0),)), 0)) == 1
+    assert centre.send("collated", batch(((9.0, 0.0),)), 0) == []
     assert not centre.host.failures
 
 
