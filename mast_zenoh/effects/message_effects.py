@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from mast_zenoh.states import Floats
+
 #: What can happen to a whole message.
 DELAYED, DROPPED, REPEATED, CORRUPTED, RESTAMPED, REFRAMED, FORGED, UNSETTLED = MESSAGE_EFFECTS = (
     "delayed",
@@ -57,3 +59,13 @@ class Interval:
         return (self.begin > 0 and step < self.begin + CHANGE_FRAMES) or (
             self.end is not None and step >= self.end - CHANGE_FRAMES
         )
+
+
+class Spoof(NamedTuple):
+    """A pose that an interposer changed: the frame, and position (3,) m and quaternion (4,) before and after."""
+
+    frame: int
+    position: Floats
+    rotation: Floats
+    false_position: Floats
+    false_rotation: Floats

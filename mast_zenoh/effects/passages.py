@@ -21,6 +21,7 @@ from mast_zenoh.effects.message_effects import (
     UNSETTLED,
     Interval,
     MessageEffect,
+    Spoof,
 )
 from mast_zenoh.effects.objects import ObjectChanges, Passed
 from mast_zenoh.errors import MessageError
@@ -43,7 +44,7 @@ RESTAMPED_NS = 50_000_000
 class PassageMeter:
     """Compares what one interposer sends on a wire with what it receives there, in whatever order both are heard.
 
-    effects: on messages; objects: on the objects in them; received: how many messages came in
+    effects: on messages; objects: on the objects in them; spoofs: on poses; received: how many messages came in
     """
 
     def __init__(self, passage: Passage, interval: Interval) -> None:
@@ -51,6 +52,7 @@ class PassageMeter:
         self.interval = interval
         self.effects: list[MessageEffect] = []
         self.objects: list[ObjectChanges] = []
+        self.spoofs: list[Spoof] = []
         self.received = 0
         self._waiting: dict[Id, list[Overheard]] = {}  # received, and not sent on yet
         self._early: dict[Id, list[Overheard]] = {}  # sent, and not known to have been received
@@ -166,6 +168,9 @@ class PassageMeter:
         changes, others = objects.changed(self.passage.message, self._passed)
         self.objects.append(changes)
         for each, names in zip(self._passed, others, strict=True):
+            if names and self.passage.message == "pose":
+                before, after = ([body[name].copy() for name in ("position", "rotation")] for body in each[3:])
+                self.spoofs.append(Spoof(each.frame, *before, *after))
             if names:
                 self.effects.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
         self._passed = []

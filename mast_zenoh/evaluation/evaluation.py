@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.effects import Effects, effects_of, reports
-from mast_zenoh.evaluation.from_effects import absent, manipulations, stopped
+from mast_zenoh.evaluation.from_effects import Limits, absent, manipulations, stopped
 from mast_zenoh.evaluation.heard import Heard
+from mast_zenoh.evaluation.poses import with_poses
 from mast_zenoh.evaluation.tables import attacks
 from mast_zenoh.links import WIRES
 from mast_zenoh.metrics import (
@@ -82,6 +83,9 @@ class Evaluation:
             heard.period_s,
             away,
         )
+        spoofs, agents = [meter.spoofs for meter in heard.meter.meters], heard.record.agents
+        lasts = round(Limits().coast_s / heard.period_s)
+        done = with_poses(done, effects, spoofs, truth, agents, scores.frames, self.scorer.min_points, lasts)
         severed = self._severed(heard, scores, truth, effects)
         attribution = replace(self.attribution, min_points=self.scorer.min_points)
         labels = attribution.label(scores, done, truth, heard.record.agents, heard.period_s, severed)

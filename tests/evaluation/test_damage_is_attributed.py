@@ -1,0 +1,105 @@
+"""Whatever way an adversary takes to damage the picture, the errors are due to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from played import Played
+
+Once = Callable[..., Played]
+
+ADVERSARY = """
+import numpy as np
+
+from mast_zenoh import codec
+from mast_zenoh.messages import Message
+from mast_zenoh.node import Node
+
+
+class Vandal(Node):
+    role = "adversary"
+    inputs = {"clock": "clock", "tracks": "tracks"}
+    outputs = {"tracks_out": "tracks"}
+
+    def __init__(self, agent: str, mode: str):
+        self.agent, self.mode, self.held = agent, mode, None
+
+    def on_clock(self, received, context):
+        pass
+
+    def on_tracks(self, received, context):
+        if received.frame < 8:
+            context.relay("tracks_out", received)
+            return
+        header, n = received.message.header, len(received.body["id"])
+        if self.mode == "forestall":  # an empty message of the same frame, before the true one
+            empty = {k: v[:0] if v.shape[:1] == (n,) and k not in ("origin", "rotation") else v
+                     for k, v in received.body.items()}
+            forged = Message(header._replace(seq=header.seq + 1000), empty)
+            context.relay("tracks_out", received, payload=codec.encode(codec.conform(forged.header, empty)))
+            context.relay("tracks_out", received)
+        elif self.mode == "restamp":
+            context.relay("tracks_out", received, time_ns=max(0, header.time_ns - 500_000_000))
+        elif self.mode == "hold":  # one message is late, and excuses no others
+            if self.held is None:
+                self.held = received
+            elif received.frame == 34:
+                context.relay("tracks_out", self.held)
+        else:
+            context.relay("tracks_out", received)
+
+
+class Spoofer(Node):
+    role = "adversary"
+    inputs = {"clock": "clock", "pose": "pose"}
+    outputs = {"pose_out": "pose"}
+
+    def __init__(self, agent: str, mode: str):
+        self.agent = agent
+
+    def on_clock(self, received, context):
+        pass
+
+    def on_pose(self, received, context):
+        body = dict(received.body)
+        if received.frame >= 8:
+            body["position"] = body["position"] + np.array([8.0, 8.0, 0.0])
+        context.relay("pose_out", received, body)
+"""
+
+SCENARIO = """
+from mast_zenoh.scenario import load
+
+
+def scenario(mode="forestall", wire="tracks"):
+    return dict(load("baseline")[1]) | dict(
+        name="vandals",
+        adversaries={f"vandal_{k}": dict(file="vandal.py", type="Spoofer" if wire == "pose" else "Vandal", agent=f"infra_{k}", mode=mode) for k in range(1, 5)},
+        keyexpr=dict(map="testbed.toml", rewrites=[
+            {"insert": [dict(wire=f"agent/{{agent}}/{wire}", role="adversary", input=wire, output=f"{wire}_out")]}
+        ]),
+    )
+"""
+
+
+@pytest.mark.parametrize(
+    ("mode", "wire", "effect"),
+    [
+        ("forestall", "tracks", "forged"),
+        ("restamp", "tracks", "restamped"),
+        ("hold", "tracks", "dropped"),
+        ("pose", "pose", "reframed"),
+    ],
+)
+def test_missed_objects_are_due_to_whoever_withholds_them(once: Once, mode: str, wire: str, effect: str) -> None:
+    files = {"vandal": ADVERSARY, "vandals": SCENARIO}
+    attacked, baseline = once("vandals", f"mode={mode}", f"wire={wire}", **files), once("baseline")
+    before, after = (played.agents["ego"]["picture"] for played in (baseline, attacked))
+    added = after["fn"]["mean"] - before["fn"]["mean"]
+    assert added > 1.5
+    assert after["fn_split"]["attack"] > 0.8 * added
+    assert after["fp_split"]["attack"] >= 0.8 * (after["fp"]["mean"] - before["fp"]["mean"])
+    for verdict in attacked.metrics["interposers"].values():
+        assert verdict["agreement"] == "silent"
+        assert verdict["effects"][effect] > 10
