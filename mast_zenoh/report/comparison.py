@@ -10,9 +10,6 @@ import numpy as np
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.report.runfolder import RunFolder
 
-#: What the unattacked twin of a run is called, by `launch.twin`.
-UNATTACKED = "unattacked"
-
 
 @dataclass(frozen=True, eq=False)
 class Reference:

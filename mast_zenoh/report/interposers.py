@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mast_zenoh.report.runfolder import RunFolder, agent_of
+from mast_zenoh.runtime.failures import how_often
 
 #: Effects with a column of their own; all others are counted together.
 EFFECTS = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")
@@ -60,7 +61,7 @@ class Interposer:
         return ", ".join(f"{count} {name}" for name, count in more.items())
 
     @property
-    def said(self) -> str:
+    def reports_text(self) -> str:
         """What it reported, held against what was measured."""
         if not self.reports:
             return "nothing"
@@ -133,15 +134,17 @@ def _crash(run: RunFolder, node: str) -> str:
     entries = failures_of(told)
     if entries:
         first = entries[0]
-        return f"{first['handler']} failed {first['count']} times, see above"
+        return f"{first['handler']} failed {how_often(first)}"
     if told.get("exit") and not exit_expected(told) and run.run.get("status") != "interrupted":
         return str(told.get("ended") or f"exit code {told['exit']}")
     return ""
 
 
 def exit_expected(node: Mapping[str, Any]) -> bool:
-    """Whether the scenario or a request ended a node of run.json."""
-    return any(words in str(node.get("ended")) for words in ("by the scenario", "released", "told to leave"))
+    """Whether the scenario or a request ended a node of run.json; False if it crashed after a restart."""
+    parts = str(node.get("ended")).split("; ")
+    ends = parts if parts[-1] == "ok" else parts[-2:]
+    return any(words in part for part in ends for words in ("by the scenario", "released", "told to leave"))
 
 
 def failures_of(node: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -265,7 +265,7 @@ def study_reading(runs: Mapping[str, RunFolder], table: ScoreTable) -> list[str]
     if reference is not None and len(runs) > 1 and reference.summary("local"):
         own = {str([run.summary("local").get(key) for key in ("fn", "fp", "tp")]) for run in runs.values()}
         sentences.append(
-            "The ego's own tracks score the same in every run: what comes from outside does not reach them."
+            "The ego's own tracks score the same in every run."
             if len(own) == 1
             else "The ego's own tracks do not score the same in every run: see the table."
         )
