@@ -131,7 +131,7 @@ class RunFolder:
         frames = self.metrics.get("scored_frames")
         return (int(frames[0]), int(frames[-1])) if frames else None
 
-    @cached_property
+    @property
     def evaluator_config(self) -> dict[str, Any] | None:
         """The evaluator's settings in scenario.json; None: not known."""
         config = self.scenario.get("nodes", {}).get("evaluator", {}).get("config")
