@@ -59,7 +59,7 @@ class Adversary(Node):
         self.directives: LatestBefore[Targets] = LatestBefore()
 
     def start(self, context: Context) -> None:
-        """Its draws are its own."""
+        """Initialise the random streams."""
         self.attack.inform(self.surroundings)
         self.attack.bind(context.seed, context.name)
 

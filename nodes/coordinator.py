@@ -30,10 +30,10 @@ class Coordinator(Node):
         self.coordination = coordination
         self.surroundings = surroundings
         self.adversaries = frozenset(adversaries)
-        self.observed: Gather[str, Received] = Gather()  # grows and shrinks with those who are there
+        self.observed: Gather[str, Received] = Gather()  # follows the adversaries that are up
 
     def start(self, context: Context) -> None:
-        """Its draws are its own."""
+        """Initialise the random streams."""
         self.coordination.inform(self.surroundings)
         self.coordination.bind(context.seed, context.name)
 
@@ -60,7 +60,7 @@ class Coordinator(Node):
             self.direct(received.frame, items, context)
 
     def direct(self, frame: int, items: dict[str, Received], context: Context) -> None:
-        """One plan for all who have spoken; they follow it from the next frame on."""
+        """One plan for all adversaries that have reported; they follow it from the next frame on."""
         names = sorted(items)
         seen = [ObjectStates.from_columns(items[name].body) for name in names]
         time_ns = items[names[0]].time_ns

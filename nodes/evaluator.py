@@ -113,7 +113,7 @@ class Evaluator(Node):
         self.heard.times_ns[message.header.frame] = message.header.time_ns
 
     def take_truth(self, message: Overheard, route: Route) -> None:
-        """Where everything really is."""
+        """Store the truth of a frame."""
         body = message.body
         objects = ObjectStates.of(
             body["position"], id=body["id"], size=body["size"], yaw=body["yaw"], velocity=body["velocity"]

@@ -27,7 +27,7 @@ class Recorder(Node):
         self.log = log
 
     def start(self, context: Context) -> None:
-        """All keys are known before the first message, but those of who is put on a wire later."""
+        """All keys are known before the first message, except those of nodes inserted later."""
         self.log.begin(context.hears)
         self.rewired(context)
 

@@ -1,4 +1,4 @@
-"""Which objects an adversary invents, hides and displaces (paper, section on attack designs; ANCHORS section 2)."""
+"""Which objects an adversary invents, hides and displaces (paper, section on attack designs)."""
 
 from __future__ import annotations
 

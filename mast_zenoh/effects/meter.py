@@ -46,7 +46,7 @@ class Meter:
                 self._out_of.setdefault(passage.sent, []).append(meter)
 
     def add(self, message: Overheard) -> None:
-        """A message was sent on a key. One that no node of the run has sent is no interposer's."""
+        """Add a message; messages from outside the run are ignored."""
         key, step = message.key, message.step
         if step < 0:
             return

@@ -22,7 +22,7 @@ class Event:
 
     what:   JOINED, LEFT or REWIRED
     frame:  the newest frame when it happened; -1: before the first
-    node, role: who came or went
+    node, role: the node that joined or left
     wiring: the new wiring, as in wiring.json
     """
 

@@ -1,4 +1,4 @@
-"""What attribution says of a whole run: how many errors of each estimate are due to attacks, to faults, to neither."""
+"""Counts of errors by cause, per estimate."""
 
 from __future__ import annotations
 

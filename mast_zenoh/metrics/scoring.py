@@ -24,7 +24,7 @@ class Scorer:
     object a false positive (FP). RMSE is over the bird's-eye centre distances of the pairs. An identity switch is
     counted when the track that matches an object has another id than the one that matched it last.
 
-    assigner:      who belongs to whom; None: CenterDistanceAssigner()
+    assigner:      matches tracks with truth; None: CenterDistanceAssigner()
     distance:      parameters of OSPA and GOSPA; None: SetDistance()
     include_self:  whether the object that the agent is counts as truth for it. If not, a track of it is not false
                    either: it goes unevaluated

@@ -6,7 +6,7 @@ changes              what changed, of all kinds, and what it is due to
 words, phrases       the result in words;  terminal: on the terminal
 table                the table of scores
 interposers          what each interposer did, and its verdict
-achievement, explanations   what attacks achieved, and why something had no effect
+achievement, explanations   what attacks achieved, and why something had limited effect
 driving              what estimates would mean for driving
 faulted, causes      what runs with links, faults or a wall clock have more
 view                 what pictures show of a frame, and of which frame

@@ -22,7 +22,7 @@ class AchievedRow(NamedTuple):
     error_m:  m, mean error of the moved objects' tracks
     first_s:  s, from its first change to its first success
     switches: identity switches due to it
-    why:      why something that it did had no effect; may be empty
+    why:      why something that it did had limited effect; may be empty
     """
 
     adversary: str

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.report.runfolder import RunFolder
-
-#: What the unattacked twin of a run is called, by `launch.twin`.
-UNATTACKED = "unattacked"
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,28 +24,58 @@ class Reference:
 def reference(run: RunFolder, other: Path) -> Reference:
     """The run in another folder, as what `run` is compared with.
 
-    Raises NotComparable when one of them has no results, or scene, seed or length differ; RunFolderError when
+    Raises NotComparable when one of them has no results, or scene, seed, length or scoring differ; RunFolderError when
     there is no run in the folder.
     """
-    found = RunFolder.load(other)
-    for each in (run, found):
+    second = RunFolder.load(other)
+    for each in (run, second):
         if not each.metrics.get("agents"):
             raise NotComparable(f"{each.path}: has no results (metrics.json): expected a run that was scored")
     places = f"{run.path} and {other}"
-    if run.ego not in found.metrics["agents"]:
+    if run.ego not in second.metrics["agents"]:
         raise NotComparable(f"{places}: found no agent {run.ego} in the second, expected the same agents")
-    frames = [each.metrics.get("frames") for each in (run, found)]
+    frames = [each.metrics.get("frames") for each in (run, second)]
     if frames[0] != frames[1]:
         raise NotComparable(f"{places}: found {frames[0]} and {frames[1]} frames, expected as many in both")
-    seeds = [each.run.get("seed") for each in (run, found)]
-    if seeds[0] != seeds[1] or not _same_scene(run, found):
-        scenes = [each.recording.name if each.recording else "an unknown scene" for each in (run, found)]
+    if difference := _scoring_difference(run, second):
+        raise NotComparable(
+            f"{places}: {difference}: expected runs that were scored alike; run one of them again with the evaluator "
+            "of the other"
+        )
+    seeds = [each.run.get("seed") for each in (run, second)]
+    if seeds[0] != seeds[1] or not _same_scene(run, second):
+        scenes = [each.recording.name if each.recording else "an unknown scene" for each in (run, second)]
         raise NotComparable(
             f"{places}: found {scenes[0]} with seed {seeds[0]}, and {scenes[1]} with seed {seeds[1]}: expected the "
             "same scene and seed, so that differences are due to what was changed"
         )
-    name = found.label if found.label not in (run.label, "") else other.resolve().name
-    return Reference(found, name)
+    name = second.label if second.label not in (run.label, "") else other.resolve().name
+    return Reference(second, name)
+
+
+def _scoring_difference(one: RunFolder, other: RunFolder) -> str:
+    """How the scoring of two runs differs, in words; empty: it does not, as far as the run folders say.
+
+    Metrics of the user's own do not count: they add rows and change none.
+    """
+    configs = [each.evaluator_config for each in (one, other)]
+    if all(config is not None for config in configs):
+        here, there = (_flat("evaluator", {**(config or {}), "metrics": None}) for config in configs)
+        for name in sorted(here.keys() | there.keys()):
+            values = [settings.get(name, "nothing") for settings in (here, there)]
+            if values[0] != values[1]:
+                return f"{name}: found {values[0]} and {values[1]}"
+    scored = [each.scored_frames for each in (one, other)]
+    if None not in scored and scored[0] != scored[1]:
+        return f"scored_frames: found {scored[0]} and {scored[1]}"
+    return ""
+
+
+def _flat(name: str, value: Any) -> dict[str, Any]:
+    """The leaves of nested settings by dotted name."""
+    if not isinstance(value, Mapping):
+        return {name: value}
+    return {key: leaf for part, inner in value.items() for key, leaf in _flat(f"{name}.{part}", inner).items()}
 
 
 def _same_scene(one: RunFolder, other: RunFolder) -> bool:

@@ -1,4 +1,4 @@
-"""Why what an adversary did had no effect: each reason is derived from what was measured."""
+"""Why what an adversary did had limited effect: each reason is derived from what was measured."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.metrics.achievement import DISPLACED_M
 from mast_zenoh.report.changes import scored
 from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.interposers import Interposer, interposers
@@ -17,20 +18,21 @@ from mast_zenoh.states import Bools
 
 #: Shares at or above this count as "always", at or below its rest as "never".
 _NEARLY = 0.95
-#: m, half the gate of the metrics: an estimate that is off by less was not displaced.
-_DISPLACED_M = 1.0
-#: m, the gate of the metrics: what is inserted nearer to a real object than this is taken for it.
-_GATE_M = 2.0
+#: Lidar points with which an agent sees an object, as in `seen_by_others` of targets.parquet.
+_SEES = 5
 
 
 def explanations(run: RunFolder) -> dict[str, tuple[str, ...]]:
-    """By interposer that is no link, why something that it did had no effect on the picture or the ego."""
-    found = {}
+    """By interposer that is no link, why something that it did had limited effect on the picture or the ego.
+
+    A reason begins with the kind of change that it is about, unless it is about everything that the interposer did.
+    """
+    result = {}
     for each in interposers(run):
         reasons = () if each.is_link else tuple(_reasons(run, each))
         if reasons:
-            found[each.name] = reasons
-    return found
+            result[each.name] = reasons
+    return result
 
 
 def _reasons(run: RunFolder, interposer: Interposer) -> list[str]:
@@ -39,9 +41,7 @@ def _reasons(run: RunFolder, interposer: Interposer) -> list[str]:
     if not interposer.changed:
         return [_idle(run, interposer)]
     if interposer.before and run.ego not in interposer.before:
-        return [
-            f"it sat on the picture's way to {', '.join(interposer.before)}: the ego got the picture as it was sent"
-        ]
+        return [f"it sat on the picture's way to {', '.join(interposer.before)}, not to the ego"]
     if run.targets is None:
         return []
     targets = rows(run.targets, run.targets["adversary"] == interposer.name)
@@ -57,7 +57,7 @@ def _reasons(run: RunFolder, interposer: Interposer) -> list[str]:
     ):
         mine = rows(targets, np.isin(targets["kind"], kinds))
         if len(mine["frame"]):
-            reasons += explain(run, mine, achieved)
+            reasons += [f"{kinds[0]}: {reason}" for reason in explain(run, mine, achieved)]
     return reasons
 
 
@@ -81,12 +81,11 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
     """Why inserted objects were not believed."""
     reasons = []
     if not achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
-        far = _beyond_range(run, targets)
-        if far is not None and far.mean() >= _NEARLY:
-            return [f"what it inserted was more than {_range_m(run):g} m from the ego, outside scoring"]
+        if not _judged(targets).any():
+            return [f"what it inserted was out of range of every agent ({_range_m(run):g} m)"]
         beside = _on_real_objects(run, targets)
         if beside is not None and beside.mean() >= 0.5:
-            near = f"within {_GATE_M:g} m of a real object"
+            near = f"within {_gate_m(run):g} m of a real object"
             return [f"{beside.mean():.0%} of what it inserted was {near}, and was taken for it"]
         if _only_downlink(run, targets):
             return ["the ego's fusion rejected everything that it inserted: no track followed it"]
@@ -103,10 +102,9 @@ def _hidden(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list
     known = targets["object"] >= 0
     if not known.any():
         return ["what it removed was no object of the scene, but clutter"]
-    judged = targets["judged_centre"].astype(bool) | targets["judged_ego"].astype(bool)
-    if not judged.any():
-        return ["what it removed is not scored: no agent sees it, or it is out of the ego's range"]
-    others = targets["seen_by_others"].astype(bool)[known].mean()
+    if not _judged(targets).any():
+        return ["what it removed is not scored: no agent sees it, or it is out of range of every agent"]
+    others = _seen_by_others(run, targets)[known].mean()
     if others >= 0.5:
         when = "all the time" if others >= _NEARLY else f"{others:.0%} of the time"
         return [f"other agents still saw what it removed, {when}"]
@@ -120,11 +118,11 @@ def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[
     """Why moved objects are not off."""
     if achieved.get("moved_share_centre") or achieved.get("moved_share_ego"):
         return []
-    errors = [achieved.get(f"moved_error_m_{who}") for who in ("centre", "ego")]
+    errors = [achieved.get(f"moved_error_m_{estimate}") for estimate in ("centre", "ego")]
     known = [error for error in errors if error is not None]
     if not known:
-        return ["what it moved is not scored: no agent sees it, or it is out of the ego's range"]
-    if max(known) < _DISPLACED_M:
+        return ["what it moved is not scored: no agent sees it, or it is out of range of every agent"]
+    if max(known) < DISPLACED_M:
         return [f"the tracks of what it moved are {max(known):.2f} m off on average, which is no displacement"]
     return []
 
@@ -137,18 +135,55 @@ def _only_downlink(run: RunFolder, targets: Table) -> bool:
     return bool(np.all(run.attacks["message"][mine] == "picture"))
 
 
+def _scorer(run: RunFolder) -> dict[str, Any]:
+    """The scorer's settings; {}: its defaults, or not known."""
+    return (run.evaluator_config or {}).get("scorer") or {}
+
+
 def _range_m(run: RunFolder) -> float:
-    config = run.scenario.get("nodes", {}).get("evaluator", {}).get("config", {})
-    return float((config.get("scorer") or {}).get("range_m", 100.0))
+    return float(_scorer(run).get("range_m", 100.0))
 
 
-def _beyond_range(run: RunFolder, targets: Table) -> Bools | None:
-    """(n,) which targets are out of the ego's range; None: where the ego is, is not known."""
-    recording = run.recording
-    if recording is None or run.ego not in recording.agent_names or targets["frame"].max() >= len(recording):
-        return None
-    at = recording.agent_position[targets["frame"], recording.agent_names.index(run.ego)]
-    return np.asarray(np.hypot(targets["x"] - at[:, 0], targets["y"] - at[:, 1]) > _range_m(run))
+def _gate_m(run: RunFolder) -> float:
+    """m, the gate of the metrics: what is inserted nearer to a real object than this is taken for it."""
+    return float((_scorer(run).get("assigner") or {}).get("gate_m", 2.0))
+
+
+def _judged(targets: Table) -> Bools:
+    """(n,) which targets can be judged in any estimate, because they are in range and evaluated."""
+    return np.asarray(targets["judged_centre"].astype(bool) | targets["judged_ego"].astype(bool))
+
+
+def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
+    """(n,) which targets are seen by an agent whose report of them no adversary changes in that frame.
+
+    `seen_by_others` knows only the agents of one adversary: where others change the same object, their agents are left
+    out. Without the scene, an object that several adversaries change counts as seen by none.
+    """
+    seen = targets["seen_by_others"].astype(bool)
+    assert run.targets is not None
+    real = rows(run.targets, run.targets["kind"] != "inserted")
+    agents = {each.name: each.agents for each in interposers(run)}
+    hidden: dict[tuple[int, int], set[str]] = {}
+    changed_by: dict[tuple[int, int], set[str]] = {}
+    for name, number, frame in zip(real["adversary"], real["object"].tolist(), real["frame"].tolist(), strict=True):
+        hidden.setdefault((number, frame), set()).update(agents.get(name, ()))
+        changed_by.setdefault((number, frame), set()).add(name)
+    for row, key in enumerate(zip(targets["object"].tolist(), targets["frame"].tolist(), strict=True)):
+        if seen[row] and len(changed_by[key]) > 1:
+            seen[row] = _sees(run, *key, hidden[key])
+    return np.asarray(seen)
+
+
+def _sees(run: RunFolder, number: int, frame: int, without: set[str]) -> bool:
+    """Whether an agent other than these sees an object in a frame of the scene."""
+    scene = run.recording
+    if scene is None or not 0 <= frame < len(scene):
+        return False
+    free = [column for column, agent in enumerate(scene.agent_names) if agent not in without]
+    start = int(scene.truth_start[frame])
+    at = start + np.flatnonzero(scene.truth_at(frame).id == number)
+    return bool((scene.points[at][:, free] >= _SEES).any())
 
 
 def _on_real_objects(run: RunFolder, targets: Table) -> Bools | None:
@@ -163,7 +198,7 @@ def _on_real_objects(run: RunFolder, targets: Table) -> Bools | None:
             _column(targets, "x")[here, None] - _column(truth, "x")[there],
             _column(targets, "y")[here, None] - _column(truth, "y")[there],
         )
-        result[here] = (apart <= _GATE_M).any(axis=1)
+        result[here] = (apart <= _gate_m(run)).any(axis=1)
     return result
 
 

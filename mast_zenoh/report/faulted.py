@@ -1,4 +1,4 @@
-"""What the report of a run with links, faults or a wall clock has more: who is to blame, what was checked, how late."""
+"""What the report of a run with links, faults or a wall clock has more: causes of errors, checks, lateness."""
 
 from __future__ import annotations
 

@@ -196,39 +196,39 @@ def _score_rows(table: ScoreTable) -> dict[str, Any]:
 
 
 def _facts(run: RunFolder) -> list[str]:
-    told = [f"run {run.run['id']}"] if "id" in run.run else []
-    told += [str(run.run["status"])] if "status" in run.run else []
-    told += [f"scene {run.recording.name}"] if run.recording else []
-    told += [_frames(run)] if "frames" in run.metrics else []
-    told += [f"seed {run.run['seed']}"] if "seed" in run.run else []
-    told += [f"{run.run['mode']} on {run.run.get('runtime', 'mesh')}"] if "mode" in run.run else []
-    speed = run.run.get("timings", {}).get("frames_per_second") or run.metrics.get("frames_per_second")
-    told += [f"{speed:.0f} frames/s"] if speed else []
+    facts = [f"run {run.run['id']}"] if "id" in run.run else []
+    facts += [str(run.run["status"])] if "status" in run.run else []
+    facts += [f"scene {run.recording.name}"] if run.recording else []
+    facts += [_frames(run)] if "frames" in run.metrics else []
+    facts += [f"seed {run.run['seed']}"] if "seed" in run.run else []
+    facts += [f"{run.run['mode']} on {run.run.get('runtime', 'mesh')}"] if "mode" in run.run else []
+    speed = run.run.get("timings", {}).get("frames_per_second")
+    facts += [f"{speed:.0f} frames/s"] if speed else []
     latency = run.metrics.get("latency_ms", {}).get("sim_to_picture", {})
     if latency.get("p50") is not None and latency.get("p99"):  # lock-step has no latency: scene time stands still
-        told.append(f"simulator to picture {latency['p50']:.1f} ms (99 %: {latency['p99']:.1f} ms)")
-    return told
+        facts.append(f"simulator to picture {latency['p50']:.1f} ms (99 %: {latency['p99']:.1f} ms)")
+    return facts
 
 
 def _healed(run: RunFolder) -> list[str]:
     """When the last fault was over, and how soon after that the picture was as if there had been none."""
     heals, converged = run.checks.get("heals_s") or [], run.checks.get("converged_after_s")
-    told = [f"healed at {', '.join(f'{each:g}' for each in heals)} s"] if heals else []
+    facts = [f"healed at {', '.join(f'{each:g}' for each in heals)} s"] if heals else []
     if isinstance(converged, (int, float)):
-        told.append(f"the picture converged to the unfaulted one {converged:.1f} s after the heal")
-    return told
+        facts.append(f"the picture converged to the unfaulted one {converged:.1f} s after the heal")
+    return facts
 
 
 def _study_facts(runs: Mapping[str, RunFolder]) -> list[str]:
-    told = [f"{len(runs)} runs"]
+    facts = [f"{len(runs)} runs"]
     scenes = {run.recording.name for run in runs.values() if run.recording}
     seeds = {str(run.run["seed"]) for run in runs.values() if "seed" in run.run}
     frames = {_frames(run) for run in runs.values() if "frames" in run.metrics}
-    told += [f"scene {', '.join(sorted(scenes))}"] if scenes else []
-    told += [f"seed {', '.join(sorted(seeds))}"] if seeds else []
-    told += [f"each {frames.pop()}"] if len(frames) == 1 else []
+    facts += [f"scene {', '.join(sorted(scenes))}"] if scenes else []
+    facts += [f"seed {', '.join(sorted(seeds))}"] if seeds else []
+    facts += [f"each {frames.pop()}"] if len(frames) == 1 else []
     bad = [label for label, run in runs.items() if run.run.get("status") != "ok"]
-    return told + ([f"not ended well: {', '.join(bad)}"] if bad else [])
+    return facts + ([f"not ended well: {', '.join(bad)}"] if bad else [])
 
 
 def _frames(run: RunFolder) -> str:
@@ -237,13 +237,13 @@ def _frames(run: RunFolder) -> str:
 
 
 def _node(run: RunFolder, name: str) -> dict[str, Any]:
-    told = run.run["nodes"][name]
-    return {key: told.get(key) for key in ("pid", "exit", "restarts")} | {
+    record = run.run["nodes"][name]
+    return {key: record.get(key) for key in ("pid", "exit", "restarts")} | {
         "role": run.role(name),
-        "ended": told.get("ended") or "not known",
-        "bad": told.get("ended") != "ok" and not exit_expected(told),
-        "last_frame": told.get("last_frame"),
-        "troubles": _troubles(told),
+        "ended": record.get("ended") or "not known",
+        "bad": record.get("ended") != "ok" and not exit_expected(record),
+        "last_frame": record.get("last_frame"),
+        "troubles": _troubles(record),
     }
 
 
@@ -255,17 +255,17 @@ def _failures(run: RunFolder) -> list[str]:
     lines = failures.lines(whole, {name: nodes[name].get("log") or "not written" for name in whole})
     brief = [(name, entry) for name, entries in failed.items() for entry in entries if "where" not in entry]
     return lines + [
-        f"{name}.{entry['handler']} failed {entry['count']} times: {entry['exception']}" for name, entry in brief
+        f"{name}.{entry['handler']} failed {failures.how_often(entry)}: {entry['exception']}" for name, entry in brief
     ]
 
 
-def _troubles(told: Mapping[str, Any]) -> str:
+def _troubles(record: Mapping[str, Any]) -> str:
     """What a node counted and lived through; empty: nothing."""
-    refused, foreign = (_total(told.get(key)) for key in ("rejected", "foreign"))
+    refused, foreign = (_total(record.get(key)) for key in ("rejected", "foreign"))
     counts = (
         (refused, "malformed messages refused"),
         (foreign, "messages from outside the run"),
-        (sum(entry["count"] for entry in failures_of(told)), "handler failures"),
+        (sum(entry["count"] for entry in failures_of(record)), "handler failures"),
     )
     return ", ".join(f"{number} {what}" for number, what in counts if number)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mast_zenoh.report.runfolder import RunFolder, agent_of
+from mast_zenoh.runtime.failures import how_often
 
 #: Effects with a column of their own; all others are counted together.
 EFFECTS = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")
@@ -60,7 +61,7 @@ class Interposer:
         return ", ".join(f"{count} {name}" for name, count in more.items())
 
     @property
-    def said(self) -> str:
+    def reports_text(self) -> str:
         """What it reported, held against what was measured."""
         if not self.reports:
             return "nothing"
@@ -93,11 +94,11 @@ def interposers(run: RunFolder) -> tuple[Interposer, ...]:
         node = done["node"]
         wires.setdefault(node, {}).update(dict.fromkeys(done.get("wires", ())))
         (live if done["action"] == "intercept" else released)[node] = done["frame"]
-    found = []
+    result = []
     for node, keys in wires.items():
         crash, summary = _crash(run, node), measured.get(node, {})
         agents = dict.fromkeys(agent for agent in map(agent_of, keys) if agent)
-        found.append(
+        result.append(
             Interposer(
                 name=node,
                 role=run.role(node),
@@ -115,7 +116,7 @@ def interposers(run: RunFolder) -> tuple[Interposer, ...]:
                 failures=crash,
             )
         )
-    return tuple(sorted(found, key=lambda each: (each.is_link, not each.changed and not each.failures)))
+    return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
 
 
 def adversaries_by_agent(found: tuple[Interposer, ...]) -> dict[str, tuple[str, ...]]:
@@ -129,19 +130,21 @@ def adversaries_by_agent(found: tuple[Interposer, ...]) -> dict[str, tuple[str, 
 
 def _crash(run: RunFolder, node: str) -> str:
     """How a node crashed, in words; empty: it did not, or was ended by the scenario or on request."""
-    told = run.run.get("nodes", {}).get(node, {})
-    entries = failures_of(told)
+    record = run.run.get("nodes", {}).get(node, {})
+    entries = failures_of(record)
     if entries:
         first = entries[0]
-        return f"{first['handler']} failed {first['count']} times, see above"
-    if told.get("exit") and not exit_expected(told) and run.run.get("status") != "interrupted":
-        return str(told.get("ended") or f"exit code {told['exit']}")
+        return f"{first['handler']} failed {how_often(first)}"
+    if record.get("exit") and not exit_expected(record) and run.run.get("status") != "interrupted":
+        return str(record.get("ended") or f"exit code {record['exit']}")
     return ""
 
 
 def exit_expected(node: Mapping[str, Any]) -> bool:
-    """Whether the scenario or a request ended a node of run.json."""
-    return any(words in str(node.get("ended")) for words in ("by the scenario", "released", "told to leave"))
+    """Whether the scenario or a request ended a node of run.json; False if it crashed after a restart."""
+    parts = str(node.get("ended")).split("; ")
+    ends = parts if parts[-1] == "ok" else parts[-2:]
+    return any(words in part for part in ends for words in ("by the scenario", "released", "told to leave"))
 
 
 def failures_of(node: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -131,6 +131,12 @@ class RunFolder:
         frames = self.metrics.get("scored_frames")
         return (int(frames[0]), int(frames[-1])) if frames else None
 
+    @property
+    def evaluator_config(self) -> dict[str, Any] | None:
+        """The evaluator's settings in scenario.json; None: not known."""
+        config = self.scenario.get("nodes", {}).get("evaluator", {}).get("config")
+        return config if isinstance(config, dict) else None
+
     @cached_property
     def unsettled_frames(self) -> frozenset[int]:
         """Frames in which it could not be told what an interposer did: about a change of the wiring, and the last."""

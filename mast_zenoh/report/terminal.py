@@ -60,14 +60,14 @@ def _show_causes(console: Console, runs: Mapping[str, RunFolder], agent: str) ->
 
 
 def _show_lines(console: Console, label: str, run: RunFolder) -> None:
-    """What interposers did, why it had no effect, and every check."""
+    """What interposers did, why it had limited effect, and every check."""
     lines = []
-    found = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]
+    notable = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]
     why = explanations(run)
-    for each in found:
+    for each in notable:
         verdict = f"; {each.verdict}" if each.verdict in BAD else ""
         measured = "not measured" if each.effects is None else effects(each)
         lines.append(f"{each.description} on {', '.join(each.wires)}: {measured}{verdict}")
-        lines += [f"  no effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
+        lines += [f"  limited effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
     for line in (*lines, *check_lines(run.checks)):
         console.print(escape(f"{label}{line}"), highlight=False)

@@ -124,7 +124,7 @@ def merged(parts: Iterable[Sequence[Entry]]) -> list[Entry]:
 def lines(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | None = None) -> list[str]:
     """A line for each node and handler; `logs` are the paths of the nodes' logs."""
     return [
-        f"{node}.{entry['handler']} failed {_how_often(entry)}: {entry['exception']} ({entry['where']})"
+        f"{node}.{entry['handler']} failed {how_often(entry)}: {entry['exception']} ({entry['where']})"
         + (f"; log: {logs[node]}" if logs and node in logs else "")
         for node, entries in failures.items()
         for entry in entries
@@ -142,9 +142,12 @@ def error(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | Non
     return HandlerFailed(f"{summary(failures, logs)}\n{hint}")
 
 
-def _how_often(entry: Entry) -> str:
-    count, first, last = entry["count"], entry["first_frame"], entry["last_frame"]
-    times = "once" if count == 1 else f"{count} times"
+def how_often(entry: Entry) -> str:
+    """How often a handler failed and in which frames, in words; an entry of an older run has no frames."""
+    times = "once" if entry["count"] == 1 else f"{entry['count']} times"
+    if "first_frame" not in entry:
+        return times
+    first, last = entry["first_frame"], entry["last_frame"]
     if last < 0:
         return f"{times} before the first frame"
     return f"{times} in frame {first}" if first == last else f"{times} in {entry['frames']} frames ({first} to {last})"

@@ -199,7 +199,7 @@ class Host(NodeContext):
         if received.step > self.frame and self._clocked:
             self._hold(received.step, key, hears, received, counted)
             return
-        if not self._clocked:  # who has no clock goes by the messages: what it says on them is of their step
+        if not self._clocked:  # a node without a clock takes its step from the messages it handles
             self._step = max(self._step, received.step)
         self._handle(key, hears, received, counted)
 

@@ -78,7 +78,7 @@ def test_the_tables_have_the_columns_of_the_page(run: Path) -> None:
 
 
 def test_causes_are_on_the_page() -> None:
-    section = METRICS.split("## Whose fault it is")[1].split("## Cut off")[0]
+    section = METRICS.split("## Causes of errors")[1].split("## Cut off")[0]
     assert {cause for cause in CAUSES if f"`{cause}`" not in section} == set()
 
 

@@ -1,4 +1,4 @@
-"""Who belongs to whom: against brute force, shapely and the Hungarian method."""
+"""Matching tracks with truth: against brute force, shapely and the Hungarian method."""
 
 from __future__ import annotations
 

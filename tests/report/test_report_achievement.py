@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from mast_zenoh.report.achievement import achieved_rows
 from mast_zenoh.report.driving import driving_over_time, driving_rows
 from mast_zenoh.report.explanations import explanations
+from mast_zenoh.report.html import write_page
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import DASH
+from mast_zenoh.report.terminal import show_loaded
 
 ACHIEVED = {"inserted": 4, "inserted_share_centre": 1.0, "inserted_share_ego": 0.5, "inserted_s_centre": 9.25}
 ACHIEVED |= {"inserted_s_ego": None, "hidden": 0, "moved": 2, "moved_error_m_centre": 0.5, "moved_error_m_ego": 0.25}
@@ -94,8 +99,13 @@ def test_an_adversary_that_was_not_measured(attacked: RunFolder) -> None:
 NOT_ACCEPTED = {"inserted": 1, "inserted_share_centre": 0.0, "inserted_share_ego": 0.0}
 
 
-def test_objects_inserted_out_of_range(attacked: RunFolder) -> None:
-    assert "more than 100 m from the ego" in why(attacked, targets("inserted", x=500.0), **NOT_ACCEPTED)
+def test_objects_inserted_out_of_range_of_every_agent(attacked: RunFolder) -> None:
+    away = targets("inserted", x=500.0, judged_centre=False, judged_ego=False)
+    assert why(attacked, away, **NOT_ACCEPTED) == "inserted: what it inserted was out of range of every agent (100 m)"
+
+
+def test_objects_inserted_out_of_the_egos_range_alone_were_rejected(attacked: RunFolder) -> None:
+    assert "the fusion rejected" in why(attacked, targets("inserted", x=500.0, judged_ego=False), **NOT_ACCEPTED)
 
 
 def test_objects_inserted_on_a_real_one_are_taken_for_it(attacked: RunFolder) -> None:
@@ -103,7 +113,11 @@ def test_objects_inserted_on_a_real_one_are_taken_for_it(attacked: RunFolder) ->
     assert truth is not None
     at = (truth["frame"] == 20) & (truth["kind"] == "truth") & (truth["estimator"] == "picture")
     x, y = float(truth["x"][at][0]), float(truth["y"][at][0])
-    assert "within 2 m of a real object" in why(attacked, targets("inserted", n=1, x=x, y=y), **NOT_ACCEPTED)
+    beside = targets("inserted", n=1, x=x + 1.5, y=y)
+    assert "within 2 m of a real object" in why(attacked, beside, **NOT_ACCEPTED)
+    scorer = {"type": "Scorer", "assigner": {"type": "CenterDistanceAssigner", "gate_m": 0.5}}
+    attacked.scenario["nodes"] = {"evaluator": {"config": {"scorer": scorer}}}
+    assert "the fusion rejected everything" in why(attacked, beside, **NOT_ACCEPTED)
 
 
 def test_objects_that_the_fusion_rejected(attacked: RunFolder) -> None:
@@ -127,7 +141,10 @@ def test_changes_in_frames_that_are_not_scored(attacked: RunFolder) -> None:
 HIDDEN: dict[str, tuple[dict[str, Any], str]] = {
     "others": ({"seen_by_others": True}, "other agents still saw what it removed, all the time"),
     "clutter": ({"object": -1}, "what it removed was no object of the scene, but clutter"),
-    "nobody": ({"judged_centre": False, "judged_ego": False}, "what it removed is not scored"),
+    "nobody": (
+        {"judged_centre": False, "judged_ego": False},
+        "what it removed is not scored: no agent sees it, or it is out of range of every agent",
+    ),
     "coasting": ({}, "what it removed was still tracked"),
 }
 
@@ -137,6 +154,58 @@ def test_objects_that_were_removed_and_not_missed(attacked: RunFolder, columns: 
     nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
     assert reason in why(attacked, targets("removed", **columns), **nothing)
     assert why(attacked, targets("removed", **columns), **(nothing | {"hidden_share_ego": 1.0})) == ""
+
+
+NOT_HIDDEN = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
+
+
+def seen_by(run: RunFolder, *agents: str) -> None:
+    """Have these agents alone see the objects of the scene."""
+    scene = run.recording
+    assert scene is not None
+    columns = np.isin(scene.agent_names, agents)
+    object.__setattr__(run, "recording", replace(scene, points=np.where(columns, 10, 0) + 0 * scene.points))
+
+
+def by_both(kind: str) -> dict[str, np.ndarray]:
+    """What adversary_1 did, and adversary_2 to the same object in the same frames."""
+    mine = targets(kind, seen_by_others=True)
+    theirs = mine | {"adversary": np.full(10, "adversary_2", object)}
+    return {name: np.concatenate([mine[name], theirs[name]]) for name in mine}
+
+
+@pytest.mark.parametrize("kind", ["removed", "moved"])
+def test_an_agent_from_which_another_adversary_takes_the_object_does_not_see_it(attacked: RunFolder, kind: str) -> None:
+    table = by_both("removed")
+    table["kind"][table["adversary"] == "adversary_2"] = kind
+    seen_by(attacked, "infra_1", "infra_3")
+    assert "other agents" not in why(attacked, table, **NOT_HIDDEN)
+    seen_by(attacked, "infra_1", "infra_3", "infra_2")
+    assert "removed: other agents still saw what it removed, all the time" in why(attacked, table, **NOT_HIDDEN)
+
+
+def test_an_agent_with_an_adversary_that_leaves_the_object_alone_sees_it(attacked: RunFolder) -> None:
+    table = by_both("removed")
+    table["object"][table["adversary"] == "adversary_2"] = 8
+    seen_by(attacked, "infra_1", "infra_3")
+    assert "removed: other agents still saw what it removed, all the time" in why(attacked, table, **NOT_HIDDEN)
+
+
+def test_an_adversary_on_the_way_to_another_agent_does_not_speak_for_the_ego(attacked: RunFolder) -> None:
+    legs = [{"key": "cc/picture/@tap/infra_1/0", "from": "adversary_1", "to": ["infra_1"], "before": "infra_1"}]
+    attacked.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
+    assert why(attacked, None) == "it sat on the picture's way to infra_1, not to the ego"
+
+
+def test_the_terminal_and_the_page_say_what_had_limited_effect(attacked: RunFolder) -> None:
+    why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN)
+    page = io.StringIO()
+    show_loaded(Console(file=page, width=200), attacked)
+    assert "  limited effect: removed: other agents still saw what it removed, all the time\n" in page.getvalue()
+    assert "no effect" not in page.getvalue()
+    html = write_page(attacked).read_text()
+    assert "What had limited effect, and why" in html
+    assert "no effect" not in html
 
 
 def test_objects_that_were_moved_and_not_displaced(attacked: RunFolder) -> None:

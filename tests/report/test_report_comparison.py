@@ -55,6 +55,19 @@ def test_runs_of_one_name_are_told_apart_by_their_folders(pair: Pair) -> None:
     assert comparison.reference(RunFolder.load(run), other).name == "baseline"
 
 
+def score_with(folder: Path, **options: Any) -> None:
+    """Write an evaluator with its default scorer, and other options, to scenario.json."""
+    config = {"agents": ["ego"], "scorer": {"type": "Scorer", "range_m": 100.0}} | options
+    edit(folder / "scenario.json", lambda data: data.update(nodes={"evaluator": {"config": config}}))
+
+
+def test_metrics_of_ones_own_do_not_keep_runs_from_being_compared(pair: Pair) -> None:
+    run, other = pair
+    score_with(run, metrics=[{"type": "FalseNearby"}])
+    score_with(other)
+    assert comparison.reference(RunFolder.load(run), other).name == "baseline-1"
+
+
 REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
     "metrics.json is missing": (lambda folder: (folder / "metrics.json").unlink(), "has no results"),
     "another length": (
@@ -62,6 +75,18 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
         "found 40 and 39 frames",
     ),
     "another seed": (lambda folder: edit(folder / "run.json", lambda data: data.update(seed=4)), "with seed 4"),
+    "other scored frames": (
+        lambda folder: edit(folder / "metrics.json", lambda data: data.update(scored_frames=[6, 29])),
+        r"scored_frames: found \(0, 39\) and \(6, 29\)",
+    ),
+    "another range": (
+        lambda folder: score_with(folder, scorer={"type": "Scorer", "range_m": 50.0}),
+        r"evaluator\.scorer\.range_m: found 100\.0 and 50\.0",
+    ),
+    "an option more": (
+        lambda folder: score_with(folder, driving={"brake_ttc_s": 3.0}),
+        r"evaluator\.driving\.brake_ttc_s: found nothing and 3\.0",
+    ),
     "other agents": (
         lambda folder: edit(folder / "metrics.json", lambda data: data.update(agents={"car": data["agents"]["ego"]})),
         "found no agent ego",
@@ -72,6 +97,8 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
 @pytest.mark.parametrize(("spoil", "message"), REFUSED.values(), ids=REFUSED)
 def test_what_cannot_be_compared_is_refused(pair: Pair, spoil: Callable[[Path], Any], message: str) -> None:
     run, other = pair
+    for folder in pair:
+        score_with(folder)
     spoil(other)
     with pytest.raises(NotComparable, match=message):
         write_report(run, against=other)

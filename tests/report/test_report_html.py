@@ -106,6 +106,21 @@ def test_a_run_report_says_the_result_and_how_every_node_ended(run_folder: RunFo
     assert "adversary_1" in hostile[2]
 
 
+def test_the_speed_is_that_of_the_run_not_the_rate_of_the_scene(run_folder: RunFolderFixture) -> None:
+    folder = run_folder()
+    assert "frames/s" not in Page(write_report(folder)).text
+    run = json.loads((folder / "run.json").read_text())
+    run["timings"]["frames_per_second"] = 87.4
+    (folder / "run.json").write_text(json.dumps(run))
+    assert "87 frames/s" in Page(write_report(folder)).text
+
+
+def test_a_handler_that_failed_once_is_said_to_have_failed_once(run_folder: RunFolderFixture) -> None:
+    failed = {"role": "agent", "pid": 77, "exit": 0, "ended": "ok", "restarts": 0, "failures": {"on_pose": 1}}
+    page = Page(write_report(run_folder(nodes={"infra_2": failed})))
+    assert "infra_2.on_pose failed once: " in page.text
+
+
 def test_the_same_run_gives_the_same_report_byte_for_byte(run_folder: RunFolderFixture) -> None:
     folder = run_folder("coordinated")
     first = write_report(folder).read_bytes()
@@ -189,7 +204,7 @@ def test_a_frame_can_be_asked_for_if_the_run_has_it(run_folder: RunFolderFixture
 def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Path) -> None:
     assert_self_contained(study, tmp_path)
     assert "6.2 more false objects a frame in the common picture than baseline" in study.text
-    assert "The ego's own tracks score the same in every run" in study.text
+    assert "The ego's own tracks score the same in every run." in study.text
     assert {path.name for path in (tmp_path / "figures").glob("*.png")} == {
         "side_by_side.png",
         "counts.png",

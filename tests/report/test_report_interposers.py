@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh.report.diagram import draw_wiring
-from mast_zenoh.report.interposers import Interposer, adversaries_by_agent, interposers
+from mast_zenoh.report.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import svg
 from mast_zenoh.report.wiring import Spot, all_wires, layout, wire_rows
@@ -51,10 +51,10 @@ def only(run: RunFolder) -> Interposer:
 
 def test_what_it_did_stands_beside_what_it_reported() -> None:
     found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}))
-    assert (found.verdict, found.said, found.other, found.changed) == ("silent", "nothing", "2 corrupted", 5)
+    assert (found.verdict, found.reports_text, found.other, found.changed) == ("silent", "nothing", "2 corrupted", 5)
     lying = MEASURED | {"reports": 7, "agreement": "disagrees", "unreported": 1, "unfounded": 3}
     found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": lying}))
-    assert found.said == "7 (1 unreported, 3 unfounded)"
+    assert found.reports_text == "7 (1 unreported, 3 unfounded)"
 
 
 FAILURE = {"handler": "on_tracks", "count": 4, "frames": 4, "first_frame": 1, "last_frame": 4}
@@ -63,10 +63,18 @@ CRASHES = {
     "a handler failed": {"failures": [FAILURE], "exit": 0, "ended": "ok"},
     "a handler failed in a run of an older version": {"failures": {"tracks": 4}, "exit": 0, "ended": "ok"},
     "its process ended": {"failures": [], "exit": 1, "ended": "exit code 1"},
+    "its process ended after a planned kill and restart": {
+        "exit": 1,
+        "ended": "killed by the scenario; killed by signal 9 (SIGKILL); exit code 1",
+    },
 }
 EXPECTED = {
     "killed by the scenario": {"exit": -9, "ended": "killed by the scenario; killed by signal 9 (SIGKILL)"},
     "released": {"exit": -15, "ended": "released; killed by signal 15 (SIGTERM)"},
+    "killed by the scenario, restarted, and well": {
+        "exit": 0,
+        "ended": "killed by the scenario; killed by signal 9 (SIGKILL); ok",
+    },
 }
 
 
@@ -81,6 +89,20 @@ def test_a_crash_goes_before_what_it_reported(node: dict[str, Any]) -> None:
 def test_a_node_that_was_ended_on_purpose_has_not_crashed(node: dict[str, Any]) -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
     assert only(run).verdict == "silent"
+    assert exit_expected(node)
+
+
+FREQUENCIES = [
+    ({"failures": [FAILURE]}, "on_tracks failed 4 times in 4 frames (1 to 4)"),
+    ({"failures": [FAILURE | {"count": 1, "frames": 1, "last_frame": 1}]}, "on_tracks failed once in frame 1"),
+    ({"failures": {"tracks": 1}}, "tracks failed once"),
+]
+
+
+@pytest.mark.parametrize(("node", "words"), FREQUENCIES)
+def test_a_crash_says_how_often_a_handler_failed(node: dict[str, Any], words: str) -> None:
+    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
+    assert only(run).failures == words
 
 
 def test_an_adversary_on_the_downlink_is_named_by_its_victim() -> None:
