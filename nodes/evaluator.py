@@ -7,9 +7,8 @@ what they received. What it returns becomes metrics.json and the tables of the r
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 from mast_zenoh.effects import Pose
@@ -22,8 +21,8 @@ from mast_zenoh.runtime.process import main
 from mast_zenoh.states import ObjectStates
 from mast_zenoh.wiring import ANY, Wiring
 
-#: Messages of a wire that are remembered, so that one that is only passed on is recognised.
-REMEMBERED = 8
+#: Numbers of messages of a wire that are remembered, so that one that is only passed on is recognised.
+REMEMBERED = 32
 
 
 class Route(NamedTuple):
@@ -70,7 +69,8 @@ class Evaluator(Node):
         self.routes: dict[str, Route] = {}
         self.takes: dict[str, Callable[[Overheard, Route], None]] = {}
         self.metered: set[str] = set()
-        self.recent: dict[str, deque[tuple[Overheard, Snapshot]]] = defaultdict(partial(deque, maxlen=REMEMBERED))
+        #: By wire and number the messages that have been kept lately.
+        self.recent: dict[str, dict[tuple[int, int], list[tuple[Overheard, Snapshot]]]] = defaultdict(dict)
 
     def start(self, context: Context) -> None:
         """The keys of the run are known before its first message."""
@@ -142,10 +142,13 @@ class Evaluator(Node):
 
     def keep(self, message: Overheard, route: Route) -> None:
         """Keep an estimate. A message that is passed on as it was is kept only once, so that it is scored only once."""
-        objects = None
+        objects, header = None, message.header
         if route.wire:
             recent = self.recent[route.wire]
-            for other, kept in recent:
+            alike = recent.setdefault((header.frame, header.seq), [])
+            if len(recent) > REMEMBERED:
+                del recent[next(iter(recent))]
+            for other, kept in alike:
                 if other.same_bytes(message):
                     objects = kept
                     break
@@ -156,8 +159,8 @@ class Evaluator(Node):
                 states = states_to_world(states, body["origin"], body["rotation"])
             objects = Snapshot.of(states, views=message.encoded)
             if route.wire:
-                recent.append((message, objects))
-        self.heard.record.add(message.header.frame, route.series, objects, message.step)
+                alike.append((message, objects))
+        self.heard.record.add(header.frame, route.series, objects, message.step)
 
     def take_attack_report(self, message: Overheard, route: Route) -> None:
         """What an adversary says it changed."""

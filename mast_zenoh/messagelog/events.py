@@ -11,6 +11,8 @@ from typing import Any
 EVENT = "event"
 #: Name of the metadata record before a chunk: by place in the chunk, the steps of messages not sent in their own frame.
 STEPS = "steps"
+#: The same for messages that share key and frame with another one: in which order they were sent.
+ORDER = "order"
 
 #: What may happen: a node comes or goes; messages take other ways (the first such event is of the beginning).
 JOINED, LEFT, REWIRED = "joined", "left", "rewired"

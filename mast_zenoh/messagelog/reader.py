@@ -21,7 +21,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from mast_zenoh import codec
 from mast_zenoh.errors import MessageError, RunFolderError
-from mast_zenoh.messagelog.events import EVENT, STEPS, Event
+from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
 from mast_zenoh.messagelog.writer import FILE
 
 _RECORD = struct.Struct("<BQ")
@@ -43,6 +43,7 @@ class Recorded:
     seq:       its number among those of its publisher on its wire; of malformed ones, among those of its key
     payload:   the bytes as they were sent
     step:      the frame that the run was at when it was sent: later than `frame` if a link held it back; -1: unknown
+    rank:      orders the messages of one key and frame by when they were sent; -1: first, or the only one
     """
 
     key: str
@@ -56,6 +57,7 @@ class Recorded:
     payload: bytes
     malformed: bool
     step: int
+    rank: int = -1
 
     @property
     def order(self) -> tuple[int, int, str, str, int, str]:
@@ -77,11 +79,12 @@ def file_of(path: Path) -> Path:
 
 class _Place(NamedTuple):
     """A chunk of the file: its place, the earliest log time in it, and by place in the chunk the steps of messages that
-    were not sent in their own frame."""
+    were not sent in their own frame, and the ranks of those that are not alone in theirs."""
 
     start_ns: int
     byte: int
     steps: Mapping[int, int]
+    ranks: Mapping[int, int]
 
 
 def read(path: Path) -> Iterator[Recorded]:
@@ -129,20 +132,19 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_Place | Event]:
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise RunFolderError(f"{path}: does not begin as an MCAP file")
     size = path.stat().st_size
-    steps: Mapping[int, int] = {}
+    told: dict[str, Mapping[int, int]] = {}
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
         opcode, length = _RECORD.unpack(head)
         byte = file.tell()
         if opcode == Opcode.DATA_END or byte + length > size:
             break
         if opcode == Opcode.CHUNK:
-            yield _Place(_TIMES.unpack(file.read(_TIMES.size))[0], byte, steps)
-            steps = {}
+            yield _Place(_TIMES.unpack(file.read(_TIMES.size))[0], byte, told.pop(STEPS, {}), told.pop(ORDER, {}))
         elif opcode == Opcode.METADATA:
             try:
                 record = Metadata.read(ReadDataStream(file))
-                if record.name == STEPS:
-                    steps = {int(place): int(step) for place, step in record.metadata.items()}
+                if record.name in (STEPS, ORDER):
+                    told[record.name] = {int(place): int(number) for place, number in record.metadata.items()}
                 elif record.name == EVENT:
                     yield Event.from_metadata(record.metadata)
             except (McapError, ValueError, KeyError, struct.error) as error:
@@ -166,11 +168,12 @@ def _messages(file: IO[bytes], path: Path, place: _Place, channels: dict[int, Ch
                 raise RunFolderError(
                     f"{path}: byte {place.byte}: a message of channel {record.channel_id}, which is unknown"
                 )
-            yield _recorded(channels[record.channel_id], record, path, place.steps.get(count))
+            rank = place.ranks.get(count, -1)
+            yield _recorded(channels[record.channel_id], record, path, place.steps.get(count), rank)
             count += 1
 
 
-def _recorded(channel: Channel, record: Message, path: Path, step: int | None) -> Recorded:
+def _recorded(channel: Channel, record: Message, path: Path, step: int | None, rank: int) -> Recorded:
     """A message with what its channel and its header say of it; step: None: that of its frame."""
     told = channel.metadata
     try:
@@ -197,4 +200,5 @@ def _recorded(channel: Channel, record: Message, path: Path, step: int | None) -
         record.data,
         malformed,
         frame if step is None else step,
+        rank,
     )

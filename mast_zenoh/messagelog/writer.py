@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog import channels
-from mast_zenoh.messagelog.events import EVENT, STEPS, Event
+from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.wiring import Input
 
@@ -59,6 +60,8 @@ class MessageLog:
         self._frame = 0  # in which the chunk began
         self._added = 0
         self._flaws: Counter[str] = Counter()  # malformed messages by key
+        #: The newest frames of each channel that have been written.
+        self._frames: defaultdict[int, deque[int]] = defaultdict(partial(deque, maxlen=256))
 
     @classmethod
     def load(cls, path: Path) -> MessageLog:
@@ -174,6 +177,8 @@ class MessageLog:
             late = (i for i, entry in enumerate(chunk) if entry.malformed or entry.step != entry.frame)
             if steps := {str(i): str(chunk[i].step) for i in late}:
                 self._writer.add_metadata(STEPS, steps)
+            if order := {str(i): str(chunk[i].rank) for i in self._sharing(chunk)}:
+                self._writer.add_metadata(ORDER, order)
             for entry in chunk:
                 self._writer.add_message(
                     entry.channel, entry.log_time, entry.payload, entry.time_ns, entry.sequence % _SEQUENCES
@@ -182,6 +187,15 @@ class MessageLog:
 
         if self._write(write):
             self.messages += len(chunk)
+
+    def _sharing(self, chunk: list[_Entry]) -> Iterator[int]:
+        """The places of messages that share key and frame with another one, of this chunk or of one before it."""
+        frames = Counter((entry.channel, entry.frame) for entry in chunk)
+        for place, entry in enumerate(chunk):
+            if frames[entry.channel, entry.frame] > 1 or entry.frame in self._frames[entry.channel]:
+                yield place
+        for channel, frame in frames:
+            self._frames[channel].append(frame)
 
     def _write(self, write: Callable[[], None]) -> bool:
         """Whether what is to be written was; if not, `problem` says why, and nothing more is written."""

@@ -21,6 +21,9 @@ from mast_zenoh.runtime import failures
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring import ANY, Endpoint, Wiring
 
+#: Frames for which messages wait for others of their key and frame: as far as times in headers may be wrong.
+_HELD_FRAMES = 8
+
 
 def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
     """What a node returns from `finish` when it has heard a recording.
@@ -66,7 +69,7 @@ def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
         elif event.node != name:
             (host.left if event.what == LEFT else host.joined)(event.node, event.role)
 
-    for step, message in _by_step(read(path)):
+    for step, message in _as_sent(_by_step(read(path)), [event.frame for event in changes]):
         while changes and step > changes[0].frame:
             change(changes.popleft())
         host.deliver(message.key.removesuffix(f"/{channels.MALFORMED}"), message.payload, message.step, counted=False)
@@ -76,6 +79,31 @@ def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
     if host.failures:
         raise failures.error({name: [failure.entry() for failure in host.failures.values()]})
     return results
+
+
+def _as_sent(messages: Iterable[tuple[int, Recorded]], changes: Sequence[int]) -> Iterator[tuple[int, Recorded]]:
+    """The messages, those that share key and frame with another one in the order in which they were sent.
+
+    changes: frames after which the run changed, ascending: messages from before a change do not come after it
+    """
+    held: list[tuple[int, int, Recorded]] = []
+    coming = deque(changes)
+
+    def release(before: int) -> Iterator[tuple[int, Recorded]]:
+        ready = sorted((each for each in held if each[1] < before), key=lambda each: each[0])
+        held[:] = [each for each in held if each[1] >= before]
+        yield from ((step, message) for _, step, message in ready)
+
+    for step, message in messages:
+        while coming and step > coming[0]:
+            yield from release(coming.popleft() + 1)
+        if message.message == "clock":
+            yield from release(message.frame - _HELD_FRAMES)
+        if message.rank >= 0:
+            held.append((message.rank, step, message))
+        else:
+            yield step, message
+    yield from ((step, message) for _, step, message in sorted(held, key=lambda each: each[0]))
 
 
 def _by_step(messages: Iterable[Recorded]) -> Iterator[tuple[int, Recorded]]:

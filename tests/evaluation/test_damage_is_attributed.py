@@ -52,8 +52,8 @@ class Vandal(Node):
 
 class Spoofer(Node):
     role = "adversary"
-    inputs = {"clock": "clock", "pose": "pose"}
-    outputs = {"pose_out": "pose"}
+    inputs = {"clock": "clock", "gps": "pose"}
+    outputs = {"gps_out": "pose"}
 
     def __init__(self, agent: str, mode: str):
         self.agent = agent
@@ -61,11 +61,11 @@ class Spoofer(Node):
     def on_clock(self, received, context):
         pass
 
-    def on_pose(self, received, context):
+    def on_gps(self, received, context):
         body = dict(received.body)
         if received.frame >= 8:
             body["position"] = body["position"] + np.array([8.0, 8.0, 0.0])
-        context.relay("pose_out", received, body)
+        context.relay("gps_out", received, body)
 """
 
 SCENARIO = """
@@ -73,11 +73,13 @@ from mast_zenoh.scenario import load
 
 
 def scenario(mode="forestall", wire="tracks"):
+    port, kind = ("gps", "Spoofer") if wire == "pose" else (wire, "Vandal")
+    vandal = dict(file="vandal.py", type=kind, mode=mode)
     return dict(load("baseline")[1]) | dict(
         name="vandals",
-        adversaries={f"vandal_{k}": dict(file="vandal.py", type="Spoofer" if wire == "pose" else "Vandal", agent=f"infra_{k}", mode=mode) for k in range(1, 5)},
+        adversaries={f"vandal_{k}": vandal | dict(agent=f"infra_{k}") for k in range(1, 5)},
         keyexpr=dict(map="testbed.toml", rewrites=[
-            {"insert": [dict(wire=f"agent/{{agent}}/{wire}", role="adversary", input=wire, output=f"{wire}_out")]}
+            {"insert": [dict(wire=f"agent/{{agent}}/{wire}", role="adversary", input=port, output=f"{port}_out")]}
         ]),
     )
 """
