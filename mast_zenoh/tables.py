@@ -86,7 +86,7 @@ def from_arrow(table: Any, rows: NDArray[Any] | slice = slice(None)) -> dict[str
         if not pyarrow.types.is_dictionary(column.type):
             columns[name] = column.to_numpy(zero_copy_only=False)[rows]
         elif column.null_count:
-            columns[name] = np.array(column.to_pylist(), str)[rows]
+            columns[name] = np.array([text or "" for text in column.to_pylist()], str)[rows]
         else:
             columns[name] = np.array([*column.dictionary.to_pylist(), ""], str)[column.indices.to_numpy()[rows]]
     return columns

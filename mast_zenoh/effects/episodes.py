@@ -74,7 +74,7 @@ class _Object:
         """m from where it should be in a frame; None: it cannot be there."""
         elapsed = (frame - self.frame) * period_s
         apart = hypot(x - self.x - self.vx * elapsed, y - self.y - self.vy * elapsed)
-        unsure = UNKNOWN_MPS if self.seen == 1 else KNOWN_MPS + UNKNOWN_MPS / self.seen**2
+        unsure = UNKNOWN_MPS if self.seen == 1 else KNOWN_MPS + UNKNOWN_MPS / self.seen
         return apart if apart <= NEAR_M + unsure * elapsed else None
 
     def take(self, frame: int, x: float, y: float, period_s: float) -> None:

@@ -161,7 +161,7 @@ class _Results:
                 "agents": summary,
                 "same_as": _nested(scores.same_as),
                 "achieved": achievement.summary(
-                    targets, done.culprits, scores, labels.switch_by, heard.ego, heard.period_s
+                    targets, done.culprits, scores, labels.switch_by, heard.ego, heard.period_s, scored
                 ),
                 "driving": consequences.summary(drives, scored),
                 "interposers": reports.summary(self.effects, agreement, heard.roles, last, self.away),

@@ -138,8 +138,11 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_Place | Event]:
         byte = file.tell()
         if opcode == Opcode.DATA_END or byte + length > size:
             break
-        if opcode == Opcode.CHUNK:
-            yield _Place(_TIMES.unpack(file.read(_TIMES.size))[0], byte, told.pop(STEPS, {}), told.pop(ORDER, {}))
+        if opcode == Opcode.CHUNK and length >= _TIMES.size:
+            start_ns, _ = _TIMES.unpack(file.read(_TIMES.size))
+            yield _Place(start_ns, byte, told.pop(STEPS, {}), told.pop(ORDER, {}))
+        elif opcode == Opcode.CHUNK:
+            raise RunFolderError(f"{path}: byte {byte}: a damaged chunk: found {length} bytes")
         elif opcode == Opcode.METADATA:
             try:
                 record = Metadata.read(ReadDataStream(file))

@@ -178,23 +178,33 @@ def _seen_by_others(
 
 
 def summary(
-    found: Targets, culprits: tuple[str, ...], scores: Scores, switch_by: Texts, ego: str, period_s: float
+    found: Targets,
+    culprits: tuple[str, ...],
+    scores: Scores,
+    switch_by: Texts,
+    ego: str,
+    period_s: float,
+    scored: slice = slice(None),
 ) -> dict[str, dict[str, Any]]:
     """By adversary, and of ALL together, what was achieved; {} where there is no adversary. See docs/metrics.md.
 
     switch_by: of `scores.switches`, the adversaries that each is due to
+    scored:    the frames in which identity switches count, as in the summary of scores
     """
     if not culprits:
         return {}
     real = (found.kind == INSERTED) | (found.object >= 0)
     groups = {name: (real & (found.adversary == index)).nonzero()[0] for index, name in enumerate(culprits)}
+    counts = np.zeros(len(scores.frames), bool)
+    counts[scored] = True
     result = {}
     for name, rows in (groups | {ALL: _once(found, real.nonzero()[0])}).items():
         due = np.array([by != "" if name == ALL else name in by.split("+") for by in switch_by.tolist()], bool)
         result[name] = _achieved(found, rows, period_s)
         for who, estimate in (("centre", (ego, PICTURE)), ("ego", (ego, MISSION))):
             mine = np.array([each == estimate for each in scores.series], bool)
-            result[name][f"id_switches_{who}"] = int(np.count_nonzero(due & mine[scores.switches.series]))
+            counted = due & mine[scores.switches.series] & counts[scores.switches.frame]
+            result[name][f"id_switches_{who}"] = int(np.count_nonzero(counted))
     return result
 
 

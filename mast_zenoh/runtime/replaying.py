@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.errors import RunFolderError
+from mast_zenoh.errors import HandlerFailed, RunFolderError
 from mast_zenoh.messagelog import channels
 from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
@@ -77,7 +77,8 @@ def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
         change(event)
     results = host.finish()
     if host.failures:
-        raise failures.error({name: [failure.entry() for failure in host.failures.values()]})
+        failed = failures.summary({name: [failure.entry() for failure in host.failures.values()]})
+        raise HandlerFailed(f"{failed}\nnothing was written: the results of the run itself are kept")
     return results
 
 

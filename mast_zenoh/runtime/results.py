@@ -74,6 +74,8 @@ def _check(value: Any, path: str) -> None:
         raise TypeError(f"{path}: found {value}, expected a number of at most 64 bits")
     elif isinstance(value, np.ndarray) and value.dtype.kind not in "biufOU":
         raise TypeError(f"{path}: found an array of {value.dtype}, expected numbers or text")
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "OU" and value.ndim != 1:
+        raise TypeError(f"{path}: found {value.ndim}-dimensional text, expected one column")
 
 
 def _encode(value: Any) -> Any:
