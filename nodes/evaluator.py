@@ -40,7 +40,7 @@ class Route(NamedTuple):
 
 
 class Evaluator(Node):
-    """agents: their names; scorer: how to score; the others: see `metrics.Evaluation`."""
+    """agents: their names; scorer: how to score, None: Scorer(); the others: see `metrics.Evaluation`."""
 
     role = "evaluator"
     inputs = {"everything": ANY}
@@ -48,7 +48,7 @@ class Evaluator(Node):
     def __init__(
         self,
         agents: tuple[str, ...],
-        scorer: Scorer,
+        scorer: Scorer | None = None,
         skip_first: int = 6,
         skip_last: int = 10,
         picture_age_s: float = 0.5,
@@ -57,7 +57,7 @@ class Evaluator(Node):
     ) -> None:
         self.agents = agents
         self.evaluation = Evaluation(
-            scorer=scorer,
+            scorer=scorer or Scorer(),
             skip_first=skip_first,
             skip_last=skip_last,
             picture_age_s=picture_age_s,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mast_zenoh.attacks.application import carry_out
-from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign
+from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, check_start
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
@@ -98,6 +98,7 @@ class _TargetedAttack(Attack):
         imitation: Imitation | None,
         id_gap: int,
     ) -> None:
+        check_start(start_s)
         self._start_ns = round(start_s * NANOSECONDS)
         self._max_range_m = max_range_m
         self._imitation = imitation or VictimLike()

@@ -18,12 +18,18 @@ NANOSECONDS = 1e9
 _UNUSED = np.random.default_rng(0)  # for those who draw nothing: to make a stream takes longer than to move the objects
 
 
+def check_start(start_s: float) -> None:
+    """Raises ValueError for a start before the scene begins."""
+    if not 0.0 <= start_s < np.inf:
+        raise ValueError(f"start_s: found {start_s}, expected 0 or more")
+
+
 class Campaign:
     """Holds targets over time; the adversary that selects for itself and the coordinator each run one.
 
     Nothing happens before `start_s` seconds of scene time. Targets are chosen anew every `reselect_every_s` seconds
     (None: never). Draws come from the streams (seed, scene, name, "selection" | "propagation", frame).
-    Raises ValueError for an interval that is not positive.
+    Raises ValueError for an interval that is not positive, and for a start before the scene.
     """
 
     def __init__(
@@ -31,6 +37,7 @@ class Campaign:
     ) -> None:
         if reselect_every_s is not None and not reselect_every_s > 0.0:
             raise ValueError(f"reselect_every_s: found {reselect_every_s}, expected more than 0, or None")
+        check_start(start_s)
         self._selection = selection
         self._propagation = propagation
         self._every_ns = None if reselect_every_s is None else round(reselect_every_s * NANOSECONDS)

@@ -16,6 +16,10 @@ from mast_zenoh.errors import nearest
 from mast_zenoh.states import CLASS_INDEX, Ints, ObjectStates
 
 
+#: Upper limit of `n_false_positives`.
+MOST_FALSE = 10_000
+
+
 class Selection(ABC):
     """Chooses an adversary's targets, once or from time to time."""
 
@@ -78,6 +82,7 @@ class UncoordinatedSelection(Selection):
         self.translation_m = translation_m
         for name in ("n_false_positives", "position_std_m", "velocity_std_mps", "translation_m"):
             self._expect(name, getattr(self, name) >= 0.0, "0 or more")
+        self._expect("n_false_positives", n_false_positives <= MOST_FALSE, f"at most {MOST_FALSE}")
         for name in ("fraction_false_negatives", "fraction_translations"):
             self._expect(name, 0.0 <= getattr(self, name) <= 1.0, "0 to 1")
         self._expect("box", self.box.shape == (3,) and bool(np.all(self.box > 0.0)), "three positive lengths in m")
