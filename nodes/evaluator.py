@@ -168,8 +168,11 @@ class Evaluator(Node):
         self.heard.link_reports.append((header.source, header.frame, header.seq, message.body))
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """The metrics and the tables of the run."""
-        return self.evaluation.of(self.heard)
+        """The metrics and the tables of the run. A user-defined metric that fails costs its own values alone."""
+        results = self.evaluation.of(self.heard)
+        for name, error in results.pop("failed_metrics").items():
+            context.failed(f"metric {name}", error)
+        return results
 
 
 def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:

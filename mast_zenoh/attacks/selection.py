@@ -15,7 +15,6 @@ from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.errors import nearest
 from mast_zenoh.states import CLASS_INDEX, Ints, ObjectStates
 
-
 #: Upper limit of `n_false_positives`.
 MOST_FALSE = 10_000
 

@@ -64,7 +64,10 @@ class Evaluation:
         user_metrics.check(self.metrics, COLUMNS)
 
     def of(self, heard: Heard) -> dict[str, Any]:
-        """{"metrics": what metrics.json holds, "tables": by name the columns of the tables of the run folder}."""
+        """{"metrics": what metrics.json holds, "tables": by name the columns of the tables of the run folder,
+
+        "failed_metrics": by name the error of a user-defined metric that failed}.
+        """
         heard.record.hold_pictures(round(self.picture_age_s / heard.period_s))
         scores = self.scorer.score(heard.record)
         truth = heard.record.truth(scores.frames)
@@ -141,7 +144,7 @@ class _Results:
             self.how.scorer.range_m,
         )
         drives = consequences.drives(self.how.driving, heard.record, scores, labels, self.truth)
-        summary, per_frame = self._scored(scored)
+        summary, per_frame, failed_metrics = self._scored(scored)
         return {
             "metrics": {
                 "frames": len(frames),
@@ -163,10 +166,16 @@ class _Results:
                 "targets": targets.table(done.culprits),
                 "driving": consequences.table(drives, frames),
             },
+            "failed_metrics": failed_metrics,
         }
 
-    def _scored(self, scored: slice) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[str, Any]]:
-        """The summary by agent and estimator, and the table per frame, with causes and user-defined metrics."""
+    def _scored(
+        self, scored: slice
+    ) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[str, Any], dict[str, BaseException]]:
+        """The summary by agent and estimator, and the table per frame, with causes and user-defined metrics;
+
+        and by name the errors of user-defined metrics.
+        """
         heard, scores, labels = self.heard, self.scores, self.labels
         summary, per_frame = scores.summary(scored), scores.per_frame()
         causes = causes_of(scores, labels.cause, labels.switch_cause, scores.frames[scored])
@@ -175,9 +184,9 @@ class _Results:
         counts = np.zeros(len(scores.frames), bool)
         counts[scored] = True
         agents, metrics = heard.record.agents, self.how.metrics
-        values = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, heard.period_s)
+        values, failed = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, heard.period_s)
         user_metrics.add_to(summary, per_frame, scores, values, counts)
-        return summary, per_frame
+        return summary, per_frame, failed
 
     def _victims(self) -> dict[str, set[int]]:
         """By interposer the columns of the agents on whose wires it sits."""
