@@ -86,8 +86,12 @@ class Evaluation:
 
     def scored(self, frames: int) -> slice:
         """Which of so many frames the summary is of."""
-        first, last = (self.skip_first, self.skip_last) if self.skip_first + self.skip_last <= frames // 2 else (0, 0)
+        first, last = (self.skip_first, self.skip_last) if self.settled(frames) else (0, 0)
         return slice(first, frames - last)
+
+    def settled(self, frames: int) -> bool:
+        """Whether a run of so many frames is long enough to leave frames out of the summary."""
+        return self.skip_first + self.skip_last <= frames // 2
 
     def _severed(self, heard: Heard, scores: Scores, truth: TruthTable, effects: Effects) -> Severed:
         """What only agents could have reported whose tracks did not get through."""
@@ -149,6 +153,7 @@ class _Results:
             "metrics": {
                 "frames": len(frames),
                 "scored_frames": [int(frame) for frame in frames[scored][[0, -1]]] if len(frames) else [],
+                "settled": self.how.settled(len(frames)),
                 "agents": summary,
                 "same_as": _nested(scores.same_as),
                 "achieved": achievement.summary(
