@@ -28,7 +28,7 @@ class Campaign:
     """Holds targets over time; the adversary that selects for itself and the coordinator each run one.
 
     Nothing happens before `start_s` seconds of scene time. Targets are chosen anew every `reselect_every_s` seconds
-    (None: never). Draws come from the streams (seed, scene, name, "selection" | "propagation", frame).
+    (None: never), and with `Selection.until_found` in every frame until there is one. Draws come from the streams (seed, scene, name, "selection" | "propagation", frame).
     Raises ValueError for an interval that is not positive, and for a start before the scene.
     """
 
@@ -60,7 +60,8 @@ class Campaign:
             chosen = self._selection.select(objects, coverage, self._stream("selection", frame))
             targets = chosen.numbered(self._numbers_used)
             self._numbers_used += len(targets)
-            self._selected_ns = time_ns
+            if len(targets) or not self._selection.until_found:
+                self._selected_ns = time_ns
             elapsed, age = 0.0, 0.0
         else:
             assert self._selected_ns is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -20,7 +20,12 @@ MOST_FALSE = 10_000
 
 
 class Selection(ABC):
-    """Chooses an adversary's targets, once or from time to time."""
+    """Chooses an adversary's targets, once or from time to time.
+
+    until_found: whether it selects in every frame until it has a target
+    """
+
+    until_found: ClassVar[bool] = False
 
     def view(self, objects: ObjectStates, source: Ints | None = None) -> ObjectStates:
         """The objects that can be targets, given those seen; `source` (n,) says which adversary saw each.
