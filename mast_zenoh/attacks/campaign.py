@@ -28,7 +28,8 @@ class Campaign:
     """Holds targets over time; the adversary that selects for itself and the coordinator each run one.
 
     Nothing happens before `start_s` seconds of scene time. Targets are chosen anew every `reselect_every_s` seconds
-    (None: never), and with `Selection.until_found` in every frame until there is one. Draws come from the streams (seed, scene, name, "selection" | "propagation", frame).
+    (None: never), and with `Selection.until_found` in every frame until there is one.
+    Draws come from the streams (seed, scene, name, "selection" | "propagation", frame).
     Raises ValueError for an interval that is not positive, and for a start before the scene.
     """
 
