@@ -43,6 +43,10 @@ class Attack(ABC):
     def look(self, view: SensorView, *, fused: bool) -> None:  # noqa: B027 (a hook)
         """What the victim's sensor covers at the next step; fused: the objects are those of several agents."""
 
+    def counts(self) -> dict[str, int]:
+        """How many targets it has chosen, see `Campaign.counts`; {} if it chooses none itself."""
+        return {}
+
     @abstractmethod
     def step(
         self,
@@ -210,6 +214,10 @@ class UncoordinatedAttack(_TargetedAttack):
         """See Attack."""
         super().bind(seed, name)
         self._campaign.bind(seed, self._surroundings.scene, name)
+
+    def counts(self) -> dict[str, int]:
+        """See Attack."""
+        return self._campaign.counts
 
     def _targets_at(
         self, frame: int, time_ns: int, seen: ObjectStates, coverage: Coverage, directive: Targets | None

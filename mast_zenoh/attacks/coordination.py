@@ -37,6 +37,10 @@ class Coordination(ABC):
     def look(self, views: tuple[SensorView, ...]) -> None:  # noqa: B027 (a hook)
         """What the sensors of the victims cover at the next step, in the order of its `agent_positions`."""
 
+    def counts(self) -> dict[str, int]:
+        """How many targets it has chosen, see `Campaign.counts`; {} if that is not known."""
+        return {}
+
     @abstractmethod
     def step(
         self, frame: int, time_ns: int, objects: ObjectStates, source: Ints, agent_positions: Floats
@@ -87,6 +91,10 @@ class Coordinator(Coordination):
     def bind(self, seed: int, name: str) -> None:
         """See Coordination."""
         self._campaign.bind(seed, self._surroundings.scene, name)
+
+    def counts(self) -> dict[str, int]:
+        """See Coordination."""
+        return self._campaign.counts
 
     def look(self, views: tuple[SensorView, ...]) -> None:
         """See Coordination."""

@@ -108,15 +108,18 @@ class UncoordinatedSelection(Selection):
         rows = for_rows.permutation(n)
         direction = for_offset.uniform(-np.pi, np.pi, moved)
         offset = np.column_stack([np.cos(direction), np.sin(direction), np.zeros(moved)]) * self.translation_m
+        count = int(for_add.poisson(self.n_false_positives)) if coverage.victims else 0
         return Targets(
-            add=self._false_objects(objects, coverage, for_add),
+            add=self._false_objects(count, objects, coverage, for_add),
             remove=objects.select(np.sort(rows[:removed])),
             move=objects.select(np.sort(rows[removed : removed + moved])),
             move_offset=offset,
+            wanted=count,
         ).numbered(0)
 
-    def _false_objects(self, real: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> ObjectStates:
-        count = int(rng.poisson(self.n_false_positives)) if coverage.victims else 0
+    def _false_objects(
+        self, count: int, real: ObjectStates, coverage: Coverage, rng: np.random.Generator
+    ) -> ObjectStates:
         shape = Shape(self.position_std_m, self.velocity_std_mps, self.box)
         position, velocity = self.region.place(count, shape, real, ground_height(real), coverage, rng)
         return ObjectStates.of(
