@@ -212,6 +212,13 @@ class Context(Protocol):
         """For a node that hears every key: have nothing of these keys handed on, until it ignores others instead."""
         ...
 
+    def failed(self, part: str, error: BaseException) -> None:
+        """Count the failure of a part of a handler, which goes on: the run fails as if the handler had raised `error`.
+
+        part: its name, in place of the handler's
+        """
+        ...
+
     def connected(self, port: str, subject: str | None = None) -> bool:
         """Whether a wire is connected to an output port."""
         ...

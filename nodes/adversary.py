@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from mast_zenoh.attacks import Attack, PassThrough, Surroundings, Tampering, Targets
+from mast_zenoh.attacks.campaign import shortfall
 from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.fusion.collation import LatestBefore
 from mast_zenoh.geometry import rotation_from_quaternion, states_to_local, states_to_world
@@ -62,6 +63,13 @@ class Adversary(Node):
         """Initialise the random streams."""
         self.attack.inform(self.surroundings)
         self.attack.bind(context.seed, context.name)
+
+    def finish(self, context: Context) -> dict[str, int]:
+        """How many targets were chosen; what was wanted and not found is logged."""
+        counts = self.attack.counts()
+        if missing := shortfall(counts):
+            context.log.warning("%s", missing)
+        return counts
 
     def on_clock(self, received: Received, context: Context) -> None:
         """A message whose pose has not come by now is passed on as it is: holding it back would be a trace."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.attacks import Coordination, Surroundings, Targets
+from mast_zenoh.attacks.campaign import shortfall
 from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.fusion.collation import Gather
 from mast_zenoh.messages import Body
@@ -36,6 +37,13 @@ class Coordinator(Node):
         """Initialise the random streams."""
         self.coordination.inform(self.surroundings)
         self.coordination.bind(context.seed, context.name)
+
+    def finish(self, context: Context) -> dict[str, int]:
+        """How many targets were chosen; what was wanted and not found is logged."""
+        counts = self.coordination.counts()
+        if missing := shortfall(counts):
+            context.log.warning("%s", missing)
+        return counts
 
     def left(self, node: str, role: str, context: Context) -> None:
         """An adversary that has gone is waited for no longer."""

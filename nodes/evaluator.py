@@ -39,7 +39,7 @@ class Route(NamedTuple):
 
 
 class Evaluator(Node):
-    """agents: their names; scorer: how to score; the others: see `metrics.Evaluation`."""
+    """agents: their names; scorer: how to score, None: Scorer(); the others: see `metrics.Evaluation`."""
 
     role = "evaluator"
     inputs = {"everything": ANY}
@@ -47,7 +47,7 @@ class Evaluator(Node):
     def __init__(
         self,
         agents: tuple[str, ...],
-        scorer: Scorer,
+        scorer: Scorer | None = None,
         skip_first: int = 6,
         skip_last: int = 10,
         picture_age_s: float = 0.5,
@@ -57,7 +57,7 @@ class Evaluator(Node):
     ) -> None:
         self.agents = agents
         self.evaluation = Evaluation(
-            scorer=scorer,
+            scorer=scorer or Scorer(),
             skip_first=skip_first,
             skip_last=skip_last,
             picture_age_s=picture_age_s,
@@ -173,8 +173,11 @@ class Evaluator(Node):
         self.heard.link_reports.append((header.source, header.frame, header.seq, message.body))
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """The metrics and the tables of the run."""
-        return self.evaluation.of(self.heard)
+        """The metrics and the tables of the run. A user-defined metric that fails costs its own values alone."""
+        results = self.evaluation.of(self.heard)
+        for name, error in results.pop("failed_metrics").items():
+            context.failed(f"metric {name}", error)
+        return results
 
 
 def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:

@@ -119,6 +119,30 @@ class Judge(Node):
         return {"metrics": {"mean": 1 / 0}}
 """,
     },
+    # A metric of the user's that fails beside one that does not.
+    "metric": {
+        "metric_fails.py": """
+from mast_zenoh import loading
+from mast_zenoh.metrics import FrameMetric, RunMetric
+
+_, baseline = loading.function("scenarios", "baseline", "scenario")
+
+
+class Broken(FrameMetric):
+    def per_frame(self, estimate):
+        raise ValueError("no box in frame " + str(len([])))
+
+
+class Tracks(RunMetric):
+    def per_run(self, estimate):
+        return float(estimate.is_track.sum())
+
+
+def scenario():
+    metrics = [dict(type="Broken"), dict(type="Tracks")]
+    return baseline(n_infrastructure=1) | dict(name="metric", evaluator=dict(metrics=metrics))
+""",
+    },
     # Two further nodes that hear the clock alone, and return what would be metrics and tables.
     "second": {
         "second.py": """

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mast_zenoh.attacks.application import carry_out
-from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign
+from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, check_start
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
@@ -42,6 +42,10 @@ class Attack(ABC):
 
     def look(self, view: SensorView, *, fused: bool) -> None:  # noqa: B027 (a hook)
         """What the victim's sensor covers at the next step; fused: the objects are those of several agents."""
+
+    def counts(self) -> dict[str, int]:
+        """How many targets it has chosen, see `Campaign.counts`; {} if it chooses none itself."""
+        return {}
 
     @abstractmethod
     def step(
@@ -98,6 +102,7 @@ class _TargetedAttack(Attack):
         imitation: Imitation | None,
         id_gap: int,
     ) -> None:
+        check_start(start_s)
         self._start_ns = round(start_s * NANOSECONDS)
         self._max_range_m = max_range_m
         self._imitation = imitation or VictimLike()
@@ -209,6 +214,10 @@ class UncoordinatedAttack(_TargetedAttack):
         """See Attack."""
         super().bind(seed, name)
         self._campaign.bind(seed, self._surroundings.scene, name)
+
+    def counts(self) -> dict[str, int]:
+        """See Attack."""
+        return self._campaign.counts
 
     def _targets_at(
         self, frame: int, time_ns: int, seen: ObjectStates, coverage: Coverage, directive: Targets | None

@@ -19,6 +19,8 @@ from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.tracking.view import SensorView
 
+#: m; a victim that is nearer than this to where the ego's route has it, is the ego.
+EGO_M = 3.0
 #: Frames in which an object must have been reported to be a target.
 ESTABLISHED = 10
 
@@ -34,6 +36,10 @@ class Coordination(ABC):
 
     def look(self, views: tuple[SensorView, ...]) -> None:  # noqa: B027 (a hook)
         """What the sensors of the victims cover at the next step, in the order of its `agent_positions`."""
+
+    def counts(self) -> dict[str, int]:
+        """How many targets it has chosen, see `Campaign.counts`; {} if that is not known."""
+        return {}
 
     @abstractmethod
     def step(
@@ -86,6 +92,10 @@ class Coordinator(Coordination):
         """See Coordination."""
         self._campaign.bind(seed, self._surroundings.scene, name)
 
+    def counts(self) -> dict[str, int]:
+        """See Coordination."""
+        return self._campaign.counts
+
     def look(self, views: tuple[SensorView, ...]) -> None:
         """See Coordination."""
         self._views = views
@@ -97,7 +107,10 @@ class Coordinator(Coordination):
         view = self._selection.view(objects, source)
         view = view.select(canonical_order(view))
         views = self._views if len(self._views) == len(agent_positions) else tuple(map(unlimited, agent_positions))
-        coverage = Coverage(self._surroundings, views, time_ns / NANOSECONDS)
+        time_s = time_ns / NANOSECONDS
+        ego = ego_among(agent_positions, self._surroundings, time_s)
+        ego_tracks = None if ego is None else objects.select(source == ego)
+        coverage = Coverage(self._surroundings, views, time_s, ego_tracks=ego_tracks)
         # The members of a cluster change, and with them its id: it says nothing.
         self._follower.observe(view.with_(id=np.full(len(view), -1, np.int64)), time_ns)
         candidates = view.select(self._follower.established(ESTABLISHED)) if self._campaign.due(time_ns) else view
@@ -112,3 +125,14 @@ class Coordinator(Coordination):
             targets = replace(targets, remove=both.select(slice(0, n)), move=both.select(slice(n, None)))
         self._campaign.hold(targets, time_ns)
         return (targets,) * len(agent_positions)
+
+
+def ego_among(agent_positions: Floats, surroundings: Surroundings, time_s: float) -> int | None:
+    """Row of the victim (a, 3) m that is where the ego's route has it at a time; None if none is."""
+    ego = surroundings.ego_sensor
+    if ego is None or len(agent_positions) == 0:
+        return None
+    offset = agent_positions[:, :2] - ego.route.at(time_s)[0][:2]
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    row = int(np.argmin(distance))
+    return row if distance[row] < EGO_M else None

@@ -27,12 +27,14 @@ class Coverage:
     victims:      what the sensors of the compromised agents cover
     time_s:       s since the scene began
     fused:        the objects on the wire are of several agents (a picture): they need not be in a victim's view
+    ego_tracks:   the ego's own tracks, world frame, if one of the adversaries sits on them; None: not known
     """
 
     surroundings: Surroundings
     victims: tuple[SensorView, ...]
     time_s: float
     fused: bool = False
+    ego_tracks: ObjectStates | None = None
 
     def visible(self, view: SensorView, boxes: Floats, screens: Floats = _NO_SCREENS) -> Bools:
         """(k,) whether boxes (k, 6) x y z l w h are in a view and behind neither walls nor objects (n, 6)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -15,9 +15,17 @@ from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.errors import nearest
 from mast_zenoh.states import CLASS_INDEX, Ints, ObjectStates
 
+#: Upper limit of `n_false_positives`.
+MOST_FALSE = 10_000
+
 
 class Selection(ABC):
-    """Chooses an adversary's targets, once or from time to time."""
+    """Chooses an adversary's targets, once or from time to time.
+
+    until_found: whether it selects in every frame until it has a target
+    """
+
+    until_found: ClassVar[bool] = False
 
     def view(self, objects: ObjectStates, source: Ints | None = None) -> ObjectStates:
         """The objects that can be targets, given those seen; `source` (n,) says which adversary saw each.
@@ -78,6 +86,7 @@ class UncoordinatedSelection(Selection):
         self.translation_m = translation_m
         for name in ("n_false_positives", "position_std_m", "velocity_std_mps", "translation_m"):
             self._expect(name, getattr(self, name) >= 0.0, "0 or more")
+        self._expect("n_false_positives", n_false_positives <= MOST_FALSE, f"at most {MOST_FALSE}")
         for name in ("fraction_false_negatives", "fraction_translations"):
             self._expect(name, 0.0 <= getattr(self, name) <= 1.0, "0 to 1")
         self._expect("box", self.box.shape == (3,) and bool(np.all(self.box > 0.0)), "three positive lengths in m")
@@ -99,15 +108,18 @@ class UncoordinatedSelection(Selection):
         rows = for_rows.permutation(n)
         direction = for_offset.uniform(-np.pi, np.pi, moved)
         offset = np.column_stack([np.cos(direction), np.sin(direction), np.zeros(moved)]) * self.translation_m
+        count = int(for_add.poisson(self.n_false_positives)) if coverage.victims else 0
         return Targets(
-            add=self._false_objects(objects, coverage, for_add),
+            add=self._false_objects(count, objects, coverage, for_add),
             remove=objects.select(np.sort(rows[:removed])),
             move=objects.select(np.sort(rows[removed : removed + moved])),
             move_offset=offset,
+            wanted=count,
         ).numbered(0)
 
-    def _false_objects(self, real: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> ObjectStates:
-        count = int(rng.poisson(self.n_false_positives)) if coverage.victims else 0
+    def _false_objects(
+        self, count: int, real: ObjectStates, coverage: Coverage, rng: np.random.Generator
+    ) -> ObjectStates:
         shape = Shape(self.position_std_m, self.velocity_std_mps, self.box)
         position, velocity = self.region.place(count, shape, real, ground_height(real), coverage, rng)
         return ObjectStates.of(

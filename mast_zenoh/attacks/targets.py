@@ -28,6 +28,8 @@ class Targets:
     move:        real objects to displace (translations), where they are believed to be
     move_offset: (k, 3) m, displacement of each row of `move`
     time_ns:     ns, scene time that the states hold for; None: the frame before they are used
+    wanted:      how many false objects were drawn when the targets were selected, those without a place included;
+                 None: as many as there are
     """
 
     add: ObjectStates
@@ -35,6 +37,7 @@ class Targets:
     move: ObjectStates
     move_offset: Floats
     time_ns: int | None = None
+    wanted: int | None = None
 
     @classmethod
     def empty(cls, time_ns: int | None = None) -> Targets:

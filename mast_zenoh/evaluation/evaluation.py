@@ -68,7 +68,10 @@ class Evaluation:
         user_metrics.check(self.metrics, COLUMNS)
 
     def of(self, heard: Heard) -> dict[str, Any]:
-        """{"metrics": what metrics.json holds, "tables": by name the columns of the tables of the run folder}."""
+        """{"metrics": what metrics.json holds, "tables": by name the columns of the tables of the run folder,
+
+        "failed_metrics": by name the error of a user-defined metric that failed}.
+        """
         ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in heard.record.agents}
         heard.record.hold_pictures({agent: round(age_s / heard.period_s) for agent, age_s in ages_s.items()})
         scores = self.scorer.score(heard.record)
@@ -93,8 +96,12 @@ class Evaluation:
 
     def scored(self, frames: int) -> slice:
         """Which of so many frames the summary is of."""
-        first, last = (self.skip_first, self.skip_last) if self.skip_first + self.skip_last <= frames // 2 else (0, 0)
+        first, last = (self.skip_first, self.skip_last) if self.settled(frames) else (0, 0)
         return slice(first, frames - last)
+
+    def settled(self, frames: int) -> bool:
+        """Whether a run of so many frames is long enough to leave frames out of the summary."""
+        return self.skip_first + self.skip_last <= frames // 2
 
     def _severed(self, heard: Heard, scores: Scores, truth: TruthTable, effects: Effects) -> Severed:
         """What only agents could have reported whose tracks did not get through."""
@@ -153,11 +160,12 @@ class _Results:
             self.how.scorer.min_points,
         )
         drives = consequences.drives(self.how.driving, heard.record, scores, labels, self.truth)
-        summary, per_frame = self._scored(scored)
+        summary, per_frame, failed_metrics = self._scored(scored)
         return {
             "metrics": {
                 "frames": len(frames),
                 "scored_frames": [int(frame) for frame in frames[scored][[0, -1]]] if len(frames) else [],
+                "settled": self.how.settled(len(frames)),
                 "agents": summary,
                 "same_as": _nested(scores.same_as),
                 "achieved": achievement.summary(
@@ -175,10 +183,16 @@ class _Results:
                 "targets": targets.table(done.culprits),
                 "driving": consequences.table(drives, frames),
             },
+            "failed_metrics": failed_metrics,
         }
 
-    def _scored(self, scored: slice) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[str, Any]]:
-        """The summary by agent and estimator, and the table per frame, with causes and user-defined metrics."""
+    def _scored(
+        self, scored: slice
+    ) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[str, Any], dict[str, BaseException]]:
+        """The summary by agent and estimator, and the table per frame, with causes and user-defined metrics;
+
+        and by name the errors of user-defined metrics.
+        """
         heard, scores, labels = self.heard, self.scores, self.labels
         summary, per_frame = scores.summary(scored), scores.per_frame()
         causes = causes_of(scores, labels.cause, labels.switch_cause, scores.frames[scored])
@@ -187,9 +201,9 @@ class _Results:
         counts = np.zeros(len(scores.frames), bool)
         counts[scored] = True
         agents, metrics = heard.record.agents, self.how.metrics
-        values = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, heard.period_s)
+        values, failed = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, heard.period_s)
         user_metrics.add_to(summary, per_frame, scores, values, counts)
-        return summary, per_frame
+        return summary, per_frame, failed
 
     def _victims(self) -> dict[str, set[int]]:
         """By interposer the columns of the agents on whose wires it sits."""

@@ -30,3 +30,6 @@ def write(
     measured = {"late": results.late(collations), **measured}
     refused = run_folder.write_results(folder, handed_in, measured)
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused)
+    metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
+    if isinstance(metrics, Mapping):
+        record["notices"] += notices.of_scores(metrics)

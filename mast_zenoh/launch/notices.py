@@ -47,6 +47,16 @@ def of_run(
     ]
 
 
+def of_scores(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The notice of a run that is too short to leave out the frames in which tracks begin; metrics: of metrics.json."""
+    count = metrics.get("frames")
+    if metrics.get("settled") is not False or not isinstance(count, int) or not count:
+        return []
+    frames = "the only frame is" if count == 1 else f"all {count} frames are"
+    text = f"too short to score settled frames alone: {frames} scored, those in which tracks begin included"
+    return [{"kind": "unsettled", "count": count, "text": text}]
+
+
 def _late(late: Mapping[str, int]) -> tuple[int, str]:
     count, agents = sum(late.values()), [agent for agent in late if late[agent]]
     if not count:

@@ -151,19 +151,27 @@ def values(
     agents: Sequence[str],
     scored: Bools,
     period_s: float,
-) -> dict[str, list[Any]]:
-    """By the name of a metric its value for each of `scores.series`: (f,) floats, or a float or None.
+) -> tuple[dict[str, list[Any]], dict[str, BaseException]]:
+    """By the name of a metric its value for each of `scores.series`: (f,) floats, or a float or None; and its error.
 
-    Raises what a metric raises.
+    A metric that raises is undefined for every series: NaN in every frame, or None. Its first error is returned.
     """
     result: dict[str, list[Any]] = {metric.label: [] for metric in metrics}
-    if not metrics:
-        return result
-    for row in range(len(scores.series)):
+    errors: dict[str, BaseException] = {}
+    for row in range(len(scores.series) if metrics else 0):
         estimate = _estimate(row, scores, labels, truth, agents, scored, period_s)
         for metric in metrics:
-            result[metric.label].append(metric.value(estimate))
-    return result
+            if metric.label in errors:
+                continue
+            try:
+                result[metric.label].append(metric.value(estimate))
+            except (Exception, SystemExit) as error:
+                errors[metric.label] = error
+    for metric in metrics:
+        if metric.label in errors:
+            undefined = np.full(len(scores.frames), np.nan) if isinstance(metric, FrameMetric) else None
+            result[metric.label] = [undefined] * len(scores.series)
+    return result, errors
 
 
 def _estimate(

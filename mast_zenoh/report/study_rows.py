@@ -13,6 +13,8 @@ from mast_zenoh.report.table import DASH
 NAN = float("nan")
 #: With fewer seeds there is no interval.
 LEAST_SEEDS = 5
+#: A difference up to this is one of rounding.
+NEGLIGIBLE = 1e-9
 
 
 class Series(NamedTuple):
@@ -53,6 +55,11 @@ class Estimate:
     def unchanged(self) -> bool:
         """Of an increment: whether it is 0 in every trial, as far as five seeds or more can tell."""
         return self.seeds >= LEAST_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
+
+    @property
+    def certain(self) -> bool:
+        """Of an increment: whether it is the same in every seed, and not 0; without spread there is no interval."""
+        return self.seeds >= LEAST_SEEDS and abs(self.trial_mean) > NEGLIGIBLE and math.isnan(self.low)
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,9 +24,11 @@ from mast_zenoh.report.study_rows import (
 _CHANGES = {
     "fp_iob": ("false objects", "{size} {more} false objects a frame"),
     "fn_iob": ("missed objects", "{size} {more} missed objects a frame"),
-    "rmse_m_iob": ("RMSE", "{size} m {more} RMSE"),
     "id_switches_iob": ("identity switches", "{size} {more} identity switches a run"),
+    "rmse_m_iob": ("RMSE", "{size} m {more} RMSE"),
 }
+#: The metrics of which the first with a change has the headline, and the least change that may.
+_HEADLINES = ((("fp_iob", "fn_iob"), 0.0), (("id_switches_iob",), 0.0), (("rmse_m_iob",), 0.01))
 #: Where to look for a change first: at what the ego acts on.
 _WHERE = {"mission": "the ego with the picture has", "picture": "the picture has", "local": "the ego alone has"}
 
@@ -34,18 +36,18 @@ _Change = tuple[StudyRow, Column]
 
 
 def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
-    """The largest change of false or missed objects in one sentence, or that there is none."""
+    """The largest change in one sentence, or that there is none: of false or missed objects, else of less relevance."""
     attacked = [row for row in rows if row.label != facts.baseline]
     if not attacked:
         return f"{plural(len(rows), 'configuration')}, nothing to compare."
-    counts = ("fp_iob", "fn_iob")
-    marked = _largest(attacked, counts, comparisons)
-    if marked:
-        return f"The largest change: {_sentence(marked)}."
-    any_change = _largest(attacked, counts, None)
+    headline = _headline(attacked, comparisons)
+    if headline:
+        return f"The largest change: {_sentence(headline)}."
+    any_change = _largest(attacked, ("fp_iob", "fn_iob"), None)
     if not any_change:
         return "No trial has the results of its baseline beside it, so there is nothing to compare."
-    if any_change[1].of(any_change[0]).trial_mean == 0.0:
+    greatest = any_change[1].of(any_change[0])
+    if greatest.trial_mean == 0.0 and math.isnan(greatest.low):
         return "No attack changes false or missed objects in any trial."
     if comparisons.count:
         many = plural(comparisons.count, "comparison")
@@ -56,7 +58,7 @@ def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons
 def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
     """The largest change of each kind that `result` does not name, and the kinds that show none."""
     attacked = [row for row in rows if row.label != facts.baseline]
-    named = _largest(attacked, ("fp_iob", "fn_iob"), comparisons)
+    named = _headline(attacked, comparisons)
     sentences, unchanged = [], []
     for metric, (name, _) in _CHANGES.items():
         change = _largest(attacked, (metric,), comparisons)
@@ -72,13 +74,22 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
     return sentences
 
 
+def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | None:
+    """The largest change of the most relevant metrics that show any."""
+    for metrics, least in _HEADLINES:
+        change = _largest(rows, metrics, comparisons)
+        if change and abs(change[1].of(change[0]).trial_mean) >= least:
+            return change
+    return None
+
+
 def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comparisons | None) -> _Change | None:
-    """The largest change of the first estimate that shows any; with `comparisons`, of those that remain only."""
+    """The largest change of the first estimate that shows any; with `comparisons`, one that remains or is certain."""
     for estimator in _WHERE:
         changes = [(row, Column("", metric, estimator)) for row in rows for metric in metrics]
         known = [(row, column) for row, column in changes if not math.isnan(column.of(row).trial_mean)]
         if comparisons:
-            known = [(row, column) for row, column in known if comparisons.remains(row, column)]
+            known = [each for each in known if comparisons.remains(*each) or each[1].of(each[0]).certain]
         if known:
             return max(known, key=lambda change: abs(change[1].of(change[0]).trial_mean))
     return None
@@ -93,7 +104,10 @@ def _sentence(change: _Change) -> str:
     positive = replace(estimate, trial_mean=sign * estimate.trial_mean, low=ends[0], high=ends[1])
     more = "more" if sign > 0 else "less" if column.metric == "rmse_m_iob" else "fewer"
     text = _CHANGES[column.metric][1].format(size=value(positive), more=more)
-    return f"in {row.label} {_WHERE[column.estimator]} {text} {bounds(positive)} than the baseline"
+    what = f"in {row.label} {_WHERE[column.estimator]} {text}"
+    if estimate.certain:
+        return f"{what} than the baseline, in all {estimate.seeds} seeds; no spread, so no interval"
+    return f"{what} {bounds(positive)} than the baseline"
 
 
 def comparisons_made(comparisons: Comparisons) -> str:

@@ -95,6 +95,10 @@ class Host(NodeContext):
 
         return self._guard("finish", finish) or {}
 
+    def failed(self, part: str, error: BaseException) -> None:
+        """See node.Context."""
+        self._note_failure(part, type(self.node), (), error)
+
     def deliver(self, key: str, payload: bytes | Message, step: int, *, counted: bool = True, flaw: str = "") -> None:
         """A message has come on `key`, sent in `step` of its sender (-1: not known, it is taken at once).
 
@@ -240,7 +244,7 @@ class Host(NodeContext):
         handler = f"on_{what}" if self._handlers.get(what) is call else what
         if handler not in self.failures:
             self.log.error("%s failed (further failures of it are only counted)", handler, exc_info=error)
-            self.failures[handler] = Failure(handler, error, getattr(self.node, handler))
+            self.failures[handler] = Failure(handler, error, getattr(self.node, handler, call))
         self.failures[handler].note(self._frame_of(arguments[0] if arguments else None))
         self.on_failure(self.failures[handler])
 

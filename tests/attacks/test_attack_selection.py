@@ -8,7 +8,15 @@ from attack_worlds import ORIGIN, at, equal, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.attacks import CoordinatedSelection, Selection, UncoordinatedSelection, coverage_of
+from mast_zenoh.attacks import (
+    CoordinatedAttack,
+    CoordinatedSelection,
+    Coordinator,
+    Selection,
+    UncoordinatedAttack,
+    UncoordinatedSelection,
+    coverage_of,
+)
 from mast_zenoh.attacks.clusters import cluster_centres
 from mast_zenoh.attacks.selection import ground_height
 from mast_zenoh.states import ObjectStates, concatenate
@@ -143,3 +151,15 @@ def test_clusters_do_not_depend_on_the_order_of_the_tracks(n, sources, random):
 def test_senseless_values_are_refused_by_name(arguments, place):
     with pytest.raises(ValueError, match=place):
         UncoordinatedSelection(**arguments)
+
+
+@pytest.mark.parametrize("count", [1e300, 10_001.0, float("inf"), float("nan"), -1.0])
+def test_a_number_of_false_objects_that_no_message_holds_is_refused(count: float) -> None:
+    with pytest.raises(ValueError, match="n_false_positives: found"):
+        UncoordinatedSelection(n_false_positives=count)
+
+
+@pytest.mark.parametrize("attack", [UncoordinatedAttack, CoordinatedAttack, Coordinator])
+def test_an_attack_that_starts_before_the_scene_is_refused(attack: type) -> None:
+    with pytest.raises(ValueError, match=r"start_s: found -5\.0, expected 0 or more"):
+        attack(start_s=-5.0)

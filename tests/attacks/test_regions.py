@@ -8,7 +8,7 @@ from attack_worlds import at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.attacks import ConflictSelection, Coverage, Surroundings, UncoordinatedSelection
+from mast_zenoh.attacks import ConflictSelection, Coordinator, Coverage, Surroundings, UncoordinatedSelection
 from mast_zenoh.attacks.coverage import touching
 from mast_zenoh.attacks.propagation import TrajectoryPropagation
 from mast_zenoh.attacks.regions import fastest_within, path_ahead
@@ -163,3 +163,35 @@ def test_a_place_can_be_named_instead():
 def test_senseless_values_are_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
         ConflictSelection(**arguments)
+
+
+def test_an_object_in_the_egos_own_tracks_is_hidden_only_if_there_is_no_other():
+    objects = at((0.0, 3.0), (10.0, 6.0), id=np.full(2, -1))
+    tracks = at((0.5, 3.2), id=np.zeros(1, np.int64))
+    view = Coverage(KNOWN, (), 0.0, ego_tracks=tracks)
+    nearest, other = objects.position[0], objects.position[1]
+    assert np.array_equal(ConflictSelection().select(objects, view, stream(1)).remove.position, [other])
+    known = objects.select(np.array([0]))
+    assert np.array_equal(ConflictSelection().select(known, view, stream(1)).remove.position, [nearest])
+
+
+def test_nothing_is_hidden_that_is_far_from_the_place_that_is_named():
+    objects = at((0.0, 3.0), (30.0, 2.0), id=np.full(2, -1))
+    assert chosen(ConflictSelection(near=(900.0, 900.0)), objects) == []
+    assert chosen(ConflictSelection(near=(49.0, 2.0)), objects) == [[30.0, 2.0]]
+
+
+def test_an_attack_that_begins_before_there_are_tracks_hides_the_first_that_it_can():
+    coordinator = Coordinator(selection=ConflictSelection(), reselect_every_s=None, start_s=0.5)
+    coordinator.inform(KNOWN)
+    coordinator.bind(1, "coordinator")
+    position = KNOWN.sensors["infra_1"].route.position
+    hidden = []
+    for frame in range(30):
+        seen = at((0.0, 3.0), id=np.zeros(1, np.int64)) if frame >= 10 else ObjectStates.empty()
+        source = np.zeros(len(seen), np.int64)
+        (targets,) = coordinator.step(frame, frame * 100_000_000, seen, source, position)
+        hidden.append(targets.remove.id.tolist())
+    first = hidden.index([0])
+    assert first >= 10
+    assert hidden == [[]] * first + [[0]] * (30 - first), "one target, chosen once"

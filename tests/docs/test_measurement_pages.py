@@ -25,9 +25,7 @@ from mast_zenoh.scenario import load
 {metric}
 
 def scenario():
-    content = dict(load("coordinated")[1])
-    content["evaluator"] = {{**content["evaluator"], **dict({options})}}
-    return content
+    return dict(load("coordinated")[1]) | dict(evaluator=dict({options}))
 """
 
 

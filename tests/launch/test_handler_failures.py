@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import failing
+import numpy as np
 import pytest
 
 from mast_zenoh import checks, scenario
@@ -15,6 +16,7 @@ from mast_zenoh.launch import local
 from mast_zenoh.report import write_report, write_study_report
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.scenes import Recording
+from mast_zenoh.tables import read_table
 
 
 def resolved(name: str, folder: Path, frames: int = 12) -> Resolved:
@@ -128,3 +130,19 @@ def test_a_run_with_links_is_checked_although_handlers_failed(tmp_path: Path) ->
     assert isinstance(ended.error, HandlerFailed)
     found = {check["name"]: check for check in json.loads((ended.folder / checks.FILE).read_text())["checks"]}
     assert found["sequences"]["values"].get("checked", True), "the run came to its end, so its record is complete"
+
+
+def test_a_metric_that_fails_is_named_with_its_line_and_costs_no_other_number(tmp_path: Path) -> None:
+    ended = played("metric", tmp_path)
+    assert isinstance(ended.error, HandlerFailed)
+    record = json.loads((ended.folder / "run.json").read_text())
+    (entry,) = record["nodes"]["evaluator"]["failures"]
+    assert (entry["handler"], entry["count"]) == ("metric broken", 1)
+    assert entry["exception"] == "ValueError: no box in frame 0"
+    file, _, line = entry["where"].rpartition(":")
+    assert "len([])" in Path(file).read_text().splitlines()[int(line) - 1]
+    ego = json.loads((ended.folder / "metrics.json").read_text())["agents"]["ego"]["picture"]
+    assert ego["broken"] == {"mean": None, "std": None}
+    assert ego["tracks"] > 0.0
+    assert ego["fn"]["mean"] is not None
+    assert np.isnan(read_table(ended.folder / "metrics.parquet")["broken"]).all()

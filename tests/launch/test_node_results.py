@@ -113,3 +113,24 @@ def test_a_second_node_that_returns_metrics_and_tables_changes_none_of_the_run(t
     assert not list(tmp_path.rglob("other.parquet"))
     (notice,) = (notice for notice in ended.record["notices"] if notice["kind"] == "results")
     assert "other: table '../other': expected a name" in notice["text"]
+
+
+@pytest.mark.parametrize(
+    ("name", "setting", "node", "missing"),
+    [
+        ("hide_object", "near=[900,900]", "coordinator", "no target was found"),
+        ("uncoordinated", "region=victim_only", "adversary_2", "no place for"),
+    ],
+)
+def test_an_attack_without_targets_or_places_says_so(
+    tmp_path: Path, name: str, setting: str, node: str, missing: str
+) -> None:
+    file, content = scenario.load(name, [setting, "attack_start_s=1.0"])
+    ended = local.run(scenario.resolve(file, content, frames=30), tmp_path / "run", runtime="inproc")
+    counts = json.loads((ended.folder / f"results/{node}/results.json").read_text())
+    log = (ended.folder / f"logs/{node}.log").read_text()
+    assert missing in log
+    if name == "hide_object":
+        assert counts == {"selected": 0, "placed": 0, "wanted": 0}
+    else:
+        assert counts["placed"] < counts["wanted"]

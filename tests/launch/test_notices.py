@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from tiny_world import tiny
 
+from mast_zenoh import scenario
 from mast_zenoh.launch import local, notices
 from mast_zenoh.report import write_report
 from mast_zenoh.resolved import Resolved
@@ -120,3 +121,13 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
     page = write_report(ended.folder).read_text()
     assert "late: 10 messages of infra_1 came too late for their batch" in page
     assert "malformed messages on" in page
+
+
+@pytest.mark.parametrize(("frames", "expected"), [(1, "the only frame is"), (5, "all 5 frames are"), (40, "")])
+def test_a_run_too_short_to_leave_out_its_first_frames_says_so(tmp_path: Path, frames: int, expected: str) -> None:
+    file, content = scenario.load("baseline", ["n_infrastructure=1"])
+    ended = local.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
+    found = {notice["kind"]: notice["text"] for notice in ended.record["notices"]}
+    assert json.loads((ended.folder / "metrics.json").read_text())["settled"] == (not expected)
+    assert ("unsettled" in found) == bool(expected)
+    assert expected in found.get("unsettled", "")

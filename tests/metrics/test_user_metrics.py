@@ -52,7 +52,9 @@ def computed(metrics: list[Any], tracked: list[list[bool]], scored: list[bool] |
     truth = record.truth(scores.frames)
     labels = Attribution().label(scores, none(len(scores.series)), truth, record.agents, 0.1)
     counts = np.ones(len(tracked), bool) if scored is None else np.array(scored)
-    values = user_metrics.values(metrics, scores, labels, truth, record.agents, counts, 0.1)
+    values, errors = user_metrics.values(metrics, scores, labels, truth, record.agents, counts, 0.1)
+    for error in errors.values():
+        raise error
     summary, table = scores.summary(), scores.per_frame()
     user_metrics.add_to(summary, table, scores, values, counts)
     return summary["ego"]["local"], table

@@ -15,7 +15,7 @@ from mast_zenoh.report import study_export, study_table
 from mast_zenoh.report.study_comparisons import compare, holm
 from mast_zenoh.report.study_facts import FailedTrial
 from mast_zenoh.report.study_rows import Estimate, Series, StudyRow, number, over_frames, over_trials, shares
-from mast_zenoh.report.study_words import reservations, result
+from mast_zenoh.report.study_words import other_changes, reservations, result
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]
 FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
@@ -170,6 +170,44 @@ def test_result_without_a_sure_change_says_so(estimates: Estimate | None, text: 
     known = {Series("ego", "picture", "fp_iob"): estimates} if estimates else {}
     rows = [BASELINE, StudyRow("a", "a", {}, known)]
     assert text in result(rows, facts(rows), compare(rows, "baseline"))
+
+
+def words(**increments: Estimate) -> tuple[str, list[str]]:
+    """The result and the other changes of a study in which `a` changes these metrics of the picture."""
+    rows = [
+        BASELINE,
+        StudyRow("a", "a", {}, {Series("ego", "picture", name): each for name, each in increments.items()}),
+    ]
+    comparisons = compare(rows, "baseline")
+    return result(rows, facts(rows), comparisons), other_changes(rows, facts(rows), comparisons)
+
+
+SAME = Estimate(0.57, 0.5, 0.57, scenes=1, seeds=5)
+
+
+def test_a_difference_that_is_the_same_in_all_seeds_is_certain_and_comes_before_rmse() -> None:
+    headline, others = words(fn_iob=SAME, fp_iob=estimate(0.0, p=0.9), rmse_m_iob=estimate(0.0006, 0.0002))
+    assert headline == (
+        "The largest change: in a the picture has 0.57 more missed objects a frame than the baseline, "
+        "in all 5 seeds; no spread, so no interval."
+    )
+    assert "Not distinguishable from the baseline: false objects, identity switches." in others
+    assert not any("missed objects" in sentence for sentence in others)
+
+
+def test_the_headline_is_of_identities_before_rmse_and_never_of_less_than_a_centimetre() -> None:
+    rmse, switches, nothing = estimate(0.2, 0.1), estimate(0.1, 0.05), estimate(0.0, p=0.9)
+    assert "0.10 more identity switches" in words(fp_iob=nothing, id_switches_iob=switches, rmse_m_iob=rmse)[0]
+    assert "0.20 m more RMSE" in words(fp_iob=nothing, rmse_m_iob=rmse)[0]
+    headline, others = words(fp_iob=nothing, rmse_m_iob=estimate(0.0006, 0.0002))
+    assert headline.startswith("No attack changes false or missed objects distinguishably")
+    assert any(sentence.startswith("RMSE: in a the picture has 0.0006 m more") for sentence in others)
+
+
+@pytest.mark.parametrize("same", [replace(SAME, seeds=4), replace(SAME, trial_mean=0.0), replace(SAME, low=0.5)])
+def test_a_difference_of_few_seeds_or_of_none_or_with_spread_is_not_certain(same: Estimate) -> None:
+    assert SAME.certain
+    assert not same.certain
 
 
 def test_seeds_left_out_are_told_for_all_numbers_or_for_those_that_lack_them() -> None:
