@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from dataclasses import replace
@@ -10,8 +11,9 @@ from typing import Any
 
 from rich.console import Console
 
-from mast_zenoh import interposition, loading
+from mast_zenoh import interposition, loading, release
 from mast_zenoh.errors import MastError, NotComparable
+from mast_zenoh.launch import folder as run_folder_files
 from mast_zenoh.launch import local
 from mast_zenoh.resolved import RECORDING, Resolved
 from mast_zenoh.scenes.recording import Recording
@@ -19,6 +21,8 @@ from mast_zenoh.wiring import Wiring
 
 #: Where it lies in the folder of its run, and what it is called.
 FOLDER, NAME = "twin", "unattacked"
+#: In the folder of a twin: the versions and the files of nodes and algorithms that its results depend on.
+SOURCES = "sources.json"
 _ATTACKERS = ("adversary", "coordinator")
 
 
@@ -47,13 +51,14 @@ def unattacked(resolved: Resolved) -> Resolved:
 
 
 def of(run_folder: Path, console: Console | None = None) -> Path:
-    """The folder of the unattacked twin of a run, which is played if it is not there yet.
+    """The folder of the unattacked twin of a run, which is played unless it is there and up to date.
 
     Raises NotComparable when the run's scenario cannot be read, or cannot be played in one process.
     """
-    twin = unattacked(_read(run_folder))
+    twin = _read(run_folder)
+    sources = {"versions": release.versions(), "files": _digests(twin)}
     folder = run_folder / FOLDER
-    if _is_played(folder, twin):
+    if _is_played(folder, twin) and _is_up_to_date(folder, sources):
         return folder
     if folder.exists():
         if _json(folder / "run.json").get("name") != NAME:
@@ -70,28 +75,28 @@ def of(run_folder: Path, console: Console | None = None) -> Path:
         raise NotComparable(f"the unattacked twin of {run_folder} cannot be played: {error}") from error
     if ended.error:
         raise NotComparable(f"the unattacked twin of {run_folder} failed: {ended.error}")
+    run_folder_files.write_json(folder / SOURCES, sources)
     return folder
 
 
 def _read(run_folder: Path) -> Resolved:
-    """The scenario of a run, with its scene where the nodes know it by name."""
+    """The twin of the scenario of a run, with its scene where the nodes know it by name."""
     try:
         resolved = Resolved.read(run_folder)
         recording = Recording.load(run_folder / RECORDING)
-    except (OSError, ValueError, KeyError, TypeError, MastError) as error:
+
+        def with_scene(config: dict[str, Any]) -> dict[str, Any]:
+            return {key: recording if value == RECORDING else value for key, value in config.items()}
+
+        nodes = {name: replace(spec, config=with_scene(spec.config)) for name, spec in resolved.nodes.items()}
+        twin = unattacked(replace(resolved, nodes=nodes, recording=recording))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, MastError) as error:
         raise NotComparable(
-            f"{run_folder}: its unattacked twin needs scenario.json, wiring.json and {RECORDING}: {error}"
+            f"{run_folder}: its unattacked twin needs scenario.json, wiring.json and {RECORDING}: {error!r}"
         ) from None
-    for module in resolved.modules:
+    for module in twin.modules:
         loading.module(Path(module))
-
-    def with_scene(config: dict[str, Any]) -> dict[str, Any]:
-        return {
-            key: recording if isinstance(value, str) and value == RECORDING else value for key, value in config.items()
-        }
-
-    nodes = {name: replace(spec, config=with_scene(spec.config)) for name, spec in resolved.nodes.items()}
-    return replace(resolved, nodes=nodes, recording=recording)
+    return twin
 
 
 def _is_played(folder: Path, twin: Resolved) -> bool:
@@ -102,6 +107,24 @@ def _is_played(folder: Path, twin: Resolved) -> bool:
         _json(folder / "scenario.json") == json.loads(json.dumps(replace(twin, network={}).to_json()))
         and _json(folder / "wiring.json") == json.loads(json.dumps(twin.wiring))
     )
+
+
+def _is_up_to_date(folder: Path, sources: dict[str, Any]) -> bool:
+    """Whether a twin was played by these versions and files; files that are not here do not count."""
+    played = _json(folder / SOURCES)
+    files = played.get("files")
+    return (
+        played.get("versions") == sources["versions"]
+        and isinstance(files, dict)
+        and sources["files"].items() <= (files.items())
+    )
+
+
+def _digests(twin: Resolved) -> dict[str, str]:
+    """By path, a digest of each file of a node or an algorithm, and of the files beside it that it may import."""
+    named = {Path(path) for path in (*(spec.file for spec in twin.nodes.values()), *twin.modules)}
+    files = {file for path in named for file in (path, *path.parent.glob("*.py")) if file.is_file()}
+    return {str(file): hashlib.blake2b(file.read_bytes(), digest_size=20).hexdigest() for file in sorted(files)}
 
 
 def _json(path: Path) -> dict[str, Any]:

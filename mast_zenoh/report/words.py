@@ -115,21 +115,32 @@ def reading(run: RunFolder, reference: Reference | None = None) -> list[str]:
     sentences = [f"{result(run, reference)}."] if status(run) else []
     sentences += [f"{capital(_missed(run))}."] if run.summary("picture") and not _is_missed(run, reference) else []
     sentences += _other_changes(run, reference) + _transit(run) + _blame(run)
-    if run.attack_frames is not None:
-        since = run.seconds(np.array(run.attack_frames[:1]))
-        when = f"frame {run.attack_frames[0]}" if since is None else f"t = {since[0]:.1f} s"
-        active = [each for each in interposers(run) if each.changed and not each.is_link]
-        main = _largest(run, reference)
-        estimate = main.estimate if main is not None and main.agent == run.ego else "picture"
-        during = while_attacked(run, "fp", estimate=estimate)
-        whose = phrases.OWNERS.get(estimate, "the picture has")
-        tail = f"; from then on {whose} {objects(during, 'false')} a frame" if during is not None else ""
-        sentences.append(f"{listed([each.description for each in active])} changed messages from {when} on{tail}.")
+    sentences += _attack_period(run, reference)
     sentences += _verdicts(interposers(run))
     failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
     if failed:
         sentences.append(f"Not everything that was checked holds: {listed(failed)}.")
     return sentences
+
+
+def _attack_period(run: RunFolder, reference: Reference | None) -> list[str]:
+    """When adversaries changed messages, and the ego's false objects from their first to their last change."""
+    if run.attack_frames is None:
+        return []
+    first, last = run.attack_frames
+    times = run.seconds(np.array(run.attack_frames))
+    start, end = (
+        (f"frame {first}", f"frame {last}") if times is None else (f"t = {times[0]:.1f} s", f"{times[1]:.1f} s")
+    )
+    active = [each for each in interposers(run) if each.changed and not each.is_link]
+    main = _largest(run, reference)
+    estimate = main.estimate if main is not None and main.agent == run.ego else "picture"
+    during = while_attacked(run, "fp", estimate=estimate)
+    whose = phrases.OWNERS.get(estimate, "the picture has")
+    did = f"while {'it' if len(active) == 1 else 'they'} did"
+    tail = f"; {did}, {whose} {objects(during, 'false')} a frame" if during is not None else ""
+    when = f"from {start} to {end}" if first != last else f"{'in' if times is None else 'at'} {start}"
+    return [f"{listed([each.description for each in active])} changed messages {when}{tail}."]
 
 
 def _is_missed(run: RunFolder, reference: Reference | None) -> bool:

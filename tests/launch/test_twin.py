@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh import scenario
+from mast_zenoh import release, scenario
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.launch import local, twin
 
@@ -64,6 +64,51 @@ def test_it_is_played_once_and_again_where_it_is_not_whole(tmp_path: Path) -> No
     assert json.loads((twin.of(attacked) / "run.json").read_text())["id"] != first
 
 
+def run_id(folder: Path) -> str:
+    return str(json.loads((folder / "run.json").read_text())["id"])
+
+
+OWN_AGENT = """
+from mast_zenoh import bundle, loading
+from offset import OFFSET
+
+Base = loading.node_class(bundle.ROOT / "nodes" / "agent.py")
+
+
+class OwnAgent(Base):
+    pass
+"""
+
+
+def test_it_is_played_again_when_a_users_file_or_one_beside_it_changed(tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "own_agent.py").write_text(OWN_AGENT)
+    (mine / "offset.py").write_text("OFFSET = 1\n")
+    (mine / "own.py").write_text(
+        "from mast_zenoh.scenario import load\n\n\ndef scenario():\n"
+        "    content = dict(load('uncoordinated')[1])\n"
+        "    content['agents'] = {'*': {**content['agents']['*'], 'file': 'own_agent.py'}}\n    return content\n"
+    )
+    attacked = played(tmp_path / "attacked", str(mine / "own.py"))
+    first = run_id(twin.of(attacked))
+    assert run_id(twin.of(attacked)) == first
+    (mine / "offset.py").write_text("OFFSET = 2\n")
+    second = run_id(twin.of(attacked))
+    assert second != first
+    assert run_id(twin.of(attacked)) == second
+
+
+def test_it_is_played_again_when_a_version_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    attacked = played(tmp_path / "attacked", "uncoordinated")
+    first = run_id(twin.of(attacked))
+    later = release.versions() | {"mast-zenoh": "later"}
+    monkeypatch.setattr(release, "versions", lambda: later)
+    second = run_id(twin.of(attacked))
+    assert second != first
+    assert run_id(twin.of(attacked)) == second
+
+
 def test_a_folder_that_is_no_twin_is_left_alone(tmp_path: Path) -> None:
     attacked = played(tmp_path / "attacked", "uncoordinated")
     (attacked / "twin").mkdir()
@@ -77,5 +122,14 @@ def test_a_folder_that_is_no_twin_is_left_alone(tmp_path: Path) -> None:
 def test_a_run_whose_scenario_is_lost_has_none(tmp_path: Path, name: str) -> None:
     attacked = played(tmp_path / "attacked", "uncoordinated")
     (attacked / name).unlink()
+    with pytest.raises(NotComparable, match=r"needs scenario\.json, wiring\.json and scene\.npz"):
+        twin.of(attacked)
+
+
+@pytest.mark.parametrize("content", [{"nodes": 3}, [], {"nodes": {"ego": {"config": 3}}}])
+@pytest.mark.parametrize("name", ["scenario.json", "wiring.json"])
+def test_a_run_whose_scenario_is_broken_has_none(tmp_path: Path, name: str, content: object) -> None:
+    attacked = played(tmp_path / "attacked", "uncoordinated")
+    (attacked / name).write_text(json.dumps(content))
     with pytest.raises(NotComparable, match=r"needs scenario\.json, wiring\.json and scene\.npz"):
         twin.of(attacked)

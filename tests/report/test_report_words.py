@@ -36,7 +36,22 @@ def test_an_attacked_run_is_summed_up_by_the_largest_change_and_who_made_it(run_
         "adversary_1 and adversary_2"
     )
     text = " ".join(reading(run))
-    assert "adversary_1 and adversary_2 changed messages from t = 1.5 s on; from then on the picture has 10.0" in text
+    assert (
+        "adversary_1 and adversary_2 changed messages from t = 1.5 s to 3.9 s; while they did, the picture has" in text
+    )
+    assert "the picture has 10.0 false objects a frame." in text
+
+
+def test_an_attack_in_a_single_frame_has_one_time(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder("uncoordinated"))
+    assert run.effects is not None
+    only = (run.effects["frame"] == 20) & (run.effects["interposer"] == "adversary_1")
+    object.__setattr__(run, "effects", {name: column[only] for name, column in run.effects.items()})
+    del run.metrics["interposers"]["adversary_2"]
+    text = " ".join(reading(run))
+    assert "adversary_1 changed messages at t = 2.0 s; while it did, the picture has 10.0 false objects" in text
+    object.__setattr__(run, "recording", None)
+    assert "adversary_1 changed messages in frame 20; while it did" in " ".join(reading(run))
 
 
 def test_against_another_run_the_headline_names_the_difference(run_folder: Callable[..., Path]) -> None:
