@@ -33,7 +33,7 @@ from mast_zenoh.report.view import (
     settled,
 )
 from mast_zenoh.report.wiring import wire_rows
-from mast_zenoh.report.words import headline, reading, study_headline, study_reading
+from mast_zenoh.report.words import headline, reading, reference_status, study_headline, study_reading
 from mast_zenoh.runtime import failures
 
 
@@ -146,6 +146,7 @@ def _write_run(
         "status": run.run.get("status", "unknown"),
         "message": run.run.get("message"),
         "failures": _failures(run),
+        "reference_status": reference_status(reference),
         "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
         "missing": run.missing,
         "figures": made,

@@ -16,7 +16,7 @@ from mast_zenoh.report.interposers import BAD, interposers
 from mast_zenoh.report.phrases import effects
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import as_rich, score_table
-from mast_zenoh.report.words import headline
+from mast_zenoh.report.words import headline, reference_status, status
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
@@ -42,6 +42,13 @@ def show_run(console: Console, run_folder: Path, against: Path | None = None) ->
     show_loaded(console, run, None if against is None else comparison.reference(run, against))
 
 
+def failure(run_folder: Path) -> str:
+    """What did not end well in a run, in one line; empty: nothing."""
+    run = RunFolder.load(run_folder)
+    text, message = status(run), str(run.run.get("message") or "")
+    return f"{text}: {message}" if text and message else text
+
+
 def show_loaded(console: Console, run: RunFolder, reference: Reference | None = None) -> None:
     """The same of a run that has been read."""
     runs = {run.label: run} if reference is None else {reference.name: reference.run, run.label: run}
@@ -50,6 +57,9 @@ def show_loaded(console: Console, run: RunFolder, reference: Reference | None = 
     console.print(as_rich(table))
     _show_causes(console, {run.label: run}, run.ego or "ego")
     _show_lines(console, "", run)
+    if unsound := reference_status(reference):
+        text = f"warning: {unsound}: the differences may be wrong"
+        console.print(text, markup=False, highlight=False, style="bold yellow")
     console.print(escape(f"{headline(run, reference)}."), highlight=False, style="bold")
 
 

@@ -49,6 +49,15 @@ def status(run: RunFolder) -> str:
     return "" if state == "ok" else f"The run did not end well ({state}): read the numbers with that in mind"
 
 
+def reference_status(reference: Reference | None) -> str:
+    """`compared with unattacked, which failed`; empty: what the run is compared with ended well, or there is none."""
+    if reference is None or not status(reference.run):
+        return ""
+    state = reference.run.run.get("status")
+    ends = {"running": "was cut off", "interrupted": "was interrupted"}
+    return f"compared with {reference.name}, which {ends.get(str(state), 'failed')}"
+
+
 def _frames(entries: Sequence[Mapping[str, object]]) -> str:
     frames = max(int(str(entry.get("frames", entry["count"]))) for entry in entries)
     return "1 frame" if frames == 1 else f"{frames} frames"
@@ -63,9 +72,20 @@ def headline(run: RunFolder, reference: Reference | None = None) -> str:
 
 
 def result(run: RunFolder, reference: Reference | None = None) -> str:
-    """The largest change of any kind, and its cause, in one sentence without a full stop."""
+    """The largest change of any kind, and its cause, in one sentence without a full stop.
+
+    It begins with what the run is compared with where that failed.
+    """
+    unsound = reference_status(reference)
+    return f"{capital(unsound)}: {_result(run, reference)}" if unsound else _result(run, reference)
+
+
+def _result(run: RunFolder, reference: Reference | None) -> str:
     picture = run.summary("picture")
     if not picture:
+        damaged = [sentence for sentence in run.missing if sentence.startswith("metrics.json cannot be read")]
+        if damaged or run.metrics:
+            return "No scores: metrics.json is damaged"
         return "No scores: this run did not get as far as its evaluation"
     hit, change = compromised(run), _largest(run, reference)
     start = f"{hit} compromised: " if hit else ""
@@ -132,7 +152,9 @@ def _attack_period(run: RunFolder, reference: Reference | None) -> list[str]:
     start, end = (
         (f"frame {first}", f"frame {last}") if times is None else (f"t = {times[0]:.1f} s", f"{times[1]:.1f} s")
     )
-    active = [each for each in interposers(run) if each.changed and not each.is_link]
+    active = [each.description for each in interposers(run) if each.changed and not each.is_link]
+    if not active and run.attacks is not None:  # metrics.json is damaged
+        active = sorted(set(run.attacks["interposer"].tolist()))
     main = _largest(run, reference)
     estimate = main.estimate if main is not None and main.agent == run.ego else "picture"
     during = while_attacked(run, "fp", estimate=estimate)
@@ -140,7 +162,7 @@ def _attack_period(run: RunFolder, reference: Reference | None) -> list[str]:
     did = f"while {'it' if len(active) == 1 else 'they'} did"
     tail = f"; {did}, {whose} {objects(during, 'false')} a frame" if during is not None else ""
     when = f"from {start} to {end}" if first != last else f"{'in' if times is None else 'at'} {start}"
-    return [f"{listed([each.description for each in active])} changed messages {when}{tail}."]
+    return [f"{listed(active)} changed messages {when}{tail}."]
 
 
 def _is_missed(run: RunFolder, reference: Reference | None) -> bool:

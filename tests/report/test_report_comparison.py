@@ -92,9 +92,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
         "found car only in the second",
     ),
     "an agent more": (
-        lambda folder: edit(
-            folder / "metrics.json", lambda data: data["agents"].update(infra_9=data["agents"]["ego"])
-        ),
+        lambda folder: edit(folder / "metrics.json", lambda data: data["agents"].update(infra_9=data["agents"]["ego"])),
         "found infra_9 only in the second",
     ),
 }

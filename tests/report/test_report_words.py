@@ -126,6 +126,29 @@ def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> N
     assert "adversary_1 crashed." in reading(run)
 
 
+@pytest.mark.parametrize(
+    ("state", "ended"), [("handler_failures", "failed"), ("failed", "failed"), ("running", "was cut off")]
+)
+def test_a_reference_that_did_not_end_well_is_named_first(
+    run_folder: Callable[..., Path], state: str, ended: str
+) -> None:
+    run, other = RunFolder.load(run_folder("uncoordinated")), run_folder()
+    edit(other / "run.json", lambda record: record.update(status=state))
+    text = headline(run, Reference(RunFolder.load(other), "unattacked"))
+    assert text.startswith(f"Compared with unattacked, which {ended}: Two of four roadside sensors compromised: 6.2")
+
+
+def test_damaged_metrics_are_told_from_absent_ones(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder("uncoordinated")
+    (folder / "metrics.json").write_text('{"agents": ')
+    run = RunFolder.load(folder)
+    assert headline(run) == "No scores: metrics.json is damaged"
+    (sentence,) = reading(run)
+    assert sentence.startswith("adversary_1 and adversary_2 changed messages from t = 1.5 s to 3.9 s")
+    (folder / "metrics.json").unlink()
+    assert headline(RunFolder.load(folder)) == "No scores: this run did not get as far as its evaluation"
+
+
 def test_adversaries_that_pass_everything_on_are_told_from_those_that_were_not_measured(
     run_folder: Callable[..., Path],
 ) -> None:
