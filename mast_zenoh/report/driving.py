@@ -76,6 +76,17 @@ def _row(name: str, each: dict[str, Any]) -> DrivingRow:
     )
 
 
+def braking_by_attack(run: RunFolder) -> str:
+    """How often attacks make the ego with the picture brake needlessly, or not brake, in words; empty: never."""
+    mission = run.metrics.get("driving", {}).get(run.ego or "", {}).get("mission", {})
+    shares = [
+        (mission.get("needless_brake_share_attack"), "brakes needlessly"),
+        (mission.get("missed_brake_share_attack"), "does not brake where it must"),
+    ]
+    parts = [f"{words} in {share:.1%} of the scored frames" for share, words in shares if share]
+    return f"the ego with the picture {' and '.join(parts)}" if parts else ""
+
+
 def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:
     """Time to collision, wrong objects in the corridor, and braking by time; None: the ego is no vehicle."""
     if run.driving is None or not np.any(run.driving["agent"] == run.ego):

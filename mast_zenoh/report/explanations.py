@@ -67,14 +67,32 @@ def _idle(run: RunFolder, interposer: Interposer) -> str:
         return f"it crashed before it changed anything: {interposer.failures}"
     if interposer.received == 0:
         return "no message reached it"
-    duration = run.metrics.get("frames", 0) * run.period_s
-    planned = [
-        each for each in run.timeline if each["kind"] == "attack" and interposer.name in (each.get("nodes") or ())
-    ]
-    late = [each["at_s"] for each in planned if each["at_s"] >= duration]
-    if late and len(late) == len(planned):
-        return f"its attack was to begin at {min(late):g} s, after the end of the run at {duration:.1f} s"
+    start = late_start_s(run, interposer)
+    if start is not None:
+        return f"its attack was to begin at {start:g} s, after the end of the run at {_duration_s(run):.1f} s"
     return f"it passed all {interposer.received} messages on unchanged"
+
+
+def late_start_s(run: RunFolder, interposer: Interposer) -> float | None:
+    """s, when an attack was to begin that was planned for after the end of the run; None: it was not.
+
+    The timeline of older runs has such attacks; in others, the attack's own settings tell.
+    """
+    starts = [
+        float(each["at_s"])
+        for each in run.timeline
+        if each["kind"] == "attack" and interposer.name in (each.get("nodes") or ())
+    ]
+    config = run.scenario.get("nodes", {}).get(interposer.name, {}).get("config") or {}
+    attack = config.get("attack")
+    if not starts and isinstance(attack, Mapping) and isinstance(attack.get("start_s"), (int, float)):
+        starts = [float(attack["start_s"])]
+    duration = _duration_s(run)
+    return min(starts) if starts and duration and min(starts) >= duration else None
+
+
+def _duration_s(run: RunFolder) -> float:
+    return float(run.metrics.get("frames", 0) * run.period_s)
 
 
 def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:

@@ -15,6 +15,7 @@ import numpy as np
 from mast_zenoh.report import comparison
 from mast_zenoh.report.achievement import achieved_rows
 from mast_zenoh.report.changes import largest_change
+from mast_zenoh.report.circumstances import reference_status
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.driving import driving_rows
 from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
@@ -33,7 +34,7 @@ from mast_zenoh.report.view import (
     settled,
 )
 from mast_zenoh.report.wiring import wire_rows
-from mast_zenoh.report.words import headline, reading, reference_status, study_headline, study_reading
+from mast_zenoh.report.words import headline, reading, study_headline, study_reading
 from mast_zenoh.runtime import failures
 
 

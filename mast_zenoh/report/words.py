@@ -4,63 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from mast_zenoh.report import changes, phrases
+from mast_zenoh.report.attack_period import attack_sentences, while_attacked
 from mast_zenoh.report.changes import Change
+from mast_zenoh.report.circumstances import compromised, reference_status, status
 from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.explanations import late_start_s
 from mast_zenoh.report.faulted import check_rows
-from mast_zenoh.report.files import Table
-from mast_zenoh.report.interposers import Interposer, failures_of, interposers
+from mast_zenoh.report.interposers import Interposer, interposers
 from mast_zenoh.report.phrases import amount, capital, caused, count, listed, more_or_less, objects
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import ScoreTable
-
-
-def compromised(run: RunFolder) -> str:
-    """Where adversaries sit: `two of four roadside sensors`, `the picture's way to ego`; empty: nowhere."""
-    hostile = [each for each in interposers(run) if not each.is_link]
-    kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
-    hit = {agent for each in hostile for agent in each.agents}
-    names = set(kinds) or set(run.metrics.get("agents", {})) | hit
-    places = []
-    for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle")):
-        group = {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind}
-        number = len(group & hit)
-        if number and len(group) == 1:
-            places.append(f"the {noun}")
-        elif number:
-            places.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
-    places += dict.fromkeys(f"the picture's way to {agent}" for each in hostile for agent in each.before)
-    alone = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
-    places += dict.fromkeys(f"the wire {wire}" for wire in alone)
-    return " and ".join(places)
-
-
-def status(run: RunFolder) -> str:
-    """What did not end well, in a sentence without a full stop; empty: nothing."""
-    failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
-    if failed:
-        names = [f"{name} failed in {_frames(entries)}" for name, entries in failed.items()]
-        return f"Handlers of {listed(names)}: the numbers may be wrong"
-    state = run.run.get("status", "ok")
-    if state == "running":
-        return "The run was cut off: its launcher did not live to write down how it ended"
-    return "" if state == "ok" else f"The run did not end well ({state}): read the numbers with that in mind"
-
-
-def reference_status(reference: Reference | None) -> str:
-    """`compared with unattacked, which failed`; empty: what the run is compared with ended well, or there is none."""
-    if reference is None or not status(reference.run):
-        return ""
-    state = reference.run.run.get("status")
-    ends = {"running": "was cut off", "interrupted": "was interrupted"}
-    return f"compared with {reference.name}, which {ends.get(str(state), 'failed')}"
-
-
-def _frames(entries: Sequence[Mapping[str, object]]) -> str:
-    frames = max(int(str(entry.get("frames", entry["count"]))) for entry in entries)
-    return "1 frame" if frames == 1 else f"{frames} frames"
 
 
 def headline(run: RunFolder, reference: Reference | None = None) -> str:
@@ -109,7 +63,10 @@ def _unchanged(run: RunFolder, hit: str, reference: Reference | None) -> str:
         return f"Interposers changed messages ({did}), but {scores}"
     if hit:
         unmeasured = any(each.effects is None for each in interposers(run))
-        nothing = "were not measured" if unmeasured else "passed every message on unchanged"
+        idle = [each for each in interposers(run) if not each.is_link]
+        late = all(late_start_s(run, each) is not None for each in idle)
+        passed = "were to begin after the end of the run" if late else "passed every message on unchanged"
+        nothing = "were not measured" if unmeasured else passed
         return capital(f"adversaries on {hit} {nothing}: {_missed(run)}")
     if reference is not None:
         return capital(f"{scores}: {_missed(run)}")
@@ -135,34 +92,12 @@ def reading(run: RunFolder, reference: Reference | None = None) -> list[str]:
     sentences = [f"{result(run, reference)}."] if status(run) else []
     sentences += [f"{capital(_missed(run))}."] if run.summary("picture") and not _is_missed(run, reference) else []
     sentences += _other_changes(run, reference) + _transit(run) + _blame(run)
-    sentences += _attack_period(run, reference)
+    sentences += attack_sentences(run, _largest(run, reference))
     sentences += _verdicts(interposers(run))
     failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
     if failed:
         sentences.append(f"Not everything that was checked holds: {listed(failed)}.")
     return sentences
-
-
-def _attack_period(run: RunFolder, reference: Reference | None) -> list[str]:
-    """When adversaries changed messages, and the ego's false objects from their first to their last change."""
-    if run.attack_frames is None:
-        return []
-    first, last = run.attack_frames
-    times = run.seconds(np.array(run.attack_frames))
-    start, end = (
-        (f"frame {first}", f"frame {last}") if times is None else (f"t = {times[0]:.1f} s", f"{times[1]:.1f} s")
-    )
-    active = [each.description for each in interposers(run) if each.changed and not each.is_link]
-    if not active and run.attacks is not None:  # metrics.json is damaged
-        active = sorted(set(run.attacks["interposer"].tolist()))
-    main = _largest(run, reference)
-    estimate = main.estimate if main is not None and main.agent == run.ego else "picture"
-    during = while_attacked(run, "fp", estimate=estimate)
-    whose = phrases.OWNERS.get(estimate, "the picture has")
-    did = f"while {'it' if len(active) == 1 else 'they'} did"
-    tail = f"; {did}, {whose} {objects(during, 'false')} a frame" if during is not None else ""
-    when = f"from {start} to {end}" if first != last else f"{'in' if times is None else 'at'} {start}"
-    return [f"{listed(active)} changed messages {when}{tail}."]
 
 
 def _is_missed(run: RunFolder, reference: Reference | None) -> bool:
@@ -230,29 +165,6 @@ def _blame(run: RunFolder) -> list[str]:
         f"Of the objects that the picture misses, {split['fault']:.2f} a frame are missed because of links and "
         f"faults{attack}, and {split['natural']:.2f} would be missed anyway."
     ]
-
-
-def while_attacked(
-    run: RunFolder, column: str, baseline: RunFolder | None = None, *, estimate: str = "picture"
-) -> float | None:
-    """Mean per frame of an estimate of the ego, from the first to the last frame in which adversaries changed anything.
-
-    column: `fn`, `fp` or `tp`; with `baseline`, less the mean of the baseline's estimate over the same frames
-    """
-    counts = run.counts_of(estimate)
-    if counts is None or run.attack_frames is None:
-        return None
-    mean = _mean(counts, column, *run.attack_frames)
-    if baseline is None or mean is None:
-        return mean
-    others = baseline.counts_of(estimate)
-    other = None if others is None else _mean(others, column, *run.attack_frames)
-    return None if other is None else mean - other
-
-
-def _mean(counts: Table, column: str, first: int, last: int) -> float | None:
-    during = (counts["frame"] >= first) & (counts["frame"] <= last)
-    return float(counts[column][during].mean()) if np.any(during) else None
 
 
 def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:

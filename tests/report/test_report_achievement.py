@@ -85,6 +85,14 @@ def test_an_attack_that_was_to_begin_after_the_end(attacked: RunFolder) -> None:
     assert why(idle(attacked), None) == "its attack was to begin at 60 s, after the end of the run at 4.0 s"
 
 
+def test_the_settings_of_an_attack_tell_that_it_was_to_begin_after_the_end(attacked: RunFolder) -> None:
+    attack = {"type": "UncoordinatedAttack", "start_s": 60.0}
+    attacked.scenario["nodes"] = {"adversary_1": {"config": {"attack": attack}}}
+    assert why(idle(attacked), None) == "its attack was to begin at 60 s, after the end of the run at 4.0 s"
+    attack["start_s"] = 3.5
+    assert why(idle(attacked), None) == "it passed all 40 messages on unchanged"
+
+
 def test_an_adversary_that_crashed_before_it_changed_anything(attacked: RunFolder) -> None:
     attacked.run["nodes"]["adversary_1"]["failures"] = {"detections": 3}
     assert why(idle(attacked), None).startswith("it crashed before it changed anything")

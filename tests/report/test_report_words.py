@@ -7,13 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from mast_zenoh.report.attack_period import while_attacked
+from mast_zenoh.report.circumstances import compromised
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.phrases import listed
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import score_table
-from mast_zenoh.report.words import compromised, headline, reading, study_headline, study_reading, while_attacked
+from mast_zenoh.report.words import headline, reading, study_headline, study_reading
 
 
 def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
@@ -183,6 +186,46 @@ def test_false_objects_are_also_counted_while_the_attack_lasts(run_folder: Calla
     assert while_attacked(run, "fp") == pytest.approx(10.0)
     assert while_attacked(run, "fn", base) == pytest.approx(0.0)
     assert while_attacked(base, "fp") is None
+
+
+def test_only_scored_frames_count_while_the_attack_lasts(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder("uncoordinated")
+    edit(folder / "metrics.json", lambda metrics: metrics.update(scored_frames=[0, 29]))
+    run = RunFolder.load(folder)
+    assert run.counts is not None
+    run.counts["fp"] = np.where(run.counts["frame"] >= 30, 1000, run.counts["fp"])
+    assert while_attacked(run, "fp") == pytest.approx(10.0)
+    assert "; while they did, the picture has 10.0 false objects a frame." in " ".join(reading(run))
+
+
+def test_the_attack_is_described_by_the_kind_of_change_that_the_headline_names(
+    run_folder: Callable[..., Path],
+) -> None:
+    folder, reference = run_folder("uncoordinated"), run_folder()
+    edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["picture"]["fn"].update(mean=50.0))
+    run, other = RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked")
+    missed = while_attacked(run, "fn")
+    assert f"; while they did, the picture has {missed:.1f} missed objects a frame." in " ".join(reading(run, other))
+
+
+@pytest.mark.parametrize(("last", "counted"), [(39, ""), (29, ""), (28, "14 of the 29 scored frames are attacked.")])
+def test_attacked_frames_are_counted_where_they_are_less_than_half(
+    run_folder: Callable[..., Path], last: int, counted: str
+) -> None:
+    folder = run_folder("uncoordinated")
+    edit(folder / "metrics.json", lambda metrics: metrics.update(scored_frames=[0, last]))
+    sentences = [each for each in reading(RunFolder.load(folder)) if "scored frames" in each]
+    assert sentences == [counted] * bool(counted)
+
+
+def test_braking_because_of_attacks_is_mentioned_where_there_is_any(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder("uncoordinated"))
+    mission = {"needless_brake_share_attack": 0.125, "missed_brake_share_attack": 0.0}
+    run.metrics["driving"] = {"ego": {"mission": mission}}
+    sentence = "Because of attacks, the ego with the picture brakes needlessly in 12.5% of the scored frames."
+    assert sentence in reading(run)
+    mission["needless_brake_share_attack"] = 0.0
+    assert not any("brake" in sentence for sentence in reading(run))
 
 
 def test_a_study_names_the_strongest_attack_and_every_run(three_runs: dict[str, Path]) -> None:
