@@ -239,13 +239,13 @@ def _frames(run: RunFolder) -> str:
 
 
 def _node(run: RunFolder, name: str) -> dict[str, Any]:
-    told = run.run["nodes"][name]
-    return {key: told.get(key) for key in ("pid", "exit", "restarts")} | {
+    record = run.run["nodes"][name]
+    return {key: record.get(key) for key in ("pid", "exit", "restarts")} | {
         "role": run.role(name),
-        "ended": told.get("ended") or "not known",
-        "bad": told.get("ended") != "ok" and not exit_expected(told),
-        "last_frame": told.get("last_frame"),
-        "troubles": _troubles(told),
+        "ended": record.get("ended") or "not known",
+        "bad": record.get("ended") != "ok" and not exit_expected(record),
+        "last_frame": record.get("last_frame"),
+        "troubles": _troubles(record),
     }
 
 
@@ -261,13 +261,13 @@ def _failures(run: RunFolder) -> list[str]:
     ]
 
 
-def _troubles(told: Mapping[str, Any]) -> str:
+def _troubles(record: Mapping[str, Any]) -> str:
     """What a node counted and lived through; empty: nothing."""
-    refused, foreign = (_total(told.get(key)) for key in ("rejected", "foreign"))
+    refused, foreign = (_total(record.get(key)) for key in ("rejected", "foreign"))
     counts = (
         (refused, "malformed messages refused"),
         (foreign, "messages from outside the run"),
-        (sum(entry["count"] for entry in failures_of(told)), "handler failures"),
+        (sum(entry["count"] for entry in failures_of(record)), "handler failures"),
     )
     return ", ".join(f"{number} {what}" for number, what in counts if number)
 

@@ -94,11 +94,11 @@ def interposers(run: RunFolder) -> tuple[Interposer, ...]:
         node = done["node"]
         wires.setdefault(node, {}).update(dict.fromkeys(done.get("wires", ())))
         (live if done["action"] == "intercept" else released)[node] = done["frame"]
-    found = []
+    result = []
     for node, keys in wires.items():
         crash, summary = _crash(run, node), measured.get(node, {})
         agents = dict.fromkeys(agent for agent in map(agent_of, keys) if agent)
-        found.append(
+        result.append(
             Interposer(
                 name=node,
                 role=run.role(node),
@@ -116,7 +116,7 @@ def interposers(run: RunFolder) -> tuple[Interposer, ...]:
                 failures=crash,
             )
         )
-    return tuple(sorted(found, key=lambda each: (each.is_link, not each.changed and not each.failures)))
+    return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
 
 
 def adversaries_by_agent(found: tuple[Interposer, ...]) -> dict[str, tuple[str, ...]]:
@@ -130,13 +130,13 @@ def adversaries_by_agent(found: tuple[Interposer, ...]) -> dict[str, tuple[str, 
 
 def _crash(run: RunFolder, node: str) -> str:
     """How a node crashed, in words; empty: it did not, or was ended by the scenario or on request."""
-    told = run.run.get("nodes", {}).get(node, {})
-    entries = failures_of(told)
+    record = run.run.get("nodes", {}).get(node, {})
+    entries = failures_of(record)
     if entries:
         first = entries[0]
         return f"{first['handler']} failed {how_often(first)}"
-    if told.get("exit") and not exit_expected(told) and run.run.get("status") != "interrupted":
-        return str(told.get("ended") or f"exit code {told['exit']}")
+    if record.get("exit") and not exit_expected(record) and run.run.get("status") != "interrupted":
+        return str(record.get("ended") or f"exit code {record['exit']}")
     return ""
 
 

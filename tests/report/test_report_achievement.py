@@ -16,6 +16,7 @@ from rich.console import Console
 from mast_zenoh.report.achievement import achieved_rows
 from mast_zenoh.report.driving import driving_over_time, driving_rows
 from mast_zenoh.report.explanations import explanations
+from mast_zenoh.report.html import write_page
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import DASH
 from mast_zenoh.report.terminal import show_loaded
@@ -204,12 +205,15 @@ def test_an_adversary_on_the_way_to_another_agent_does_not_speak_for_the_ego(att
     assert why(attacked, None) == "it sat on the picture's way to infra_1, not to the ego"
 
 
-def test_the_terminal_says_what_had_limited_effect(attacked: RunFolder) -> None:
+def test_the_terminal_and_the_page_say_what_had_limited_effect(attacked: RunFolder) -> None:
     why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN)
     page = io.StringIO()
     show_loaded(Console(file=page, width=200), attacked)
     assert "  limited effect: removed: other agents still saw what it removed, all the time\n" in page.getvalue()
     assert "no effect" not in page.getvalue()
+    html = write_page(attacked).read_text()
+    assert "What had limited effect, and why" in html
+    assert "no effect" not in html
 
 
 def test_objects_that_were_moved_and_not_displaced(attacked: RunFolder) -> None:
