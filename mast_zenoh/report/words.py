@@ -45,9 +45,25 @@ def _result(run: RunFolder, reference: Reference | None) -> str:
     start = f"{hit} compromised: " if hit else ""
     if change is None:
         return _unchanged(run, hit, reference)
+    limits = _limits(run, reference, change)
     if reference is not None:
-        return capital(f"{start}{more_or_less(change, run.ego)} than {reference.name}{caused(run, change)}")
-    return capital(f"{start}{amount(change, run.ego)} {phrases.due(run, change)}")
+        return capital(f"{start}{more_or_less(change, run.ego)} than {reference.name}{caused(run, change)}{limits}")
+    return capital(f"{start}{amount(change, run.ego)} {phrases.due(run, change)}{limits}")
+
+
+def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
+    """How little of a change of the picture on its way shows where the picture is used; empty for other changes."""
+    if change.estimate not in changes.ON_THE_WAY or change.agent != run.ego:
+        return ""
+    every = changes.attributed(run) if reference is None else changes.against(run, reference.run)
+    changed = {each.estimate for each in every if abs(each.weight) >= phrases.NOTHING / 2}
+    present = [name for name in ("picture_on_arrival", "mission") if run.summary(name)]
+    unchanged = [name for name in present if name not in changed | {change.estimate}]
+    names = {"picture_on_arrival": "the picture on arrival", "mission": "what the ego acts on"}
+    if unchanged:
+        verb = "do not" if len(unchanged) > 1 else "does not"
+        return f"; {listed([names[name] for name in unchanged])} {verb} change"
+    return "; less than a fifth of that in what the ego acts on" if "mission" in present else ""
 
 
 def _largest(run: RunFolder, reference: Reference | None) -> Change | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -108,6 +109,52 @@ def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: C
     edit(reference / "metrics.json", change(0.0))
     text = headline(RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked"))
     assert "2.0 more false objects a frame for infra_1 with the picture than unattacked" in text
+
+
+ON_THE_WAY: dict[str, tuple[dict[str, float], str]] = {
+    "the ego acts on it": (
+        {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 1.0},
+        "1.0 more false object a frame for the ego with the picture than unattacked, by no measured cause",
+    ),
+    "the ego acts on little of it": (
+        {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 0.5},
+        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "less than a fifth of that in what the ego acts on",
+    ),
+    "the ego acts on nothing of it": (
+        {"picture_received": 4.0, "picture_on_arrival": 4.0},
+        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "what the ego acts on does not change",
+    ),
+    "only on the way": (
+        {"picture_received": 4.0},
+        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "the picture on arrival and what the ego acts on do not change",
+    ),
+}
+
+
+@pytest.mark.parametrize(("more", "expected"), ON_THE_WAY.values(), ids=ON_THE_WAY)
+def test_a_change_of_the_picture_on_its_way_says_what_the_ego_acts_on(
+    run_folder: Callable[..., Path], more: dict[str, float], expected: str
+) -> None:
+    folder, reference = run_folder(), run_folder("coordinated")
+
+    def change(added: dict[str, float]) -> Callable[[dict[str, Any]], None]:
+        def apply(metrics: dict[str, Any]) -> None:
+            picture = metrics["agents"]["ego"]["picture"] | {"fp": {"mean": 0.0, "std": 0.0}}
+            names = ("picture", "picture_received", "picture_on_arrival", "mission")
+            estimates = {name: picture | {"fp": {"mean": added.get(name, 0.0), "std": 0.0}} for name in names}
+            metrics["agents"] = {"ego": json.loads(json.dumps(estimates))}
+            metrics["same_as"] = {}
+
+        return apply
+
+    edit(folder / "metrics.json", change(more))
+    shutil.copy(folder / "metrics.json", reference / "metrics.json")
+    edit(reference / "metrics.json", change({}))
+    text = headline(RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked"))
+    assert text == expected
 
 
 def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., Path]) -> None:
