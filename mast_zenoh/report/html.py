@@ -153,7 +153,7 @@ def _write_run(
         "figures": made,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
         "interposers": interposers(run),
-        "achieved": achieved_rows(run),
+        "achieved": achieved_rows(run, reference.run if reference else None),
         "driving": driving_rows(run),
         "effects": EFFECTS,
         "bad_verdicts": BAD,

@@ -57,7 +57,7 @@ def show_loaded(console: Console, run: RunFolder, reference: Reference | None = 
     table = score_table(metrics, agent=run.ego or "ego", reference=reference.name if reference else None)
     console.print(as_rich(table))
     _show_causes(console, {run.label: run}, run.ego or "ego")
-    _show_lines(console, "", run)
+    _show_lines(console, "", run, reference.run if reference else None)
     if unsound := reference_status(reference):
         text = f"warning: {unsound}: the differences may be wrong"
         console.print(text, markup=False, highlight=False, style="bold yellow")
@@ -70,11 +70,11 @@ def _show_causes(console: Console, runs: Mapping[str, RunFolder], agent: str) ->
         console.print(causes)
 
 
-def _show_lines(console: Console, label: str, run: RunFolder) -> None:
+def _show_lines(console: Console, label: str, run: RunFolder, reference: RunFolder | None = None) -> None:
     """What interposers did, why it had limited effect, and every check."""
     lines = []
     notable = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]
-    why = explanations(run)
+    why = explanations(run, reference)
     for each in notable:
         verdict = f"; {each.verdict}" if each.verdict in BAD else ""
         measured = "not measured" if each.effects is None else effects(each)

@@ -48,8 +48,12 @@ def targets(kind: str, n: int = 10, **columns: Any) -> dict[str, np.ndarray]:
     }
 
 
-def why(run: RunFolder, table: dict[str, np.ndarray] | None, **achieved: Any) -> str:
+def why(run: RunFolder, table: dict[str, np.ndarray] | None, blamed_for: str = "", **achieved: Any) -> str:
+    """The reasons of adversary_1; blamed_for: the only score that attacks changed, by its key in metrics.json."""
     achieving(run, **achieved)
+    for summary in run.metrics["agents"]["ego"].values():
+        for key in ("fn", "fp"):
+            summary[f"{key}_split"] = {"fault": 0.0, "attack": 2.0 if key == blamed_for else 0.0, "natural": 0.0}
     object.__setattr__(run, "targets", table)
     return "; ".join(explanations(run).get("adversary_1", ()))
 
@@ -218,7 +222,57 @@ def test_the_terminal_and_the_page_say_what_had_limited_effect(attacked: RunFold
 
 def test_objects_that_were_moved_and_not_displaced(attacked: RunFolder) -> None:
     nothing = {"moved": 1, "moved_share_centre": 0.0, "moved_share_ego": 0.0, "moved_error_m_centre": 0.4}
-    assert "0.40 m off on average" in why(attacked, targets("moved", error_m_centre=0.4), **nothing)
+    reason = "the tracks of what it {} are 0.40 m off on average, which is no displacement"
+    for kind, done in (("moved", "moved"), ("altered", "altered")):
+        table = targets(kind, error_m_centre=0.4)
+        assert why(attacked, table, **nothing) == f"{kind}: {reason.format(done)}"
+        for who in ("centre", "ego"):
+            assert why(attacked, table, **nothing, **{f"id_switches_{who}": 2}) == "", "they are an effect, too"
+
+
+def test_what_the_headline_blames_an_adversary_for_had_an_effect(attacked: RunFolder) -> None:
+    assert attacked.objects is not None
+    by = np.where(attacked.objects["outcome"] != "matched", "adversary_1", "")
+    attacked.objects["by"] = by.astype(object)
+    hidden = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
+    assert why(attacked, targets("removed"), "fn", **hidden) == ""
+    assert why(attacked, targets("removed"), "fp", **hidden).startswith("removed: "), (
+        "it is blamed for what it inserted"
+    )
+    assert why(attacked, targets("inserted", x=30.0, y=40.0), "fp", **NOT_ACCEPTED) == ""
+    attacked.metrics["interposers"]["adversary_1"]["effects"] = {"removed": 25}
+    assert why(attacked, targets("removed"), "fp", **hidden) == "", "all that it did was to remove objects"
+
+
+def on_the_downlink(run: RunFolder) -> RunFolder:
+    assert run.effects is not None
+    run.effects["message"] = np.full(len(run.effects["frame"]), "picture", object)
+    return run
+
+
+@pytest.mark.parametrize(
+    ("tracked", "reason"),
+    [
+        (10, "the ego sees what it removed itself, all the time"),
+        (9, "the ego sees what it removed itself, 90% of the time"),
+        (0, "what it removed was still tracked by the ego: tracks outlive a gap"),
+    ],
+)
+def test_behind_the_command_centre_only_the_ego_counts(attacked: RunFolder, tracked: int, reason: str) -> None:
+    nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
+    objects = on_the_downlink(attacked).objects
+    assert objects is not None
+    own = (objects["estimator"] == "local") & (objects["kind"] == "truth") & (objects["id"] == 7)
+    seen = (objects["frame"] >= 20) & (objects["frame"] < 20 + tracked)
+    objects["outcome"] = np.where(own, np.where(seen, "matched", "missed"), objects["outcome"]).astype(object)
+    assert why(attacked, targets("removed", seen_by_others=True), **nothing) == f"removed: {reason}"
+
+
+def test_what_other_agents_see_most_of_the_time_is_given_in_per_cent(attacked: RunFolder) -> None:
+    nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
+    table = targets("removed", n=300)
+    table["seen_by_others"] = np.arange(300) > 0
+    assert "other agents still saw what it removed, 99% of the time" in why(attacked, table, **nothing)
 
 
 DRIVES = {
