@@ -154,7 +154,7 @@ def _write_run(
         **(_score_rows(scores) if run.metrics else {"rows": []}),
         "interposers": interposers(run),
         "achieved": achieved_rows(run, reference.run if reference else None),
-        "driving": driving_rows(run),
+        "driving": driving_rows(run, reference.run, reference.name) if reference else driving_rows(run),
         "effects": EFFECTS,
         "bad_verdicts": BAD,
         "results": run.results,

@@ -9,6 +9,7 @@ from mast_zenoh.report.attack_period import attack_sentences, while_attacked
 from mast_zenoh.report.changes import Change
 from mast_zenoh.report.circumstances import compromised, reference_status, status
 from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.driving import braking_by_attack, driving_differs
 from mast_zenoh.report.explanations import late_start_s
 from mast_zenoh.report.faulted import check_rows
 from mast_zenoh.report.interposers import Interposer, interposers
@@ -73,7 +74,7 @@ def _largest(run: RunFolder, reference: Reference | None) -> Change | None:
 def _unchanged(run: RunFolder, hit: str, reference: Reference | None) -> str:
     """No score differs at all."""
     active = [each for each in interposers(run) if each.changed and not (reference and each.is_link)]
-    scores = f"every score is that of {reference.name}" if reference is not None else "no error is due to them"
+    scores = _same_scores(run, reference.run, reference.name) if reference else "no error is due to them"
     if active:
         did = "; ".join(f"{each.name}: {phrases.effects(each)}" for each in active)
         return f"Interposers changed messages ({did}), but {scores}"
@@ -87,6 +88,14 @@ def _unchanged(run: RunFolder, hit: str, reference: Reference | None) -> str:
     if reference is not None:
         return capital(f"{scores}: {_missed(run)}")
     return capital(_missed(run))
+
+
+def _same_scores(run: RunFolder, reference: RunFolder, name: str) -> str:
+    """That every score is that of another run, or that only driving differs."""
+    if not driving_differs(run, reference):
+        return f"every score is that of {name}"
+    braking = braking_by_attack(run)
+    return f"only driving differs from {name}" + (f" (because of attacks, {braking})" if braking else "")
 
 
 def _missed(run: RunFolder) -> str:
@@ -218,7 +227,7 @@ def study_reading(runs: Mapping[str, RunFolder], table: ScoreTable) -> list[str]
         hit, change = compromised(run), changes.largest_change(run, reference)
         where = f" ({hit} compromised)" if hit else ""
         if change is None:
-            sentences.append(f"Run {label}{where}: every score is that of {table.reference}.")
+            sentences.append(f"Run {label}{where}: {_same_scores(run, reference, table.reference or '')}.")
             continue
         during = while_attacked(run, changes.KEYS[change.kind], reference, estimate=change.estimate)
         lasts = f" ({during:+.1f} while the attack lasts)".replace("-", "\u2212") if _counts(change, during) else ""

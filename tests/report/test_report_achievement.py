@@ -292,6 +292,24 @@ def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunFolder) 
     assert (mission.needless, mission.omitted) == ("25.0% (12.5% by attack)", "0.0%")
 
 
+def test_driving_is_compared_with_another_run(run_folder: Callable[..., Path], attacked: RunFolder) -> None:
+    reference = RunFolder.load(run_folder())
+    attacked.metrics["driving"] = {"ego": DRIVES}
+    assert len(driving_rows(attacked, reference, "unattacked")) == 2, "nothing is known of the other run"
+    mission = DRIVES["mission"] | {"needless_brake_share": 0.125, "brake_share": 0.3, "min_ttc_s": None}
+    reference.metrics["driving"] = {"ego": {"truth": DRIVES["truth"], "mission": mission}}
+    rows = driving_rows(attacked, reference, "unattacked")
+    assert [(row.estimate, row.run) for row in rows] == [
+        ("truth", "unattacked"),
+        ("truth", attacked.label),
+        ("ego with picture", "unattacked"),
+        ("ego with picture", attacked.label),
+    ]
+    assert [row.brake for row in rows] == ["0.0%", "0.0% (+0.0)", "30.0%", "25.0% (\u22125.0)"]
+    assert (rows[2].needless, rows[3].needless) == ("12.5% (12.5% by attack)", "25.0% (+12.5) (12.5% by attack)")
+    assert (rows[2].ttc_s, rows[3].ttc_s, rows[3].objects) == ("never", "0.4", "2.50 (+0.00)")
+
+
 def drive(needless: list[int]) -> dict[str, np.ndarray]:
     """driving.parquet of 40 frames: the ego with the picture brakes needlessly in some."""
     part: dict[str, list[Any]] = {name: [] for name in ("frame", "agent", "estimate", "false", "missed", "ttc_s")}

@@ -165,6 +165,27 @@ def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., 
     assert "nothing" not in text
 
 
+def test_scores_that_are_the_same_but_for_driving_say_so(run_folder: Callable[..., Path]) -> None:
+    folder, other = run_folder("uncoordinated"), run_folder()
+    for path, share in ((folder, 0.125), (other, 0.0)):
+        mission = {"needless_brake_share": share, "needless_brake_share_attack": share}
+        agents = RunFolder.load(other).metrics["agents"]
+        driving = {"ego": {"mission": mission}}
+        edit(
+            path / "metrics.json",
+            lambda data, driving=driving, agents=agents: data.update(  # type: ignore[misc]
+                agents=agents, driving=driving
+            ),
+        )
+    run, reference = RunFolder.load(folder), Reference(RunFolder.load(other), "unattacked")
+    assert headline(run, reference).endswith(
+        "but only driving differs from unattacked (because of attacks, the ego with the picture brakes "
+        "needlessly in 12.5% of the scored frames)"
+    )
+    same = Reference(reference.run, "itself")
+    assert headline(reference.run, same).startswith("Every score is that of itself")
+
+
 def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> None:
     folder = run_folder("uncoordinated")
     failure = {"handler": "on_detections", "count": 19, "frames": 19, "first_frame": 11, "last_frame": 29}
