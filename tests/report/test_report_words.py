@@ -167,16 +167,14 @@ def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., 
 
 def test_scores_that_are_the_same_but_for_driving_say_so(run_folder: Callable[..., Path]) -> None:
     folder, other = run_folder("uncoordinated"), run_folder()
-    for path, share in ((folder, 0.125), (other, 0.0)):
+    agents = RunFolder.load(other).metrics["agents"]
+
+    def braking(share: float) -> Callable[[dict[str, Any]], None]:
         mission = {"needless_brake_share": share, "needless_brake_share_attack": share}
-        agents = RunFolder.load(other).metrics["agents"]
-        driving = {"ego": {"mission": mission}}
-        edit(
-            path / "metrics.json",
-            lambda data, driving=driving, agents=agents: data.update(  # type: ignore[misc]
-                agents=agents, driving=driving
-            ),
-        )
+        return lambda metrics: metrics.update(agents=agents, driving={"ego": {"mission": mission}})
+
+    edit(folder / "metrics.json", braking(0.125))
+    edit(other / "metrics.json", braking(0.0))
     run, reference = RunFolder.load(folder), Reference(RunFolder.load(other), "unattacked")
     assert headline(run, reference).endswith(
         "but only driving differs from unattacked (because of attacks, the ego with the picture brakes "
