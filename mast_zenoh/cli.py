@@ -80,9 +80,8 @@ def run(
         where = f"the router at {endpoint} is another's" if endpoint else "one process has no mesh"
         raise typer.BadParameter(f"a secure mesh has a router of its own: {where}", param_hint="--secure")
     place: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
-    conclude(
-        local.run(resolved, out, **place, allow_failures=allow_failures, console=_out), report=report, against=against
-    )
+    ended = local.run(resolved, out, **place, allow_failures=allow_failures, console=_out)
+    conclude(ended, report=report, against=against, allow_failures=allow_failures)
 
 
 @app.command()
@@ -266,6 +265,8 @@ def report(
     if other is not None:
         terminal.show_run(_out, run_folder, other)
     _out.print(f"report: {html.write_report(run_folder, frame, other)}", highlight=False)
+    if warning := terminal.failure(run_folder):
+        _err.print(f"warning: {warning}", style="bold yellow", markup=False, highlight=False)
 
 
 def main() -> None:

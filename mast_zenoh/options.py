@@ -10,12 +10,14 @@ import typer
 from rich.console import Console
 from typer.core import TyperCommand
 
-from mast_zenoh.errors import HandlerFailed, NotComparable
+from mast_zenoh.errors import HandlerFailed, Interrupted, NotComparable, RunFolderError
 from mast_zenoh.runtime import failures
 from mast_zenoh.security import levels
 
 if TYPE_CHECKING:
     from mast_zenoh.launch.local import Run
+    from mast_zenoh.report.comparison import Reference
+    from mast_zenoh.report.runfolder import RunFolder
 
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)
@@ -56,15 +58,20 @@ class SecureCommand(TyperCommand):
         return super().parse_args(ctx, spelt)
 
 
-def conclude(ended: Run, *, report: bool, against: str | None = None) -> None:
-    """Show the results of a run, compared with another if one is named, and raise what it failed by."""
-    from mast_zenoh.report import comparison, html, terminal  # after the run: drawing libraries are slow to load
+def conclude(ended: Run, *, report: bool, against: str | None = None, allow_failures: bool = False) -> None:
+    """Show the results of a run, compared with another if one is named, and raise what it failed by.
+
+    A comparison that is not possible costs neither the results nor the run's own failure, which is raised first. A twin
+    whose handlers failed counts as a failure of the run unless that is allowed.
+    """
+    from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
     from mast_zenoh.report.runfolder import RunFolder
 
     scored = (ended.folder / "metrics.json").is_file()
-    other = reference_folder(ended.folder, against) if against is not None and scored else None
     run = RunFolder.load(ended.folder)
-    reference = None if other is None else comparison.reference(run, other)
+    reference, refusal = None, None
+    if against is not None and scored and not isinstance(ended.error, Interrupted):
+        reference, refusal = _reference(run, against)
     if scored:
         terminal.show_loaded(out, run, reference)
     if report:
@@ -73,7 +80,30 @@ def conclude(ended: Run, *, report: bool, against: str | None = None) -> None:
         out.print(f"run folder: {ended.folder}", highlight=False)
     show_notices(ended)
     if ended.error:
+        if refusal:
+            err.print(f"warning: not compared: {refusal}", style="bold yellow", markup=False, highlight=False)
         raise ended.error
+    if refusal:
+        raise refusal
+    if reference is not None and against == "twin" and not allow_failures:
+        _raise_failure(reference)
+
+
+def _reference(run: RunFolder, against: str) -> tuple[Reference | None, RunFolderError | None]:
+    """What a run is compared with, or why it cannot be."""
+    from mast_zenoh.report import comparison
+
+    try:
+        return comparison.reference(run, reference_folder(run.path, against)), None
+    except RunFolderError as error:
+        return None, error
+
+
+def _raise_failure(reference: Reference) -> None:
+    """Raise HandlerFailed if handlers of the run that another one is compared with have failed."""
+    record = reference.run.run
+    if record.get("status") == "handler_failures":
+        raise HandlerFailed(f"{reference.name} ({reference.run.path}): {record.get('message')}")
 
 
 def check_run_folder(folder: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from mast_zenoh import interposition, loading, release
-from mast_zenoh.errors import MastError, NotComparable
+from mast_zenoh.errors import HandlerFailed, MastError, NotComparable
 from mast_zenoh.launch import folder as run_folder_files
 from mast_zenoh.launch import local
 from mast_zenoh.resolved import RECORDING, Resolved
@@ -53,6 +53,7 @@ def unattacked(resolved: Resolved) -> Resolved:
 def of(run_folder: Path, console: Console | None = None) -> Path:
     """The folder of the unattacked twin of a run, which is played unless it is there and up to date.
 
+    A twin whose handlers failed is not refused: its run.json says so.
     Raises NotComparable when the run's scenario cannot be read, or cannot be played in one process.
     """
     twin = _read(run_folder)
@@ -73,7 +74,7 @@ def of(run_folder: Path, console: Console | None = None) -> Path:
         ended = local.run(replace(twin, network={}), folder, runtime="inproc", console=console)
     except MastError as error:
         raise NotComparable(f"the unattacked twin of {run_folder} cannot be played: {error}") from error
-    if ended.error:
+    if ended.error and not isinstance(ended.error, HandlerFailed):
         raise NotComparable(f"the unattacked twin of {run_folder} failed: {ended.error}")
     run_folder_files.write_json(folder / SOURCES, sources)
     return folder

@@ -38,10 +38,13 @@ class AchievedRow(NamedTuple):
     why: tuple[str, ...]
 
 
-def achieved_rows(run: RunFolder) -> list[AchievedRow]:
-    """A row for each interposer that is no link, and one of all together where there are several."""
+def achieved_rows(run: RunFolder, reference: RunFolder | None = None) -> list[AchievedRow]:
+    """A row for each interposer that is no link, and one of all together where there are several.
+
+    reference: the run that this one is compared with, see `explanations`
+    """
     achieved: Mapping[str, Mapping[str, Any]] = run.metrics.get("achieved", {})
-    why = explanations(run)
+    why = explanations(run, reference)
     names = [each.name for each in interposers(run) if not each.is_link]
     rows = [_row(name, achieved.get(name, {}), why.get(name, ())) for name in names if name in achieved or name in why]
     if len(rows) > 1 and ALL in achieved:

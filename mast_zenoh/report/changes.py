@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +25,10 @@ SAME_CHANGE = 0.8
 #: Part of a change that attacks or faults must account for to be named as its cause; and, of what is due to attacks,
 #: the part that an adversary must account for.
 NAMED, CULPRIT = 0.2, 0.05
+#: The picture between the command centre and the agent that acts on it; part of a change of it that must show in what
+#: the agent acts on, or in what the command centre believes, to be named there instead.
+ON_THE_WAY = ("picture_received", "picture_on_arrival")
+REACHES = 0.2
 
 
 #: What metrics.json holds of one estimate of one agent.
@@ -108,16 +112,30 @@ def attributed(run: RunFolder, agents: Iterable[str] | None = None) -> list[Chan
 
 
 def largest(changes: Iterable[Change]) -> Change | None:
-    """The largest change of any kind, in the first estimate that shows nearly all of it; None: nothing changed."""
+    """The largest change of any kind, in the first estimate that shows nearly all of it; None: nothing changed.
+
+    A change of the picture on its way to an agent gives way to the largest of what the agent acts on and of what the
+    command centre believes, where that is at least REACHES of it.
+    """
     changed = [change for change in changes if change.weight != 0.0]
     known = [change for change in changed if change.estimate != "received"] or changed  # on its way to be fused
     if not known:
         return None
-    most = max(known, key=lambda change: abs(change.weight))
+    most = _first_alike(known)
+    if most.estimate in ON_THE_WAY:
+        ends = [each for each in known if each.agent == most.agent and each.estimate in ("picture", "mission")]
+        if ends and max(abs(each.weight) for each in ends) >= REACHES * abs(most.weight):
+            return _first_alike(ends)
+    return most
+
+
+def _first_alike(changes: Sequence[Change]) -> Change:
+    """The largest of some changes, in the first estimate that shows nearly all of it."""
+    most = max(changes, key=lambda change: abs(change.weight))
     order = list(ESTIMATES)
     alike = [
         change
-        for change in known
+        for change in changes
         if (change.agent, change.kind) == (most.agent, most.kind)
         and change.weight * np.sign(most.weight) >= SAME_CHANGE * abs(most.weight)
     ]

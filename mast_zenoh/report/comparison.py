@@ -24,16 +24,16 @@ class Reference:
 def reference(run: RunFolder, other: Path) -> Reference:
     """The run in another folder, as what `run` is compared with.
 
-    Raises NotComparable when one of them has no results, or scene, seed, length or scoring differ; RunFolderError when
-    there is no run in the folder.
+    Raises NotComparable when one of them has no results, or scene, seed, agents, length or scoring differ;
+    RunFolderError when there is no run in the folder.
     """
     second = RunFolder.load(other)
     for each in (run, second):
         if not each.metrics.get("agents"):
             raise NotComparable(f"{each.path}: has no results (metrics.json): expected a run that was scored")
     places = f"{run.path} and {other}"
-    if run.ego not in second.metrics["agents"]:
-        raise NotComparable(f"{places}: found no agent {run.ego} in the second, expected the same agents")
+    if difference := _agents_difference(run, second):
+        raise NotComparable(f"{places}: {difference}: expected the same agents in both")
     frames = [each.metrics.get("frames") for each in (run, second)]
     if frames[0] != frames[1]:
         raise NotComparable(f"{places}: found {frames[0]} and {frames[1]} frames, expected as many in both")
@@ -51,6 +51,23 @@ def reference(run: RunFolder, other: Path) -> Reference:
         )
     name = second.label if second.label not in (run.label, "") else other.resolve().name
     return Reference(second, name)
+
+
+def _agents_difference(one: RunFolder, other: RunFolder) -> str:
+    """Which agents only one of two runs has, scored or not, in words; empty: none."""
+    here, there = (
+        {*each.metrics["agents"], *(each.recording.agent_names if each.recording else ())} for each in (one, other)
+    )
+    parts = [
+        f"{', '.join(sorted(names))} only in the {which}"
+        for names, which in ((here - there, "first"), (there - here, "second"))
+        if names
+    ]
+    # Without the scene, a run knows only the agents that it scored.
+    known = one.recording is not None and other.recording is not None
+    if not known and set(one.metrics["agents"]) == set(other.metrics["agents"]):
+        return ""
+    return f"found {' and '.join(parts)}" if parts else ""
 
 
 def _scoring_difference(one: RunFolder, other: RunFolder) -> str:

@@ -32,14 +32,16 @@ _BRAKING = {
 
 
 class DrivingRow(NamedTuple):
-    """What an estimate would mean for driving, over the scored frames.
+    """What an estimate would mean for driving, over the scored frames; in brackets how much more than in a reference.
 
+    run: label of the run
     false, missed: objects per frame in the vehicle's corridor;  ttc_s: least time to collision, s
     brake: share of the frames in which it would brake;  needless, omitted: in which it would and need not, and the
            reverse, with what of it is due to attacks
     """
 
     estimate: str
+    run: str
     objects: str
     false: str
     missed: str
@@ -49,31 +51,73 @@ class DrivingRow(NamedTuple):
     omitted: str
 
 
-def driving_rows(run: RunFolder) -> list[DrivingRow]:
-    """A row for the truth, the ego alone and the ego with the picture; none where the ego is no vehicle."""
-    found = run.metrics.get("driving", {}).get(run.ego or "", {})
-    return [_row(name, found[estimate]) for estimate, name in ESTIMATES.items() if estimate in found]
+def driving_rows(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> list[DrivingRow]:
+    """A row for the truth, the ego alone and the ego with the picture; none where the ego is no vehicle.
+
+    reference: the run that this one is compared with, called `name`: each estimate then has a row of it, too
+    """
+    mine, others = _summaries(run), _summaries(reference)
+    result = []
+    for estimate, label in ESTIMATES.items():
+        if estimate in mine and estimate in others:
+            result.append(_row(label, name, others[estimate], {}))
+        if estimate in mine:
+            result.append(_row(label, run.label, mine[estimate], others.get(estimate, {})))
+    return result
 
 
-def _row(name: str, each: dict[str, Any]) -> DrivingRow:
-    def text(key: str, form: str, nothing: str = DASH) -> str:
-        value = each.get(key)
-        return nothing if value is None else form.format(value)
+def driving_differs(run: RunFolder, reference: RunFolder) -> bool:
+    """Whether any estimate of the ego would mean something else for driving in two runs."""
+    mine, others = _summaries(run), _summaries(reference)
+    return bool(mine and others) and mine != others
+
+
+def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:
+    """What metrics.json says of driving, by estimate."""
+    if run is None:
+        return {}
+    summaries: dict[str, dict[str, Any]] = run.metrics.get("driving", {}).get(run.ego or "", {})
+    return summaries
+
+
+def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any]) -> DrivingRow:
+    def text(key: str, digits: int, scale: float = 1.0, nothing: str = DASH) -> str:
+        value, before = each.get(key), other.get(key)
+        unit = "%" if scale != 1.0 else ""
+        if value is None:
+            return nothing
+        number = f"{scale * value:.{digits}f}{unit}"
+        if before is None:
+            return number
+        change = round(scale * (value - before), digits) + 0.0  # not a negative zero
+        return f"{number} ({change:+.{digits}f})".replace("-", "\u2212")
 
     def share(key: str) -> str:
         attack = each.get(f"{key}_attack")
-        return text(key, "{:.1%}") + (f" ({attack:.1%} by attack)" if attack else "")
+        return text(key, 1, 100.0) + (f" ({attack:.1%} by attack)" if attack else "")
 
     return DrivingRow(
         name,
-        text("corridor_objects", "{:.2f}"),
-        text("corridor_false", "{:.2f}"),
-        text("corridor_missed", "{:.2f}"),
-        text("min_ttc_s", "{:.1f}", "never"),
-        text("brake_share", "{:.1%}"),
+        run,
+        text("corridor_objects", 2),
+        text("corridor_false", 2),
+        text("corridor_missed", 2),
+        text("min_ttc_s", 1, nothing="never"),
+        text("brake_share", 1, 100.0),
         share("needless_brake_share"),
         share("missed_brake_share"),
     )
+
+
+def braking_by_attack(run: RunFolder) -> str:
+    """How often attacks make the ego with the picture brake needlessly, or not brake, in words; empty: never."""
+    mission = _summaries(run).get("mission", {})
+    shares = [
+        (mission.get("needless_brake_share_attack"), "brakes needlessly"),
+        (mission.get("missed_brake_share_attack"), "does not brake where it must"),
+    ]
+    parts = [f"{words} in {share:.1%} of the scored frames" for share, words in shares if share]
+    return f"the ego with the picture {' and '.join(parts)}" if parts else ""
 
 
 def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:

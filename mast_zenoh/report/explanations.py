@@ -9,33 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.metrics.achievement import DISPLACED_M
-from mast_zenoh.report.changes import scored
+from mast_zenoh.report.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
 from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.interposers import Interposer, interposers
-from mast_zenoh.report.phrases import effects
+from mast_zenoh.report.phrases import culprit_names, effects
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.states import Bools
 
-#: Shares at or above this count as "always", at or below its rest as "never".
-_NEARLY = 0.95
 #: Lidar points with which an agent sees an object, as in `seen_by_others` of targets.parquet.
 _SEES = 5
 
 
-def explanations(run: RunFolder) -> dict[str, tuple[str, ...]]:
+def explanations(run: RunFolder, reference: RunFolder | None = None) -> dict[str, tuple[str, ...]]:
     """By interposer that is no link, why something that it did had limited effect on the picture or the ego.
 
     A reason begins with the kind of change that it is about, unless it is about everything that the interposer did.
+    There is none for what the headline names as the cause of the largest change.
+    reference: the run that this one is compared with; None: the run's own measurements count
     """
     result = {}
+    change = largest_change(run, reference)
+    blamed = culprit_names(run, change) if change is not None else []
     for each in interposers(run):
-        reasons = () if each.is_link else tuple(_reasons(run, each))
+        kind = change.kind if change is not None and each.name in blamed else ""
+        reasons = () if each.is_link else tuple(_reasons(run, each, kind))
         if reasons:
             result[each.name] = reasons
     return result
 
 
-def _reasons(run: RunFolder, interposer: Interposer) -> list[str]:
+def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[str]:
+    """Why what one interposer did had limited effect.
+
+    blamed_for: the kind of the largest change, if that is due to this interposer; empty otherwise
+    """
     if interposer.effects is None:
         return ["what it did was not measured"]
     if not interposer.changed:
@@ -46,18 +53,21 @@ def _reasons(run: RunFolder, interposer: Interposer) -> list[str]:
         return []
     targets = rows(run.targets, run.targets["adversary"] == interposer.name)
     if not len(targets["frame"]):
-        return [f"no object was manipulated that can be judged: {effects(interposer)}"]
+        return [] if blamed_for else [f"no object was manipulated that can be judged: {effects(interposer)}"]
     achieved = run.metrics.get("achieved", {}).get(interposer.name, {})
     inside = scored(run, targets["frame"])
     reasons = [] if inside.any() else ["everything that it did was in frames that are not scored"]
-    for kinds, explain in (
-        (("inserted",), _inserted),
-        (("removed",), _hidden),
-        (("moved", "altered"), _moved),
+    for kinds, explain, consequences in (
+        (("inserted",), _inserted, (FALSE,)),
+        (("removed",), _hidden, (MISSED,)),
+        (("moved", "altered"), _moved, (DISPLACED, IDENTITY)),
     ):
         mine = rows(targets, np.isin(targets["kind"], kinds))
-        if len(mine["frame"]):
-            reasons += [f"{kinds[0]}: {reason}" for reason in explain(run, mine, achieved)]
+        did_more = any(count for name, count in interposer.effects.items() if name not in (*kinds, "unsettled"))
+        if not len(mine["frame"]) or blamed_for in consequences or (blamed_for and not did_more):
+            continue
+        name = next(kind for kind in kinds if np.any(mine["kind"] == kind))
+        reasons += [f"{name}: {reason}" for reason in explain(run, mine, achieved)]
     return reasons
 
 
@@ -67,14 +77,32 @@ def _idle(run: RunFolder, interposer: Interposer) -> str:
         return f"it crashed before it changed anything: {interposer.failures}"
     if interposer.received == 0:
         return "no message reached it"
-    duration = run.metrics.get("frames", 0) * run.period_s
-    planned = [
-        each for each in run.timeline if each["kind"] == "attack" and interposer.name in (each.get("nodes") or ())
-    ]
-    late = [each["at_s"] for each in planned if each["at_s"] >= duration]
-    if late and len(late) == len(planned):
-        return f"its attack was to begin at {min(late):g} s, after the end of the run at {duration:.1f} s"
+    start = late_start_s(run, interposer)
+    if start is not None:
+        return f"its attack was to begin at {start:g} s, after the end of the run at {_duration_s(run):.1f} s"
     return f"it passed all {interposer.received} messages on unchanged"
+
+
+def late_start_s(run: RunFolder, interposer: Interposer) -> float | None:
+    """s, when an attack was to begin that was planned for after the end of the run; None: it was not.
+
+    The timeline of older runs has such attacks; in others, the attack's own settings tell.
+    """
+    starts = [
+        float(each["at_s"])
+        for each in run.timeline
+        if each["kind"] == "attack" and interposer.name in (each.get("nodes") or ())
+    ]
+    config = run.scenario.get("nodes", {}).get(interposer.name, {}).get("config") or {}
+    attack = config.get("attack")
+    if not starts and isinstance(attack, Mapping) and isinstance(attack.get("start_s"), (int, float)):
+        starts = [float(attack["start_s"])]
+    duration = _duration_s(run)
+    return min(starts) if starts and duration and min(starts) >= duration else None
+
+
+def _duration_s(run: RunFolder) -> float:
+    return float(run.metrics.get("frames", 0) * run.period_s)
 
 
 def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
@@ -104,26 +132,37 @@ def _hidden(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list
         return ["what it removed was no object of the scene, but clutter"]
     if not _judged(targets).any():
         return ["what it removed is not scored: no agent sees it, or it is out of range of every agent"]
+    if _only_downlink(run, targets):  # what other agents see is in the picture, from which it was removed
+        itself = _seen_by_ego(run, targets)[known].mean()
+        if itself >= 0.5:
+            return [f"the ego sees what it removed itself, {_how_often(itself)}"]
+        return ["what it removed was still tracked by the ego: tracks outlive a gap"]
     others = _seen_by_others(run, targets)[known].mean()
     if others >= 0.5:
-        when = "all the time" if others >= _NEARLY else f"{others:.0%} of the time"
-        return [f"other agents still saw what it removed, {when}"]
+        return [f"other agents still saw what it removed, {_how_often(others)}"]
     missed = achieved.get("hidden_time_share_centre") or 0.0
     if missed > 0.0:
         return [f"what it removed was missed only {missed:.0%} of the time: tracks outlive a short gap"]
     return ["what it removed was still tracked: tracks outlive a gap, or the ego sees it itself"]
 
 
+def _how_often(share: float) -> str:
+    """A share of the frames as words: `all the time`, `99% of the time`."""
+    return "all the time" if share >= 1.0 else f"{np.floor(100.0 * share):.0f}% of the time"
+
+
 def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
-    """Why moved objects are not off."""
-    if achieved.get("moved_share_centre") or achieved.get("moved_share_ego"):
+    """Why moved and altered objects are not off. Identity switches are an effect, too."""
+    if any(achieved.get(f"{effect}_{who}") for effect in ("moved_share", "id_switches") for who in ("centre", "ego")):
         return []
+    present = [kind for kind in ("moved", "altered") if np.any(targets["kind"] == kind)]
+    done = " or ".join(present)
     errors = [achieved.get(f"moved_error_m_{estimate}") for estimate in ("centre", "ego")]
     known = [error for error in errors if error is not None]
     if not known:
-        return ["what it moved is not scored: no agent sees it, or it is out of range of every agent"]
+        return [f"what it {done} is not scored: no agent sees it, or it is out of range of every agent"]
     if max(known) < DISPLACED_M:
-        return [f"the tracks of what it moved are {max(known):.2f} m off on average, which is no displacement"]
+        return [f"the tracks of what it {done} are {max(known):.2f} m off on average, which is no displacement"]
     return []
 
 
@@ -173,6 +212,17 @@ def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
         if seen[row] and len(changed_by[key]) > 1:
             seen[row] = _sees(run, *key, hidden[key])
     return np.asarray(seen)
+
+
+def _seen_by_ego(run: RunFolder, targets: Table) -> Bools:
+    """(n,) which targets are among the ego's own tracks in their frame."""
+    if run.objects is None:
+        return np.zeros(len(targets["frame"]), bool)
+    own = (run.objects["estimator"] == run.original("local")) & (run.objects["kind"] == "truth")
+    own &= run.objects["outcome"] == "matched"
+    tracked = set(zip(run.objects["id"][own].tolist(), run.objects["frame"][own].tolist(), strict=True))
+    wanted = zip(targets["object"].tolist(), targets["frame"].tolist(), strict=True)
+    return np.array([each in tracked for each in wanted], bool)
 
 
 def _sees(run: RunFolder, number: int, frame: int, without: set[str]) -> bool:

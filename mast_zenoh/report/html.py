@@ -15,6 +15,7 @@ import numpy as np
 from mast_zenoh.report import comparison
 from mast_zenoh.report.achievement import achieved_rows
 from mast_zenoh.report.changes import largest_change
+from mast_zenoh.report.circumstances import reference_status
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.driving import driving_rows
 from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
@@ -146,13 +147,14 @@ def _write_run(
         "status": run.run.get("status", "unknown"),
         "message": run.run.get("message"),
         "failures": _failures(run),
+        "reference_status": reference_status(reference),
         "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
         "missing": run.missing,
         "figures": made,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
         "interposers": interposers(run),
-        "achieved": achieved_rows(run),
-        "driving": driving_rows(run),
+        "achieved": achieved_rows(run, reference.run if reference else None),
+        "driving": driving_rows(run, reference.run, reference.name) if reference else driving_rows(run),
         "effects": EFFECTS,
         "bad_verdicts": BAD,
         "results": run.results,

@@ -112,15 +112,21 @@ def causes(run: RunFolder, change: Change) -> list[str]:
     found = []
     if change.is_attack:
         known = {each.name: each for each in interposers(run)}
-        total = sum(change.by.values())
-        main = [name for name, rows in change.by.most_common() if rows >= CULPRIT * total]
-        if not main:
-            main = [each.name for each in known.values() if each.changed and not each.is_link]
-        names = [known[name].description if name in known else name for name in main] or ["adversaries"]
+        culprits = culprit_names(run, change)
+        names = [known[name].description if name in known else name for name in culprits] or ["adversaries"]
         found += names if len(names) <= _MOST_NAMED else [f"{count(len(names))} adversaries"]
     if change.is_fault or (change.kind == DISPLACED and not found):
         found += faults(run, any_effect=change.kind == DISPLACED and not change.is_fault)
     return found
+
+
+def culprit_names(run: RunFolder, change: Change) -> list[str]:
+    """The adversaries that a change is due to by measurement, those with the most rows first; may be empty."""
+    if not change.is_attack:
+        return []
+    total = sum(change.by.values())
+    main = [name for name, rows in change.by.most_common() if rows >= CULPRIT * total]
+    return main or [each.name for each in interposers(run) if each.changed and not each.is_link]
 
 
 def faults(run: RunFolder, *, any_effect: bool = False) -> list[str]:

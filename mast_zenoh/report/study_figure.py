@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from mast_zenoh.report.figures import Picture, picture
 from mast_zenoh.report.study_facts import StudyFacts, plural
 from mast_zenoh.report.study_panels import Panel, label_of, panels, text_of
-from mast_zenoh.report.study_rows import PAPER, Column, Estimate, StudyRow, over_trials
+from mast_zenoh.report.study_rows import LEAST_SEEDS, PAPER, Column, Estimate, StudyRow, over_trials
 from mast_zenoh.report.style import INK, LOCAL, RUN_COLOURS, light_axes, plain
 
 _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)))
@@ -53,9 +53,9 @@ _INCREMENTS: dict[str, tuple[Axis, ...]] = {
 }
 _CAPTIONS = {
     "increments": "What each configuration adds to the command centre's picture, and to the own tracks of the "
-    "compromised agents. Where a bar crosses 0, there may be no change.",
+    "compromised agents.",
     "increments_mission": "What each configuration adds to what the ego acts on: its own tracks and the picture "
-    "together. Where a bar crosses 0, there may be no change.",
+    "together.",
     "success": "In how many trials the attacks of each configuration succeeded.",
 }
 
@@ -63,6 +63,7 @@ _CAPTIONS = {
 def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str, Picture]:
     """The figures by file name, those without a number left out."""
     laid_out = panels(rows, facts.baseline)
+    rows = [row for row in rows if row.label != facts.baseline]
     wanted = {name: (axes, f"{_OVER_SEEDS} (Student's t)") for name, axes in _INCREMENTS.items()}
     wanted["success"] = (_success(rows), f"{_OVER_SEEDS} (Clopper-Pearson, effective number of trials)")
     made = {}
@@ -99,14 +100,35 @@ def _resting_on(rows: Sequence[StudyRow], axes: Sequence[Axis], interval: str) -
         plural(each[0], noun) if len(each) == 1 else f"{each[0]} to {each[-1]} {noun}s"
         for each, noun in ((seeds, "seed"), (scenes, "scene"))
     ]
-    some = any(not math.isnan(each.low) for each in known)
-    return f"mean over {counts[0]} \u00d7 {counts[1]}; {interval if some else 'no interval below five seeds'}"
+    resting = f"mean over {counts[0]} \u00d7 {counts[1]}"
+    if any(not math.isnan(each.low) for each in known):
+        return f"{resting}; {interval}"
+    few, equal = _without_bar(known)
+    reasons = ["below five seeds"] * few + ["where all seeds are equal"] * equal
+    return f"{resting}; no interval {' and '.join(reasons)}"
+
+
+def _without_bar(estimates: Sequence[Estimate]) -> tuple[bool, bool]:
+    """Whether any estimate has no interval because of too few seeds, and because its seeds are all equal."""
+    bare = [each.seeds for each in estimates if math.isnan(each.low)]
+    return any(seeds < LEAST_SEEDS for seeds in bare), any(seeds >= LEAST_SEEDS for seeds in bare)
+
+
+def _on_bars(rows: Sequence[StudyRow], axes: Sequence[Axis]) -> str:
+    """How to read the bars of increments, and why some points have none."""
+    known = [each for axis in axes for each in _seeds(rows, axis)]
+    few, equal = _without_bar(known)
+    sentences = ["Where a bar crosses 0, there may be no change."] * any(not math.isnan(each.low) for each in known)
+    sentences += ["Below five seeds there is no bar."] * few
+    sentences += ["A point of five seeds or more without a bar is the same for every seed."] * equal
+    return " ".join(sentences)
 
 
 def _picture(name: str, figure: Figure, rows: Sequence[StudyRow], axes: Sequence[Axis]) -> Picture:
     first = axes[0]
+    caption = f"{_CAPTIONS[name]} {_on_bars(rows, axes)}" if name in _INCREMENTS else _CAPTIONS[name]
     values = "; ".join(f"{row.label} {over_trials(each)}" for row in rows if (each := first.column.of(row)).seeds)
-    return picture(name, figure, f"{first.title}, {first.label}: {values}.", _CAPTIONS[name])
+    return picture(name, figure, f"{first.title}, {first.label}: {values}.", caption)
 
 
 def _draw(laid_out: Sequence[Panel], shown: Sequence[Axis], footer: str) -> Figure:

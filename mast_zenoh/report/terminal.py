@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from mast_zenoh.report import comparison
+from mast_zenoh.report.circumstances import reference_status, status
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.explanations import explanations
 from mast_zenoh.report.faulted import blame_table, check_lines
@@ -42,6 +43,13 @@ def show_run(console: Console, run_folder: Path, against: Path | None = None) ->
     show_loaded(console, run, None if against is None else comparison.reference(run, against))
 
 
+def failure(run_folder: Path) -> str:
+    """What did not end well in a run, in one line; empty: nothing."""
+    run = RunFolder.load(run_folder)
+    text, message = status(run), str(run.run.get("message") or "")
+    return f"{text}: {message}" if text and message else text
+
+
 def show_loaded(console: Console, run: RunFolder, reference: Reference | None = None) -> None:
     """The same of a run that has been read."""
     runs = {run.label: run} if reference is None else {reference.name: reference.run, run.label: run}
@@ -49,7 +57,10 @@ def show_loaded(console: Console, run: RunFolder, reference: Reference | None = 
     table = score_table(metrics, agent=run.ego or "ego", reference=reference.name if reference else None)
     console.print(as_rich(table))
     _show_causes(console, {run.label: run}, run.ego or "ego")
-    _show_lines(console, "", run)
+    _show_lines(console, "", run, reference.run if reference else None)
+    if unsound := reference_status(reference):
+        text = f"warning: {unsound}: the differences may be wrong"
+        console.print(text, markup=False, highlight=False, style="bold yellow")
     console.print(escape(f"{headline(run, reference)}."), highlight=False, style="bold")
 
 
@@ -59,11 +70,11 @@ def _show_causes(console: Console, runs: Mapping[str, RunFolder], agent: str) ->
         console.print(causes)
 
 
-def _show_lines(console: Console, label: str, run: RunFolder) -> None:
+def _show_lines(console: Console, label: str, run: RunFolder, reference: RunFolder | None = None) -> None:
     """What interposers did, why it had limited effect, and every check."""
     lines = []
     notable = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]
-    why = explanations(run)
+    why = explanations(run, reference)
     for each in notable:
         verdict = f"; {each.verdict}" if each.verdict in BAD else ""
         measured = "not measured" if each.effects is None else effects(each)

@@ -4,54 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from mast_zenoh.report import changes, phrases
+from mast_zenoh.report.attack_period import attack_sentences, while_attacked
 from mast_zenoh.report.changes import Change
+from mast_zenoh.report.circumstances import compromised, reference_status, status
 from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.driving import braking_by_attack, driving_differs
+from mast_zenoh.report.explanations import late_start_s
 from mast_zenoh.report.faulted import check_rows
-from mast_zenoh.report.files import Table
-from mast_zenoh.report.interposers import Interposer, failures_of, interposers
+from mast_zenoh.report.interposers import Interposer, interposers
 from mast_zenoh.report.phrases import amount, capital, caused, count, listed, more_or_less, objects
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import ScoreTable
-
-
-def compromised(run: RunFolder) -> str:
-    """Where adversaries sit: `two of four roadside sensors`, `the picture's way to ego`; empty: nowhere."""
-    hostile = [each for each in interposers(run) if not each.is_link]
-    kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
-    hit = {agent for each in hostile for agent in each.agents}
-    names = set(kinds) or set(run.metrics.get("agents", {})) | hit
-    places = []
-    for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle")):
-        group = {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind}
-        number = len(group & hit)
-        if number and len(group) == 1:
-            places.append(f"the {noun}")
-        elif number:
-            places.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
-    places += dict.fromkeys(f"the picture's way to {agent}" for each in hostile for agent in each.before)
-    alone = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
-    places += dict.fromkeys(f"the wire {wire}" for wire in alone)
-    return " and ".join(places)
-
-
-def status(run: RunFolder) -> str:
-    """What did not end well, in a sentence without a full stop; empty: nothing."""
-    failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
-    if failed:
-        names = [f"{name} failed in {_frames(entries)}" for name, entries in failed.items()]
-        return f"Handlers of {listed(names)}: the numbers may be wrong"
-    state = run.run.get("status", "ok")
-    if state == "running":
-        return "The run was cut off: its launcher did not live to write down how it ended"
-    return "" if state == "ok" else f"The run did not end well ({state}): read the numbers with that in mind"
-
-
-def _frames(entries: Sequence[Mapping[str, object]]) -> str:
-    frames = max(int(str(entry.get("frames", entry["count"]))) for entry in entries)
-    return "1 frame" if frames == 1 else f"{frames} frames"
 
 
 def headline(run: RunFolder, reference: Reference | None = None) -> str:
@@ -63,17 +27,44 @@ def headline(run: RunFolder, reference: Reference | None = None) -> str:
 
 
 def result(run: RunFolder, reference: Reference | None = None) -> str:
-    """The largest change of any kind, and its cause, in one sentence without a full stop."""
+    """The largest change of any kind, and its cause, in one sentence without a full stop.
+
+    It begins with what the run is compared with where that failed.
+    """
+    unsound = reference_status(reference)
+    return f"{capital(unsound)}: {_result(run, reference)}" if unsound else _result(run, reference)
+
+
+def _result(run: RunFolder, reference: Reference | None) -> str:
     picture = run.summary("picture")
     if not picture:
+        damaged = [sentence for sentence in run.missing if sentence.startswith("metrics.json cannot be read")]
+        if damaged or run.metrics:
+            return "No scores: metrics.json is damaged"
         return "No scores: this run did not get as far as its evaluation"
     hit, change = compromised(run), _largest(run, reference)
     start = f"{hit} compromised: " if hit else ""
     if change is None:
         return _unchanged(run, hit, reference)
+    limits = _limits(run, reference, change)
     if reference is not None:
-        return capital(f"{start}{more_or_less(change, run.ego)} than {reference.name}{caused(run, change)}")
-    return capital(f"{start}{amount(change, run.ego)} {phrases.due(run, change)}")
+        return capital(f"{start}{more_or_less(change, run.ego)} than {reference.name}{caused(run, change)}{limits}")
+    return capital(f"{start}{amount(change, run.ego)} {phrases.due(run, change)}{limits}")
+
+
+def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
+    """How little of a change of the picture on its way shows where the picture is used; empty for other changes."""
+    if change.estimate not in changes.ON_THE_WAY or change.agent != run.ego:
+        return ""
+    every = changes.attributed(run) if reference is None else changes.against(run, reference.run)
+    changed = {each.estimate for each in every if abs(each.weight) >= phrases.NOTHING / 2}
+    present = [name for name in ("picture_on_arrival", "mission") if run.summary(name)]
+    unchanged = [name for name in present if name not in changed | {change.estimate}]
+    names = {"picture_on_arrival": "the picture on arrival", "mission": "what the ego acts on"}
+    if unchanged:
+        verb = "do not" if len(unchanged) > 1 else "does not"
+        return f"; {listed([names[name] for name in unchanged])} {verb} change"
+    return "; less than a fifth of that in what the ego acts on" if "mission" in present else ""
 
 
 def _largest(run: RunFolder, reference: Reference | None) -> Change | None:
@@ -83,17 +74,28 @@ def _largest(run: RunFolder, reference: Reference | None) -> Change | None:
 def _unchanged(run: RunFolder, hit: str, reference: Reference | None) -> str:
     """No score differs at all."""
     active = [each for each in interposers(run) if each.changed and not (reference and each.is_link)]
-    scores = f"every score is that of {reference.name}" if reference is not None else "no error is due to them"
+    scores = _same_scores(run, reference.run, reference.name) if reference else "no error is due to them"
     if active:
         did = "; ".join(f"{each.name}: {phrases.effects(each)}" for each in active)
         return f"Interposers changed messages ({did}), but {scores}"
     if hit:
         unmeasured = any(each.effects is None for each in interposers(run))
-        nothing = "were not measured" if unmeasured else "passed every message on unchanged"
+        idle = [each for each in interposers(run) if not each.is_link]
+        late = all(late_start_s(run, each) is not None for each in idle)
+        passed = "were to begin after the end of the run" if late else "passed every message on unchanged"
+        nothing = "were not measured" if unmeasured else passed
         return capital(f"adversaries on {hit} {nothing}: {_missed(run)}")
     if reference is not None:
         return capital(f"{scores}: {_missed(run)}")
     return capital(_missed(run))
+
+
+def _same_scores(run: RunFolder, reference: RunFolder, name: str) -> str:
+    """That every score is that of another run, or that only driving differs."""
+    if not driving_differs(run, reference):
+        return f"every score is that of {name}"
+    braking = braking_by_attack(run)
+    return f"only driving differs from {name}" + (f" (because of attacks, {braking})" if braking else "")
 
 
 def _missed(run: RunFolder) -> str:
@@ -115,32 +117,12 @@ def reading(run: RunFolder, reference: Reference | None = None) -> list[str]:
     sentences = [f"{result(run, reference)}."] if status(run) else []
     sentences += [f"{capital(_missed(run))}."] if run.summary("picture") and not _is_missed(run, reference) else []
     sentences += _other_changes(run, reference) + _transit(run) + _blame(run)
-    sentences += _attack_period(run, reference)
+    sentences += attack_sentences(run, _largest(run, reference))
     sentences += _verdicts(interposers(run))
     failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
     if failed:
         sentences.append(f"Not everything that was checked holds: {listed(failed)}.")
     return sentences
-
-
-def _attack_period(run: RunFolder, reference: Reference | None) -> list[str]:
-    """When adversaries changed messages, and the ego's false objects from their first to their last change."""
-    if run.attack_frames is None:
-        return []
-    first, last = run.attack_frames
-    times = run.seconds(np.array(run.attack_frames))
-    start, end = (
-        (f"frame {first}", f"frame {last}") if times is None else (f"t = {times[0]:.1f} s", f"{times[1]:.1f} s")
-    )
-    active = [each for each in interposers(run) if each.changed and not each.is_link]
-    main = _largest(run, reference)
-    estimate = main.estimate if main is not None and main.agent == run.ego else "picture"
-    during = while_attacked(run, "fp", estimate=estimate)
-    whose = phrases.OWNERS.get(estimate, "the picture has")
-    did = f"while {'it' if len(active) == 1 else 'they'} did"
-    tail = f"; {did}, {whose} {objects(during, 'false')} a frame" if during is not None else ""
-    when = f"from {start} to {end}" if first != last else f"{'in' if times is None else 'at'} {start}"
-    return [f"{listed([each.description for each in active])} changed messages {when}{tail}."]
 
 
 def _is_missed(run: RunFolder, reference: Reference | None) -> bool:
@@ -210,29 +192,6 @@ def _blame(run: RunFolder) -> list[str]:
     ]
 
 
-def while_attacked(
-    run: RunFolder, column: str, baseline: RunFolder | None = None, *, estimate: str = "picture"
-) -> float | None:
-    """Mean per frame of an estimate of the ego, from the first to the last frame in which adversaries changed anything.
-
-    column: `fn`, `fp` or `tp`; with `baseline`, less the mean of the baseline's estimate over the same frames
-    """
-    counts = run.counts_of(estimate)
-    if counts is None or run.attack_frames is None:
-        return None
-    mean = _mean(counts, column, *run.attack_frames)
-    if baseline is None or mean is None:
-        return mean
-    others = baseline.counts_of(estimate)
-    other = None if others is None else _mean(others, column, *run.attack_frames)
-    return None if other is None else mean - other
-
-
-def _mean(counts: Table, column: str, first: int, last: int) -> float | None:
-    during = (counts["frame"] >= first) & (counts["frame"] <= last)
-    return float(counts[column][during].mean()) if np.any(during) else None
-
-
 def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
     """One sentence without a full stop on several runs: the largest change of any over the reference."""
     failed = [label for label, run in runs.items() if status(run)]
@@ -268,7 +227,7 @@ def study_reading(runs: Mapping[str, RunFolder], table: ScoreTable) -> list[str]
         hit, change = compromised(run), changes.largest_change(run, reference)
         where = f" ({hit} compromised)" if hit else ""
         if change is None:
-            sentences.append(f"Run {label}{where}: every score is that of {table.reference}.")
+            sentences.append(f"Run {label}{where}: {_same_scores(run, reference, table.reference or '')}.")
             continue
         during = while_attacked(run, changes.KEYS[change.kind], reference, estimate=change.estimate)
         lasts = f" ({during:+.1f} while the attack lasts)".replace("-", "\u2212") if _counts(change, during) else ""

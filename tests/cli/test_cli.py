@@ -194,6 +194,48 @@ def test_a_run_is_compared_with_its_unattacked_twin(mast, tmp_path: Path) -> Non
     assert "compared with unattacked" in (tmp_path / "here" / "report.html").read_text()
 
 
+@pytest.mark.parametrize("name", ["attack", "center"])
+def test_failures_are_reported_with_a_comparison_and_end_with_30_unless_allowed(
+    mast, tmp_path: Path, name: str
+) -> None:
+    path = str(failing.write(name, tmp_path))
+    short = ("--frames", "12", "--runtime", "inproc", "--against", "twin")
+    code, out, err = mast("run", path, *short, "--out", "loud")
+    assert code == 30
+    assert ("eve.on_detections failed" if name == "attack" else "no clusters") in err
+    assert "report:" in out
+    assert "more than unattacked" in out.replace("\n", " ")
+    prefix = "compared with unattacked, which failed"
+    page = (tmp_path / "loud" / "report.html").read_text()
+    assert (prefix in out, prefix in page.lower()) == ((name == "center"),) * 2
+    code, out, err = mast("run", path, *short, "--out", "allowed", "--allow-failures")
+    assert code == 0
+    assert "warning: handlers failed" in err
+    assert "more than unattacked" in out.replace("\n", " ")
+    assert (prefix in out) == (name == "center")
+
+
+def test_a_run_that_cannot_be_compared_keeps_its_results_and_its_own_failure(mast, tmp_path: Path) -> None:
+    path = str(failing.write("attack", tmp_path))
+    assert mast("run", "baseline", *SHORT, "--no-report", "--out", "other")[0] == 0
+    code, out, err = mast("run", path, "--frames", "8", "--runtime", "inproc", "--out", "loud", "--against", "other")
+    assert code == 30
+    assert "report:" in out
+    assert "warning: not compared: " in err
+    code, out, err = mast("run", "baseline", "--frames", "5", *SHORT[2:], "--out", "long", "--against", "other")
+    assert code == 17
+    assert "report:" in out
+    assert "NotComparable" in err
+
+
+def test_a_report_of_a_failed_run_warns(mast, tmp_path: Path) -> None:
+    path = str(failing.write("attack", tmp_path))
+    assert mast("run", path, "--frames", "8", "--runtime", "inproc", "--no-report", "--out", "loud")[0] == 30
+    code, _, err = mast("report", "loud")
+    assert code == 0
+    assert "warning: Handlers of eve failed in 3 frames: the numbers may be wrong" in err
+
+
 def test_a_comparison_that_is_not_possible_is_refused_before_the_run(mast, tmp_path: Path) -> None:
     code, _, err = mast("run", "baseline", *SHORT, "--out", "here", "--against", "nosuch")
     assert code == 17

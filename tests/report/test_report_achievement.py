@@ -48,8 +48,12 @@ def targets(kind: str, n: int = 10, **columns: Any) -> dict[str, np.ndarray]:
     }
 
 
-def why(run: RunFolder, table: dict[str, np.ndarray] | None, **achieved: Any) -> str:
+def why(run: RunFolder, table: dict[str, np.ndarray] | None, blamed_for: str = "", **achieved: Any) -> str:
+    """The reasons of adversary_1; blamed_for: the only score that attacks changed, by its key in metrics.json."""
     achieving(run, **achieved)
+    for summary in run.metrics["agents"]["ego"].values():
+        for key in ("fn", "fp"):
+            summary[f"{key}_split"] = {"fault": 0.0, "attack": 2.0 if key == blamed_for else 0.0, "natural": 0.0}
     object.__setattr__(run, "targets", table)
     return "; ".join(explanations(run).get("adversary_1", ()))
 
@@ -84,6 +88,14 @@ def test_an_attack_that_was_to_begin_after_the_end(attacked: RunFolder) -> None:
     plan = {"label": "Attack", "kind": "attack", "at_s": 60.0, "until_s": None, "nodes": ["adversary_1"]}
     attacked.scenario["timeline"] = [plan]
     assert why(idle(attacked), None) == "its attack was to begin at 60 s, after the end of the run at 4.0 s"
+
+
+def test_the_settings_of_an_attack_tell_that_it_was_to_begin_after_the_end(attacked: RunFolder) -> None:
+    attack = {"type": "UncoordinatedAttack", "start_s": 60.0}
+    attacked.scenario["nodes"] = {"adversary_1": {"config": {"attack": attack}}}
+    assert why(idle(attacked), None) == "its attack was to begin at 60 s, after the end of the run at 4.0 s"
+    attack["start_s"] = 3.5
+    assert why(idle(attacked), None) == "it passed all 40 messages on unchanged"
 
 
 def test_an_adversary_that_crashed_before_it_changed_anything(attacked: RunFolder) -> None:
@@ -210,7 +222,57 @@ def test_the_terminal_and_the_page_say_what_had_limited_effect(attacked: RunFold
 
 def test_objects_that_were_moved_and_not_displaced(attacked: RunFolder) -> None:
     nothing = {"moved": 1, "moved_share_centre": 0.0, "moved_share_ego": 0.0, "moved_error_m_centre": 0.4}
-    assert "0.40 m off on average" in why(attacked, targets("moved", error_m_centre=0.4), **nothing)
+    reason = "the tracks of what it {} are 0.40 m off on average, which is no displacement"
+    for kind, done in (("moved", "moved"), ("altered", "altered")):
+        table = targets(kind, error_m_centre=0.4)
+        assert why(attacked, table, **nothing) == f"{kind}: {reason.format(done)}"
+        for who in ("centre", "ego"):
+            assert why(attacked, table, **nothing, **{f"id_switches_{who}": 2}) == "", "they are an effect, too"
+
+
+def test_what_the_headline_blames_an_adversary_for_had_an_effect(attacked: RunFolder) -> None:
+    assert attacked.objects is not None
+    by = np.where(attacked.objects["outcome"] != "matched", "adversary_1", "")
+    attacked.objects["by"] = by.astype(object)
+    hidden = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
+    assert why(attacked, targets("removed"), "fn", **hidden) == ""
+    assert why(attacked, targets("removed"), "fp", **hidden).startswith("removed: "), (
+        "it is blamed for what it inserted"
+    )
+    assert why(attacked, targets("inserted", x=30.0, y=40.0), "fp", **NOT_ACCEPTED) == ""
+    attacked.metrics["interposers"]["adversary_1"]["effects"] = {"removed": 25}
+    assert why(attacked, targets("removed"), "fp", **hidden) == "", "all that it did was to remove objects"
+
+
+def on_the_downlink(run: RunFolder) -> RunFolder:
+    assert run.effects is not None
+    run.effects["message"] = np.full(len(run.effects["frame"]), "picture", object)
+    return run
+
+
+@pytest.mark.parametrize(
+    ("tracked", "reason"),
+    [
+        (10, "the ego sees what it removed itself, all the time"),
+        (9, "the ego sees what it removed itself, 90% of the time"),
+        (0, "what it removed was still tracked by the ego: tracks outlive a gap"),
+    ],
+)
+def test_behind_the_command_centre_only_the_ego_counts(attacked: RunFolder, tracked: int, reason: str) -> None:
+    nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
+    objects = on_the_downlink(attacked).objects
+    assert objects is not None
+    own = (objects["estimator"] == "local") & (objects["kind"] == "truth") & (objects["id"] == 7)
+    seen = (objects["frame"] >= 20) & (objects["frame"] < 20 + tracked)
+    objects["outcome"] = np.where(own, np.where(seen, "matched", "missed"), objects["outcome"]).astype(object)
+    assert why(attacked, targets("removed", seen_by_others=True), **nothing) == f"removed: {reason}"
+
+
+def test_what_other_agents_see_most_of_the_time_is_given_in_per_cent(attacked: RunFolder) -> None:
+    nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
+    table = targets("removed", n=300)
+    table["seen_by_others"] = np.arange(300) > 0
+    assert "other agents still saw what it removed, 99% of the time" in why(attacked, table, **nothing)
 
 
 DRIVES = {
@@ -228,6 +290,24 @@ def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunFolder) 
     assert (truth.estimate, truth.false, truth.ttc_s, truth.needless) == ("truth", DASH, "never", DASH)
     assert (mission.estimate, mission.false, mission.ttc_s) == ("ego with picture", "0.50", "0.4")
     assert (mission.needless, mission.omitted) == ("25.0% (12.5% by attack)", "0.0%")
+
+
+def test_driving_is_compared_with_another_run(run_folder: Callable[..., Path], attacked: RunFolder) -> None:
+    reference = RunFolder.load(run_folder())
+    attacked.metrics["driving"] = {"ego": DRIVES}
+    assert len(driving_rows(attacked, reference, "unattacked")) == 2, "nothing is known of the other run"
+    mission = DRIVES["mission"] | {"needless_brake_share": 0.125, "brake_share": 0.3, "min_ttc_s": None}
+    reference.metrics["driving"] = {"ego": {"truth": DRIVES["truth"], "mission": mission}}
+    rows = driving_rows(attacked, reference, "unattacked")
+    assert [(row.estimate, row.run) for row in rows] == [
+        ("truth", "unattacked"),
+        ("truth", attacked.label),
+        ("ego with picture", "unattacked"),
+        ("ego with picture", attacked.label),
+    ]
+    assert [row.brake for row in rows] == ["0.0%", "0.0% (+0.0)", "30.0%", "25.0% (\u22125.0)"]
+    assert (rows[2].needless, rows[3].needless) == ("12.5% (12.5% by attack)", "25.0% (+12.5) (12.5% by attack)")
+    assert (rows[2].ttc_s, rows[3].ttc_s, rows[3].objects) == ("never", "0.4", "2.50 (+0.00)")
 
 
 def drive(needless: list[int]) -> dict[str, np.ndarray]:

@@ -89,7 +89,11 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "other agents": (
         lambda folder: edit(folder / "metrics.json", lambda data: data.update(agents={"car": data["agents"]["ego"]})),
-        "found no agent ego",
+        "found car only in the second",
+    ),
+    "an agent more": (
+        lambda folder: edit(folder / "metrics.json", lambda data: data["agents"].update(infra_9=data["agents"]["ego"])),
+        "found infra_9 only in the second",
     ),
 }
 
@@ -121,6 +125,16 @@ def test_without_recordings_the_scenarios_say_whether_the_scenes_are_one(pair: P
     edit(other / "scenario.json", lambda data: data.update(scene={"type": "Other"}))
     with pytest.raises(NotComparable, match="an unknown scene"):
         comparison.reference(RunFolder.load(run), other)
+
+
+def test_runs_with_other_agents_that_are_not_scored_are_refused(pair: Pair) -> None:
+    run, other = pair
+    scene = RunFolder.load(other).recording
+    assert scene is not None
+    renamed = (*scene.agents[:-1], replace(scene.agents[-1], name="infra_9"))
+    replace(scene, agents=renamed).save(other / "scene.npz")
+    with pytest.raises(NotComparable, match="found infra_4 only in the first and infra_9 only in the second"):
+        write_report(run, against=other)
 
 
 def test_a_folder_that_is_no_run_is_refused(pair: Pair, tmp_path: Path) -> None:

@@ -7,12 +7,13 @@ from typing import Any
 
 import pytest
 
+from mast_zenoh.report.circumstances import compromised
 from mast_zenoh.report.diagram import draw_wiring
 from mast_zenoh.report.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import svg
 from mast_zenoh.report.wiring import Spot, all_wires, layout, wire_rows
-from mast_zenoh.report.words import compromised, reading
+from mast_zenoh.report.words import reading
 
 MEASURED = {"messages": 40, "effects": {"inserted": 3, "corrupted": 2}, "reports": 0, "agreement": "silent"}
 MEASURED |= {"unreported": 5, "unfounded": 0, "role": "adversary", "wires": ["agent/infra_1/tracks"]}

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from mast_zenoh.report.attack_period import while_attacked
+from mast_zenoh.report.circumstances import compromised
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.phrases import listed
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import score_table
-from mast_zenoh.report.words import compromised, headline, reading, study_headline, study_reading, while_attacked
+from mast_zenoh.report.words import headline, reading, study_headline, study_reading
 
 
 def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
@@ -107,12 +111,77 @@ def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: C
     assert "2.0 more false objects a frame for infra_1 with the picture than unattacked" in text
 
 
+ON_THE_WAY: dict[str, tuple[dict[str, float], str]] = {
+    "the ego acts on it": (
+        {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 1.0},
+        "1.0 more false object a frame for the ego with the picture than unattacked, by no measured cause",
+    ),
+    "the ego acts on little of it": (
+        {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 0.5},
+        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "less than a fifth of that in what the ego acts on",
+    ),
+    "the ego acts on nothing of it": (
+        {"picture_received": 4.0, "picture_on_arrival": 4.0},
+        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "what the ego acts on does not change",
+    ),
+    "only on the way": (
+        {"picture_received": 4.0},
+        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "the picture on arrival and what the ego acts on do not change",
+    ),
+}
+
+
+@pytest.mark.parametrize(("more", "expected"), ON_THE_WAY.values(), ids=ON_THE_WAY)
+def test_a_change_of_the_picture_on_its_way_says_what_the_ego_acts_on(
+    run_folder: Callable[..., Path], more: dict[str, float], expected: str
+) -> None:
+    folder, reference = run_folder(), run_folder("coordinated")
+
+    def change(added: dict[str, float]) -> Callable[[dict[str, Any]], None]:
+        def apply(metrics: dict[str, Any]) -> None:
+            picture = metrics["agents"]["ego"]["picture"] | {"fp": {"mean": 0.0, "std": 0.0}}
+            names = ("picture", "picture_received", "picture_on_arrival", "mission")
+            estimates = {name: picture | {"fp": {"mean": added.get(name, 0.0), "std": 0.0}} for name in names}
+            metrics["agents"] = {"ego": json.loads(json.dumps(estimates))}
+            metrics["same_as"] = {}
+
+        return apply
+
+    edit(folder / "metrics.json", change(more))
+    shutil.copy(folder / "metrics.json", reference / "metrics.json")
+    edit(reference / "metrics.json", change({}))
+    text = headline(RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked"))
+    assert text == expected
+
+
 def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., Path]) -> None:
     folder, reference = run_folder("uncoordinated"), RunFolder.load(run_folder())
     edit(folder / "metrics.json", lambda metrics: metrics.update(agents=reference.metrics["agents"]))
     text = headline(RunFolder.load(folder), Reference(reference, "unattacked"))
     assert text.startswith("Interposers changed messages (adversary_1: 125 inserted, 25 removed")
     assert "nothing" not in text
+
+
+def test_scores_that_are_the_same_but_for_driving_say_so(run_folder: Callable[..., Path]) -> None:
+    folder, other = run_folder("uncoordinated"), run_folder()
+    agents = RunFolder.load(other).metrics["agents"]
+
+    def braking(share: float) -> Callable[[dict[str, Any]], None]:
+        mission = {"needless_brake_share": share, "needless_brake_share_attack": share}
+        return lambda metrics: metrics.update(agents=agents, driving={"ego": {"mission": mission}})
+
+    edit(folder / "metrics.json", braking(0.125))
+    edit(other / "metrics.json", braking(0.0))
+    run, reference = RunFolder.load(folder), Reference(RunFolder.load(other), "unattacked")
+    assert headline(run, reference).endswith(
+        "but only driving differs from unattacked (because of attacks, the ego with the picture brakes "
+        "needlessly in 12.5% of the scored frames)"
+    )
+    same = Reference(reference.run, "itself")
+    assert headline(reference.run, same).startswith("Every score is that of itself")
 
 
 def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> None:
@@ -124,6 +193,29 @@ def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> N
     assert headline(run) == "Handlers of adversary_1 failed in 19 frames: the numbers may be wrong"
     assert "6.2 false objects" in reading(run)[0]
     assert "adversary_1 crashed." in reading(run)
+
+
+@pytest.mark.parametrize(
+    ("state", "ended"), [("handler_failures", "failed"), ("failed", "failed"), ("running", "was cut off")]
+)
+def test_a_reference_that_did_not_end_well_is_named_first(
+    run_folder: Callable[..., Path], state: str, ended: str
+) -> None:
+    run, other = RunFolder.load(run_folder("uncoordinated")), run_folder()
+    edit(other / "run.json", lambda record: record.update(status=state))
+    text = headline(run, Reference(RunFolder.load(other), "unattacked"))
+    assert text.startswith(f"Compared with unattacked, which {ended}: Two of four roadside sensors compromised: 6.2")
+
+
+def test_damaged_metrics_are_told_from_absent_ones(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder("uncoordinated")
+    (folder / "metrics.json").write_text('{"agents": ')
+    run = RunFolder.load(folder)
+    assert headline(run) == "No scores: metrics.json is damaged"
+    (sentence,) = reading(run)
+    assert sentence.startswith("adversary_1 and adversary_2 changed messages from t = 1.5 s to 3.9 s")
+    (folder / "metrics.json").unlink()
+    assert headline(RunFolder.load(folder)) == "No scores: this run did not get as far as its evaluation"
 
 
 def test_adversaries_that_pass_everything_on_are_told_from_those_that_were_not_measured(
@@ -160,6 +252,46 @@ def test_false_objects_are_also_counted_while_the_attack_lasts(run_folder: Calla
     assert while_attacked(run, "fp") == pytest.approx(10.0)
     assert while_attacked(run, "fn", base) == pytest.approx(0.0)
     assert while_attacked(base, "fp") is None
+
+
+def test_only_scored_frames_count_while_the_attack_lasts(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder("uncoordinated")
+    edit(folder / "metrics.json", lambda metrics: metrics.update(scored_frames=[0, 29]))
+    run = RunFolder.load(folder)
+    assert run.counts is not None
+    run.counts["fp"] = np.where(run.counts["frame"] >= 30, 1000, run.counts["fp"])
+    assert while_attacked(run, "fp") == pytest.approx(10.0)
+    assert "; while they did, the picture has 10.0 false objects a frame." in " ".join(reading(run))
+
+
+def test_the_attack_is_described_by_the_kind_of_change_that_the_headline_names(
+    run_folder: Callable[..., Path],
+) -> None:
+    folder, reference = run_folder("uncoordinated"), run_folder()
+    edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["picture"]["fn"].update(mean=50.0))
+    run, other = RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked")
+    missed = while_attacked(run, "fn")
+    assert f"; while they did, the picture has {missed:.1f} missed objects a frame." in " ".join(reading(run, other))
+
+
+@pytest.mark.parametrize(("last", "counted"), [(39, ""), (29, ""), (28, "14 of the 29 scored frames are attacked.")])
+def test_attacked_frames_are_counted_where_they_are_less_than_half(
+    run_folder: Callable[..., Path], last: int, counted: str
+) -> None:
+    folder = run_folder("uncoordinated")
+    edit(folder / "metrics.json", lambda metrics: metrics.update(scored_frames=[0, last]))
+    sentences = [each for each in reading(RunFolder.load(folder)) if "scored frames" in each]
+    assert sentences == [counted] * bool(counted)
+
+
+def test_braking_because_of_attacks_is_mentioned_where_there_is_any(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder("uncoordinated"))
+    mission = {"needless_brake_share_attack": 0.125, "missed_brake_share_attack": 0.0}
+    run.metrics["driving"] = {"ego": {"mission": mission}}
+    sentence = "Because of attacks, the ego with the picture brakes needlessly in 12.5% of the scored frames."
+    assert sentence in reading(run)
+    mission["needless_brake_share_attack"] = 0.0
+    assert not any("brake" in sentence for sentence in reading(run))
 
 
 def test_a_study_names_the_strongest_attack_and_every_run(three_runs: dict[str, Path]) -> None:

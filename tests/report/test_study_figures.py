@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from study_samples import BASELINE, facts, grid, row
+from study_samples import BASELINE, estimate, facts, grid, row
 
 from mast_zenoh.report.study_figure import figures_over_trials
 from mast_zenoh.report.study_panels import Panel, label_of, panels
+from mast_zenoh.report.study_rows import Series, StudyRow
 
 
 def labels(panel: Panel) -> dict[str, list[str]]:
@@ -102,6 +103,32 @@ def test_figures_are_the_same_every_time_and_say_what_they_rest_on(monkeypatch: 
     curves = [line for line in drawn[0].subfigs[0].axes[0].lines if len(line.get_xdata()) == 3]
     assert all((line.get_xdata()[1:] > line.get_xdata()[:-1]).all() for line in curves), "no line runs back"
     assert drawn[0].subfigs[1].axes[0].images, "four values of both: a heat map"
+
+
+@pytest.mark.parametrize(
+    ("seeds", "half", "footer", "caption"),
+    [
+        (20, 0.5, "95 % interval over seeds", "Where a bar crosses 0, there may be no change."),
+        (4, float("nan"), "no interval below five seeds", "Below five seeds there is no bar."),
+        (
+            *(20, float("nan"), "no interval where all seeds are equal"),
+            "A point of five seeds or more without a bar is the same for every seed.",
+        ),
+    ],
+)
+def test_figures_say_why_there_is_no_bar(
+    monkeypatch: pytest.MonkeyPatch, seeds: int, half: float, footer: str, caption: str
+) -> None:
+    from mast_zenoh.report import study_figure
+
+    added = {Series("ego", "picture", "fp_iob"): estimate(2.0, half, seeds=seeds)}
+    rows = [BASELINE, StudyRow("a", "a", {}, added)]
+    footers = []
+    made = study_figure._draw
+    monkeypatch.setattr(study_figure, "_draw", lambda *words: footers.append(words[-1]) or made(*words))
+    figure = figures_over_trials(rows, facts(rows))["increments"]
+    assert footer in footers[0]
+    assert figure.caption.endswith(f"agents. {caption}")
 
 
 def test_studies_without_increments_have_no_figure() -> None:

@@ -1,0 +1,56 @@
+"""Under what circumstances a run gave its result, in words: where adversaries sat, and what did not end well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.interposers import failures_of, interposers
+from mast_zenoh.report.phrases import count, listed
+from mast_zenoh.report.runfolder import RunFolder
+
+
+def compromised(run: RunFolder) -> str:
+    """Where adversaries sit: `two of four roadside sensors`, `the picture's way to ego`; empty: nowhere."""
+    hostile = [each for each in interposers(run) if not each.is_link]
+    kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
+    hit = {agent for each in hostile for agent in each.agents}
+    names = set(kinds) or set(run.metrics.get("agents", {})) | hit
+    places = []
+    for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle")):
+        group = {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind}
+        number = len(group & hit)
+        if number and len(group) == 1:
+            places.append(f"the {noun}")
+        elif number:
+            places.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
+    places += dict.fromkeys(f"the picture's way to {agent}" for each in hostile for agent in each.before)
+    alone = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
+    places += dict.fromkeys(f"the wire {wire}" for wire in alone)
+    return " and ".join(places)
+
+
+def status(run: RunFolder) -> str:
+    """What did not end well, in a sentence without a full stop; empty: nothing."""
+    failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
+    if failed:
+        names = [f"{name} failed in {_frames(entries)}" for name, entries in failed.items()]
+        return f"Handlers of {listed(names)}: the numbers may be wrong"
+    state = run.run.get("status", "ok")
+    if state == "running":
+        return "The run was cut off: its launcher did not live to write down how it ended"
+    return "" if state == "ok" else f"The run did not end well ({state}): read the numbers with that in mind"
+
+
+def reference_status(reference: Reference | None) -> str:
+    """`compared with unattacked, which failed`; empty: what the run is compared with ended well, or there is none."""
+    if reference is None or not status(reference.run):
+        return ""
+    state = reference.run.run.get("status")
+    ends = {"running": "was cut off", "interrupted": "was interrupted"}
+    return f"compared with {reference.name}, which {ends.get(str(state), 'failed')}"
+
+
+def _frames(entries: Sequence[Mapping[str, object]]) -> str:
+    frames = max(int(str(entry.get("frames", entry["count"]))) for entry in entries)
+    return "1 frame" if frames == 1 else f"{frames} frames"
