@@ -70,8 +70,8 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
     scored = (ended.folder / "metrics.json").is_file()
     run = RunFolder.load(ended.folder)
     reference, refusal = None, None
-    if against is not None and scored and not isinstance(ended.error, Interrupted):
-        reference, refusal = _reference(run, against)
+    if against is not None and scored:
+        reference, refusal = _reference(run, against, interrupted=isinstance(ended.error, Interrupted))
     if scored:
         terminal.show_loaded(out, run, reference)
     if report:
@@ -89,10 +89,12 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
         _raise_failure(reference)
 
 
-def _reference(run: RunFolder, against: str) -> tuple[Reference | None, RunFolderError | None]:
+def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
     """What a run is compared with, or why it cannot be."""
     from mast_zenoh.report import comparison
 
+    if interrupted:
+        return None, NotComparable(f"{run.path}: was interrupted: expected a run that came to its end")
     try:
         return comparison.reference(run, reference_folder(run.path, against)), None
     except RunFolderError as error:

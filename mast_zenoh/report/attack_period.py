@@ -51,7 +51,7 @@ def _scores(run: RunFolder, change: Change | None) -> str:
     """What an estimate of the ego scored while the attack lasted: of the change's kind, by default false objects."""
     mine = change is not None and change.agent == run.ego
     kind, estimate = (change.kind, change.estimate) if change is not None and mine else (FALSE, "picture")
-    counts = _during(run, estimate, run)
+    counts = _during(run, estimate, run) if run.metrics else None  # without them, no frame is known to be scored
     if counts is None:
         return ""
     if kind in (FALSE, MISSED):

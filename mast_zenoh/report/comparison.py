@@ -30,7 +30,8 @@ def reference(run: RunFolder, other: Path) -> Reference:
     second = RunFolder.load(other)
     for each in (run, second):
         if not each.metrics.get("agents"):
-            raise NotComparable(f"{each.path}: has no results (metrics.json): expected a run that was scored")
+            problem = "has a damaged metrics.json" if each.metrics_damaged else "has no results (metrics.json)"
+            raise NotComparable(f"{each.path}: {problem}: expected a run that was scored")
     places = f"{run.path} and {other}"
     if difference := _agents_difference(run, second):
         raise NotComparable(f"{places}: {difference}: expected the same agents in both")

@@ -155,6 +155,11 @@ class RunFolder:
         return tuple(each for each, whole in zip(planned, always, strict=True) if not whole)
 
     @property
+    def metrics_damaged(self) -> bool:
+        """Whether metrics.json is there, but cannot be read."""
+        return any(sentence.startswith("metrics.json cannot be read") for sentence in self.missing)
+
+    @property
     def faulted(self) -> bool:
         """Whether links or faults are part of the run."""
         return with_faults(self.scenario, self.checks)

@@ -38,9 +38,10 @@ def result(run: RunFolder, reference: Reference | None = None) -> str:
 def _result(run: RunFolder, reference: Reference | None) -> str:
     picture = run.summary("picture")
     if not picture:
-        damaged = [sentence for sentence in run.missing if sentence.startswith("metrics.json cannot be read")]
-        if damaged or run.metrics:
+        if run.metrics_damaged:
             return "No scores: metrics.json is damaged"
+        if run.metrics:  # of an evaluator of the user's own
+            return "No scores: metrics.json holds none of the common picture"
         return "No scores: this run did not get as far as its evaluation"
     hit, change = compromised(run), _largest(run, reference)
     start = f"{hit} compromised: " if hit else ""

@@ -70,6 +70,10 @@ def test_metrics_of_ones_own_do_not_keep_runs_from_being_compared(pair: Pair) ->
 
 REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
     "metrics.json is missing": (lambda folder: (folder / "metrics.json").unlink(), "has no results"),
+    "metrics.json is damaged": (
+        lambda folder: (folder / "metrics.json").write_text('{"agents": '),
+        "has a damaged metrics.json",
+    ),
     "another length": (
         lambda folder: edit(folder / "metrics.json", lambda data: data.update(frames=39)),
         "found 40 and 39 frames",

@@ -212,8 +212,9 @@ def test_damaged_metrics_are_told_from_absent_ones(run_folder: Callable[..., Pat
     (folder / "metrics.json").write_text('{"agents": ')
     run = RunFolder.load(folder)
     assert headline(run) == "No scores: metrics.json is damaged"
-    (sentence,) = reading(run)
-    assert sentence.startswith("adversary_1 and adversary_2 changed messages from t = 1.5 s to 3.9 s")
+    assert reading(run) == ["adversary_1 and adversary_2 changed messages from t = 1.5 s to 3.9 s."]
+    (folder / "metrics.json").write_text('{"mine": 3}')
+    assert headline(RunFolder.load(folder)) == "No scores: metrics.json holds none of the common picture"
     (folder / "metrics.json").unlink()
     assert headline(RunFolder.load(folder)) == "No scores: this run did not get as far as its evaluation"
 
