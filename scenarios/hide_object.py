@@ -1,7 +1,8 @@
 """One road user disappears: adversaries on every agent hide the object that matters most from the command centre.
 
-It is the object that will come nearest to the ego among those that the ego cannot see itself: a car behind a corner, a
-cyclist behind a truck. All agents' tracks of it are removed, so nobody reports it, and the ego drives on without it.
+It is the object that will come nearest to the ego among those that are not in the ego's own tracks: a car behind a
+corner, a cyclist behind a truck. If the ego sees every object, it is the nearest one. All agents' tracks of it are
+removed, so nobody reports it, and the ego drives on without it until it sees the object itself.
 """
 
 from baseline import scenario as baseline
@@ -20,9 +21,9 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """n_objects: how many to hide; horizon_s: how far ahead the attacker looks; near: hide what is at (x, y) m instead;
+    """n_objects: how many to hide; horizon_s: how far ahead the attacker looks;
 
-    unseen_by_ego: prefer objects that the ego's own sensor cannot see.
+    near: hide what is within 20 m of (x, y) m instead; unseen_by_ego: prefer objects not in the ego's own tracks.
     """
     unattacked = baseline(scene, scene_index, n_infrastructure, n_mobile)
     return unattacked | dict(

@@ -35,6 +35,8 @@ LIMITS = (GATE_M, GATE_GROWTH_MPS, FASTEST_MPS, FORGOTTEN_S, CLUTTER_S, SAME_ID_
 
 #: s; a track is new for so long: it may be the object of a target that this victim did not see before.
 NEW_S = 0.5
+#: m; a target whose object is not seen, and was expected farther than this from where the target is, has lost it.
+LOST_M = 2.5
 #: m; no two road users have their middles so near each other.
 SAME_PLACE_M = 1.0
 
@@ -73,6 +75,7 @@ class Follower:
         track = np.full(len(numbers), -1, np.int64)
         k, t = (numbers[:, None] == self._tracks[:, TARGET]).nonzero()
         track[k] = t
+        track[self._lost(targets, track)] = -1
         loose = (track < 0).nonzero()[0]
         if len(loose):
             self._attach(targets, loose, track, attach_m)
@@ -101,6 +104,16 @@ class Follower:
             return
         self._known.intersection_update(numbers.tolist())
         self._tracks[~np.isin(self._tracks[:, TARGET], numbers), TARGET] = -1.0
+
+    def _lost(self, targets: ObjectStates, track: Ints) -> Bools:
+        """(k,) which targets have lost their objects, so that the tracks (k,) that they had are those of no target."""
+        held = (track >= 0).nonzero()[0]
+        mine = self._tracks[track[held]]
+        offset = mine[:, PLACE][:, :2] - targets.position[held, :2]
+        lost = np.zeros(len(track), bool)
+        lost[held] = (mine[:, ROW] < 0) & ((offset * offset).sum(axis=1) > LOST_M**2)
+        self._tracks[track[lost], TARGET] = -1.0
+        return lost
 
     def _attach(self, targets: ObjectStates, loose: Ints, track: Ints, attach_m: float) -> None:
         asked = np.array([number in self._known for number in targets.id[loose].tolist()], bool)

@@ -90,3 +90,14 @@ def test_no_target_moves_farther_than_its_gate_and_no_two_are_one_object(seed, n
         targets, row = follower.locate(targets, 2.0)
         held = row[row >= 0]
         assert len(set(held.tolist())) == len(held)
+
+
+def test_a_target_that_has_followed_clutter_away_returns_to_where_the_coordinator_sees_it():
+    """The object stands; clutter leads its track away and ends; the coordinator's target stays where the object is."""
+    follower, rows = Follower(6.0), []
+    drifting = [unnamed((0.4 * k, 0.0)) for k in range(10)]
+    for frame, objects in enumerate([*drifting, *[unnamed()] * 5, *[unnamed((0.1, 0.0))] * 5]):
+        follower.observe(objects, frame * PERIOD)
+        _, row = follower.locate(at((0.0, 0.0)), 2.5)
+        rows.append(int(row[0]))
+    assert rows == [0] * 10 + [-1] * 5 + [0] * 5
