@@ -19,7 +19,6 @@ import numpy as np
 from mast_zenoh import kernels
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.runtime.results import EVALUATOR
-from mast_zenoh.tables import write_table
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
@@ -118,6 +117,8 @@ def _write_named(folder: Path, name: object, table: object) -> str:
         return _EXPECTED_NAME
     if not isinstance(table, Mapping):
         return f"found a {type(table).__name__}, expected a dict of columns"
+    from mast_zenoh.tables import write_table  # only the launcher writes tables; nodes must not pay for the import
+
     folder.mkdir(parents=True, exist_ok=True)
     try:
         write_table(folder / f"{name}.parquet", table)

@@ -19,7 +19,6 @@ from mast_zenoh.runtime import failures, results
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.results import EVALUATOR
 from mast_zenoh.study import identity
-from mast_zenoh.tables import read_table
 
 
 @dataclass(frozen=True)
@@ -128,6 +127,7 @@ def _in_process(resolved: Resolved, allow_failures: bool) -> Played:
 def _on_a_mesh(resolved: Resolved, allow_failures: bool) -> Played:
     from mast_zenoh.launch import folder as run_folder  # a trial in this process needs neither Zenoh nor Parquet
     from mast_zenoh.launch import local
+    from mast_zenoh.tables import read_table
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:
