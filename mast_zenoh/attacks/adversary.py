@@ -5,8 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import replace
 
-import numpy as np
-
 from mast_zenoh.attacks.application import carry_out
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, check_start
 from mast_zenoh.attacks.coverage import Coverage
@@ -18,7 +16,7 @@ from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Tampering, Targets
 from mast_zenoh.geometry import within_range
-from mast_zenoh.states import Floats, Ints, ObjectStates, concatenate
+from mast_zenoh.states import Floats, ObjectStates
 from mast_zenoh.tracking.view import SensorView
 
 #: m; an object within this of a coordinator's target, which is the mean of several agents' tracks, may be that target.
@@ -144,7 +142,7 @@ class _TargetedAttack(Attack):
         targets = self._targets_at(frame, time_ns, seen, coverage, directive)
         if targets is None:
             return Tampering.nothing(len(objects))
-        targets, remove_row, move_row = self._locate(targets)
+        targets, remove_row, move_row = self._follower.bring(targets, self._attach_m)
         near = targets.add.select(within_range(targets.add.position, agent_position, self._max_range_m))
         shown = self._imitation.show(frame, near, seen, coverage, view)
         tampering = carry_out(targets, shown, seen, order, remove_row, move_row)
@@ -161,20 +159,8 @@ class _TargetedAttack(Attack):
     def _hold(self, targets: Targets, time_ns: int) -> None:
         """Keep the targets as they are now."""
 
-    #: m, see `Follower.locate`.
+    #: m, see `Follower.bring`.
     _attach_m: float
-
-    def _locate(self, targets: Targets) -> tuple[Targets, Ints, Ints]:
-        """The targets to hide and displace where their objects are, and by target the row of its object; -1: none."""
-        n = len(targets.remove)
-        both = concatenate([targets.remove, targets.move])
-        self._follower.keep(both.id)
-        if len(both) == 0:
-            none = np.zeros(0, np.int64)
-            return targets, none, none
-        both, row = self._follower.locate(both, self._attach_m)
-        located = replace(targets, remove=both.select(slice(0, n)), move=both.select(slice(n, None)))
-        return located, row[:n], row[n:]
 
 
 class UncoordinatedAttack(_TargetedAttack):

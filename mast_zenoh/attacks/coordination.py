@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from mast_zenoh.attacks.propagation import Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.selection import CoordinatedSelection, Selection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Targets
-from mast_zenoh.states import Floats, Ints, ObjectStates, concatenate
+from mast_zenoh.states import Floats, Ints, ObjectStates
 from mast_zenoh.tracking.view import SensorView
 
 #: m; a victim that is nearer than this to where the ego's route has it, is the ego.
@@ -117,12 +116,7 @@ class Coordinator(Coordination):
         targets = self._campaign.begin(frame, time_ns, candidates, coverage)
         if targets is None:
             return (Targets.empty(time_ns),) * len(agent_positions)
-        both = concatenate([targets.remove, targets.move])
-        self._follower.keep(both.id)
-        if len(both):
-            n = len(targets.remove)
-            both, _ = self._follower.locate(both, OWN_TARGET_M)
-            targets = replace(targets, remove=both.select(slice(0, n)), move=both.select(slice(n, None)))
+        targets, _, _ = self._follower.bring(targets, OWN_TARGET_M)
         self._campaign.hold(targets, time_ns)
         return (targets,) * len(agent_positions)
 

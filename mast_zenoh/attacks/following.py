@@ -6,11 +6,14 @@ neighbour: the neighbour's own track takes that row.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.kernels import REFERENCES, kernel
 from mast_zenoh.matching import greedy
-from mast_zenoh.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.tracking.neighbours import TABLE, neighbours
 
 #: Columns of the table of tracks: place and velocity; s since it was last seen, and since it began; messages in which
@@ -64,6 +67,21 @@ class Follower:
         self._tracks = follow(
             self._tracks, objects.position, objects.velocity, objects.id, elapsed_s, self._radius_m, LIMITS
         )
+
+    def bring(self, targets: Targets, attach_m: float) -> tuple[Targets, Ints, Ints]:
+        """The targets to hide and displace where their objects are, and by target the row of its object; -1: none.
+
+        The objects of all other targets are released. attach_m: m, see `locate`
+        """
+        n = len(targets.remove)
+        both = concatenate([targets.remove, targets.move])
+        self.keep(both.id)
+        if len(both) == 0:
+            none = np.zeros(0, np.int64)
+            return targets, none, none
+        both, row = self.locate(both, attach_m)
+        located = replace(targets, remove=both.select(slice(0, n)), move=both.select(slice(n, None)))
+        return located, row[:n], row[n:]
 
     def locate(self, targets: ObjectStates, attach_m: float) -> tuple[ObjectStates, Ints]:
         """The targets where their objects are, and (k,) the row of the newest message that each is; -1: not seen.

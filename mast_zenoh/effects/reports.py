@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.effects.message_effects import CORRUPTED, DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
+from mast_zenoh.effects.message_effects import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
 from mast_zenoh.effects.rows import OBJECT_EFFECTS
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
 from mast_zenoh.matching import greedy
@@ -25,8 +25,7 @@ SAME_PLACE_M = 0.05
 #: Effects on objects, in the order of `attacks.ACTIONS`.
 _ACTIONS = ("inserted", "removed", "moved")
 #: The effects in which each of `links.FATES` shows, in that order. A corrupted message may still be readable.
-_ANY = tuple(EFFECTS)
-_FATES = ((DROPPED,), (DELAYED,), (REPEATED,), (CORRUPTED, *_ANY), (RESTAMPED, REFRAMED))
+_FATES = ((DROPPED,), (DELAYED,), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED))
 
 
 @dataclass(frozen=True, slots=True)

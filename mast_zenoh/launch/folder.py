@@ -74,6 +74,15 @@ def read_json(path: Path) -> Any:
         raise RunFolderError(f"{path}: {error}") from None
 
 
+def json_or_empty(path: Path) -> dict[str, Any]:
+    """The object in a JSON file; {} if there is none that can be read."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 def versions() -> dict[str, str]:
     """What the run ran on."""
     packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")

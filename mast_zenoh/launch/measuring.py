@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,7 +40,7 @@ def measure(folder: Path) -> list[str]:
         loading.module(Path(module))
     evaluator = _found_here(resolved.nodes[EVALUATOR], folder)
     results = replay(replace(resolved, nodes={**resolved.nodes, EVALUATOR: evaluator}), EVALUATOR, folder)
-    before = _metrics(folder)
+    before = run_folder.json_or_empty(folder / METRICS)
     kept = {name: before[name] for name in _NOT_RECORDED if name in before}
     return run_folder.write_results(folder, {EVALUATOR: results}, kept)
 
@@ -52,12 +51,3 @@ def _found_here(spec: NodeSpec, folder: Path) -> NodeSpec:
         return spec
     found = bundle.find("nodes", Path(spec.file).name, folder)
     return spec if found is None else replace(spec, file=str(found))
-
-
-def _metrics(folder: Path) -> dict[str, object]:
-    """What metrics.json holds; nothing if there is none that can be read."""
-    try:
-        metrics = json.loads((folder / METRICS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return metrics if isinstance(metrics, dict) else {}

@@ -15,6 +15,7 @@ from mast_zenoh import interposition, loading, release
 from mast_zenoh.errors import HandlerFailed, MastError, NotComparable
 from mast_zenoh.launch import folder as run_folder_files
 from mast_zenoh.launch import local
+from mast_zenoh.launch.folder import json_or_empty
 from mast_zenoh.resolved import RECORDING, Resolved
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import Wiring
@@ -62,7 +63,7 @@ def of(run_folder: Path, console: Console | None = None) -> Path:
     if _is_played(folder, twin) and _is_up_to_date(folder, sources):
         return folder
     if folder.exists():
-        if _json(folder / "run.json").get("name") != NAME:
+        if json_or_empty(folder / "run.json").get("name") != NAME:
             raise NotComparable(f"{folder}: is not the twin of {run_folder}: remove it, or name a run with --against")
         shutil.rmtree(folder)
     if twin.network.get("faults"):
@@ -102,17 +103,17 @@ def _read(run_folder: Path) -> Resolved:
 
 def _is_played(folder: Path, twin: Resolved) -> bool:
     """Whether a folder holds the results of this twin."""
-    if _json(folder / "run.json").get("status") != "ok" or not (folder / "metrics.json").is_file():
+    if json_or_empty(folder / "run.json").get("status") != "ok" or not (folder / "metrics.json").is_file():
         return False
     return bool(
-        _json(folder / "scenario.json") == json.loads(json.dumps(replace(twin, network={}).to_json()))
-        and _json(folder / "wiring.json") == json.loads(json.dumps(twin.wiring))
+        json_or_empty(folder / "scenario.json") == json.loads(json.dumps(replace(twin, network={}).to_json()))
+        and json_or_empty(folder / "wiring.json") == json.loads(json.dumps(twin.wiring))
     )
 
 
 def _is_up_to_date(folder: Path, sources: dict[str, Any]) -> bool:
     """Whether a twin was played by these versions and files; files that are not here do not count."""
-    played = _json(folder / SOURCES)
+    played = json_or_empty(folder / SOURCES)
     files = played.get("files")
     return (
         played.get("versions") == sources["versions"]
@@ -126,11 +127,3 @@ def _digests(twin: Resolved) -> dict[str, str]:
     named = {Path(path) for path in (*(spec.file for spec in twin.nodes.values()), *twin.modules)}
     files = {file for path in named for file in (path, *path.parent.glob("*.py")) if file.is_file()}
     return {str(file): hashlib.blake2b(file.read_bytes(), digest_size=20).hexdigest() for file in sorted(files)}
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
