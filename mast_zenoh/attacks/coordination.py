@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 
 import numpy as np
 
@@ -107,13 +108,14 @@ class Coordinator(Coordination):
         view = view.select(canonical_order(view))
         views = self._views if len(self._views) == len(agent_positions) else tuple(map(unlimited, agent_positions))
         time_s = time_ns / NANOSECONDS
-        ego = ego_among(agent_positions, self._surroundings, time_s)
-        ego_tracks = None if ego is None else objects.select(source == ego)
-        coverage = Coverage(self._surroundings, views, time_s, ego_tracks=ego_tracks)
+        coverage = Coverage(self._surroundings, views, time_s)
         # The members of a cluster change, and with them its id: it says nothing.
         self._follower.observe(view.with_(id=np.full(len(view), -1, np.int64)), time_ns)
-        candidates = view.select(self._follower.established(ESTABLISHED)) if self._campaign.due(time_ns) else view
-        targets = self._campaign.begin(frame, time_ns, candidates, coverage)
+        if self._campaign.due(time_ns):
+            view = view.select(self._follower.established(ESTABLISHED))
+            ego = ego_among(agent_positions, self._surroundings, time_s)
+            coverage = replace(coverage, ego_tracks=None if ego is None else objects.select(source == ego))
+        targets = self._campaign.begin(frame, time_ns, view, coverage)
         if targets is None:
             return (Targets.empty(time_ns),) * len(agent_positions)
         targets, _, _ = self._follower.bring(targets, OWN_TARGET_M)

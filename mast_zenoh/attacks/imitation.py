@@ -11,6 +11,7 @@ import numpy as np
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.statistics import VictimStatistics
 from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import Floats, Ints, ObjectStates
 from mast_zenoh.streams import stream
 from mast_zenoh.tracking.view import SensorView
@@ -145,42 +146,60 @@ class VictimLike(Imitation):
     def _like_the_victims(
         self, false: ObjectStates, errors: Floats, real: ObjectStates, range_m: Floats, view: SensorView
     ) -> ObjectStates:
-        covariance, score = self._typical(real, range_m, errors[:, -1], view)
-        columns = {"covariance": covariance, "score": score}
-        if not self._noise:
-            return false.with_(**columns)
-        usual_std, size_std, yaw_std = self._statistics.std
-        stated = np.sqrt(np.einsum("nii->ni", covariance))
-        noise = errors[:, :10].copy()
-        noise[:, :3] *= np.where(stated[:, :3] > 0.0, stated[:, :3], usual_std)
-        noise[:, 3:6] *= size_std
-        noise[:, 9] *= yaw_std
-        limit = MOST_SIZE_ERROR * false.size
-        columns |= {
-            "position": false.position + noise[:, :3],
-            "size": false.size + np.minimum(np.maximum(noise[:, 3:6], -limit), limit),
-            "yaw": wrap_angle(false.yaw + noise[:, 9]),
-        }
-        if len(real) and real.velocity.any():  # detections show none
-            columns["velocity"] = false.velocity + noise[:, 6:9] * stated[:, 6:9]
-        return false.with_(**columns)
-
-    @staticmethod
-    def _typical(real: ObjectStates, range_m: Floats, rank: Floats, view: SensorView) -> tuple[Floats, Floats]:
-        """Covariances (k, 9, 9) of the victim's rows nearest in range, and scores (k,) of these ranks among its rows.
-
-        range_m: (k,) m, of the false objects; rank: (k,) standard normal
-        """
-        k = len(range_m)
+        position, covariance, score, moves = real.position, real.covariance, real.score, real.velocity.any()
         if len(real) == 0:
-            return np.repeat(np.diag(DEFAULT_STD**2)[None], k, 0), np.full(k, DEFAULT_SCORE)
-        trace = np.einsum("nii->n", real.covariance)
-        typical = (trace <= TYPICAL * np.sort(trace)[(len(trace) - 1) // 2]).nonzero()[0]
-        offset = real.position[typical, :2] - view.position[:2]
-        nearest = np.abs(range_m[:, None] - np.hypot(offset[:, 0], offset[:, 1])).argmin(axis=1)
-        scores = np.sort(real.score[typical])
-        share = np.array([0.5 + 0.5 * erf(z / sqrt(2.0)) for z in rank.tolist()])
-        return real.covariance[typical[nearest]], scores[np.minimum(share * len(scores), len(scores) - 1).astype(int)]
+            position, covariance, score = view.position[None], np.diag(DEFAULT_STD**2)[None], np.array([DEFAULT_SCORE])
+        columns = victim_like(
+            (false.position, false.velocity, false.size, false.yaw),
+            errors if self._noise else np.concatenate([np.zeros((len(false), 10)), errors[:, 10:]], axis=1),
+            range_m,
+            (position, covariance, score, view.position),
+            self._statistics.std,
+            bool(moves),  # detections show no velocity
+            (TYPICAL, MOST_SIZE_ERROR),
+        )
+        return ObjectStates(false.id, *columns, false.class_id)
+
+
+@kernel
+def victim_like(
+    false: tuple[Floats, Floats, Floats, Floats],
+    errors: Floats,
+    range_m: Floats,
+    real: tuple[Floats, Floats, Floats, Floats],
+    usual_std: tuple[float, float, float],
+    moves: bool,
+    limits: tuple[float, float],
+) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
+    """Position, velocity, size, yaw, covariance and score of k false objects as n >= 1 rows of the victim would be.
+
+    false:     (k, 3) m, (k, 3) m/s, (k, 3) m, (k,) rad: position, velocity, size, yaw without errors
+    errors:    (k, _COLUMNS) in units of sigma, correlated as they should be
+    range_m:   (k,) m, of the false objects
+    real:      the victim's rows: position (n, 3) m, covariance (n, 9, 9), score (n,); and the place of its sensor (3,)
+    usual_std: of position where the rows state none, of size (m), and of yaw (rad)
+    moves:     whether the rows have velocities
+    limits:    TYPICAL, MOST_SIZE_ERROR
+
+    The covariance is that of the typical row nearest in range, the score that of a rank among the typical rows.
+    """
+    position, velocity, size, yaw = false
+    places, covariance, score, eye = real
+    trace = np.einsum("nii->n", covariance)
+    typical = (trace <= limits[0] * np.sort(trace)[(len(trace) - 1) // 2]).nonzero()[0]
+    offset = places[typical, :2] - eye[:2]
+    rows = np.sqrt((offset * offset).sum(axis=1))
+    nearest = typical[np.abs(range_m[:, None] - rows).argmin(axis=1)]
+    ranks = np.array([0.5 + 0.5 * erf(z / sqrt(2.0)) for z in errors[:, 10].tolist()])
+    place = np.minimum(ranks * len(typical), len(typical) - 1).astype(np.int64)
+
+    stated = np.sqrt(np.maximum(np.einsum("nii->ni", covariance[nearest]), 0.0))
+    at = position + errors[:, :3] * np.where(stated[:, :3] > 0.0, stated[:, :3], usual_std[0])
+    speed = velocity + errors[:, 6:9] * stated[:, 6:9] if moves else velocity.copy()
+    limit = limits[1] * size
+    box = size + np.minimum(np.maximum(errors[:, 3:6] * usual_std[1], -limit), limit)
+    heading = wrap_angle(yaw + errors[:, 9] * usual_std[2])
+    return at, speed, box, heading, covariance[nearest], np.sort(score[typical])[place]
 
 
 class ForgedIds:

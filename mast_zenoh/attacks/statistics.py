@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from math import sqrt
 
 import numpy as np
 
@@ -108,4 +109,4 @@ class VictimStatistics:
         if stated <= 0.0:
             return 0.0
         ratio = float(self._squares[0]) / self._count / stated
-        return float(np.clip(2.0 - np.sqrt(1.0 + 2.0 * ratio), 0.0, MOST_CORRELATION))
+        return min(max(2.0 - sqrt(1.0 + 2.0 * ratio), 0.0), MOST_CORRELATION)

@@ -33,9 +33,9 @@ class SampledAssignmentClusterer(Clusterer):
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
         order = _canonical_order(states, agent)
         position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
-        i, j, distance = _near(position, self._radius)
+        i, j, distance = pairs_near(position, self._radius)
         labels = np.empty(len(order), np.int64)
-        labels[order] = _merge(position, agent, i, j, distance, self._radius)
+        labels[order] = merged(position, agent, i, j, distance, self._radius)
         return labels
 
 
@@ -59,12 +59,12 @@ class DBSCANClusterer(Clusterer):
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
         order = _canonical_order(states, agent)
         position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
-        i, j, distance = _near(position, self._eps)
+        i, j, distance = pairs_near(position, self._eps)
         core = 1 + np.bincount(i, minlength=len(order)) + np.bincount(j, minlength=len(order)) >= self._min_samples
         linked = core[i] & core[j]
         linked[_to_nearest_core(i, j, distance, core)] = True
         labels = np.empty(len(order), np.int64)
-        labels[order] = _merge(position, agent, i[linked], j[linked], distance[linked], np.inf)
+        labels[order] = merged(position, agent, i[linked], j[linked], distance[linked], np.inf)
         return labels
 
 
@@ -86,7 +86,7 @@ def _canonical_order(states: ObjectStates, agent: Ints) -> Ints:
     return order
 
 
-def _near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
+def pairs_near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
     """Pairs i < j of (n, 2) positions within `radius`, and their squared distances."""
     n = len(position)
     i, j, dx, dy = neighbours(position, position, np.full(n, radius))
@@ -100,11 +100,13 @@ def _near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
     return i[upper], j[upper], squared[upper]
 
 
-def _merge(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, radius: float) -> Ints:
+def merged(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, radius: float) -> Ints:
     """(n,) labels, in the order of first rows, after joining the pairs by distance, then i, then j."""
     root, rest = plain_clusters(agent, i, j)
     if len(rest):
-        _merge_nearest_first(root, position, agent, i[rest], j[rest], squared[rest], radius)
+        i, j = i.take(rest), j.take(rest)
+        nearest = np.lexsort((j, i, squared.take(rest)))
+        root = joined_in_turn(root, position, agent, i.take(nearest), j.take(nearest), radius)
     label = (root == np.arange(len(root))).cumsum() - 1
     return np.asarray(label[root])
 
@@ -125,29 +127,30 @@ def plain_clusters(agent: Ints, i: Ints, j: Ints) -> tuple[Ints, Ints]:
     return root, (~plain[own]).nonzero()[0]
 
 
-def _merge_nearest_first(
-    root: Ints, position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, radius: float
-) -> None:
-    """Set `root` (n,) of all rows among the pairs to the first row of the cluster that each ends up in."""
+@kernel
+def joined_in_turn(root: Ints, position: Floats, agent: Ints, i: Ints, j: Ints, radius: float) -> Ints:
+    """(n,) the first row of the cluster that each row ends up in, when the pairs i < j are joined in this order.
+
+    root: (n,) as for `plain_clusters`; it stays as it is for rows in none of the pairs
+    """
+    root = root.copy()
     rows = np.unique(np.concatenate([i, j])).tolist()
     members = {row: [row] for row in rows}
     label = {row: row for row in rows}
     agents = {row: {int(agent[row])} for row in rows}
     centre = {row: tuple(position[row].tolist()) for row in rows}
-    by_distance = np.lexsort((j, i, squared))
-    for p, q in zip(i[by_distance].tolist(), j[by_distance].tolist(), strict=True):
-        a, b = label[p], label[q]
+    for p, q in zip(i.tolist(), j.tolist(), strict=True):
+        a, b = sorted((label[p], label[q]))
         if a == b or not agents[a].isdisjoint(agents[b]):
             continue
-        if math.dist(centre[a], centre[b]) > radius:
+        (ax, ay), (bx, by) = centre[a], centre[b]
+        if math.sqrt((ax - bx) * (ax - bx) + (ay - by) * (ay - by)) > radius:
             continue
-        if b < a:
-            a, b = b, a
         for row in members[b]:
             label[row] = a
         m, n = len(members[a]), len(members[b])
-        (ax, ay), (bx, by) = centre[a], centre[b]
         centre[a] = ((m * ax + n * bx) / (m + n), (m * ay + n * by) / (m + n))
         members[a] += members[b]
         agents[a] |= agents[b]
     root[rows] = [label[row] for row in rows]
+    return root

@@ -1,12 +1,13 @@
 # cython: language_level=3, cdivision=True
-"""What an adversary does in every frame: following objects, and looking past buildings. The references say what each
-function does."""
+"""What an adversary does in every frame: following objects, imitating them, and looking past buildings. The references
+say what each function does."""
 
 cimport numpy as np
-from libc.math cimport fmax, fmin
+from libc.math cimport erf, fabs, fmax, fmin, sqrt
 from libc.string cimport memcpy
 
-from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, table, whole, writable, zeros
+from mast_zenoh.kernels.algebra cimport wrapped
+from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, squares, table, whole, writable, zeros
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST
 
 np.import_array()
@@ -125,6 +126,86 @@ def followed(tracks, position, velocity, id, double elapsed_s, double radius_m, 
             out[TARGET], out[ROW] = -1.0, <double>r
             out += COLUMNS
     return result
+
+
+cdef void sort(double* numbers, Py_ssize_t n) noexcept:
+    """Ascending, in place; a message has few rows, and what a hostile one has is sorted as well, only slowly."""
+    cdef Py_ssize_t r, k
+    cdef double own
+    for r in range(1, n):
+        own, k = numbers[r], r
+        while k > 0 and numbers[k - 1] > own:
+            numbers[k] = numbers[k - 1]
+            k -= 1
+        numbers[k] = own
+
+
+def victim_like(false, errors, range_m, real, usual_std, bint moves, limits):
+    errors = whole(errors)
+    position_, velocity_, size_ = (whole(column) for column in false[:3])
+    places_, covariance_ = whole(real[0]), whole(real[1])
+    cdef const double* position = floats(position_, 2)
+    cdef const double* velocity = floats(velocity_, 2)
+    cdef const double* size = floats(size_, 2)
+    cdef const double* error = floats(errors, 2)
+    cdef const double* distance = floats(range_m, 1)
+    cdef const double* place = floats(places_, 2)
+    cdef const double* covariance = floats(covariance_, 3)
+    cdef Py_ssize_t r, k, i, best, n = length(places_), count = length(range_m), columns = length(errors, 1), typical = 0
+    cdef double position_std = usual_std[0], size_std = usual_std[1], yaw_std = usual_std[2]
+    cdef double usual, most = limits[1], dx, dy, std, limit, nearest
+    cdef const double* stated
+    yaw_, score_, eye_ = whole(false[3]), whole(real[2]), whole(real[3])
+    cdef const double* yaw = floats(yaw_, 1)
+    cdef const double* score = floats(score_, 1)
+    cdef const double* eye = floats(eye_, 1)
+    traces_, sorted_, scores_, ranges_ = (made(np.NPY_DOUBLE, n) for _ in range(4))
+    cdef double* trace = writable(traces_, 1)
+    cdef double* ascending = writable(sorted_, 1)
+    cdef double* scores = writable(scores_, 1)  # of typical rows, ascending
+    cdef double* away = writable(ranges_, 1)
+    for r in range(n):
+        trace[r] = 0.0
+        for i in range(9):
+            trace[r] += covariance[81 * r + 10 * i]
+    memcpy(ascending, trace, n * sizeof(double))
+    sort(ascending, n)
+    usual = limits[0] * ascending[(n - 1) // 2]
+    for r in range(n):
+        if trace[r] <= usual:
+            scores[typical] = score[r]
+            typical += 1
+        dx, dy = place[3 * r] - eye[0], place[3 * r + 1] - eye[1]
+        away[r] = sqrt(dx * dx + dy * dy)
+    sort(scores, typical)
+    at_, speed_, box_ = table(count, 3), table(count, 3), table(count, 3)
+    heading_, likely_, spread_ = made(np.NPY_DOUBLE, count), made(np.NPY_DOUBLE, count), squares(count, 9)
+    cdef double* at = writable(at_, 2)
+    cdef double* speed = writable(speed_, 2)
+    cdef double* box = writable(box_, 2)
+    cdef double* heading = writable(heading_, 1)
+    cdef double* likely = writable(likely_, 1)
+    cdef double* spread = writable(spread_, 3)
+    for k in range(count):
+        best, nearest = 0, -1.0
+        for r in range(n):
+            if trace[r] <= usual and (nearest < 0.0 or fabs(distance[k] - away[r]) < nearest):
+                best, nearest = r, fabs(distance[k] - away[r])
+        stated = covariance + 81 * best
+        memcpy(spread + 81 * k, stated, 81 * sizeof(double))
+        for i in range(3):
+            std = sqrt(fmax(stated[10 * i], 0.0))
+            at[3 * k + i] = position[3 * k + i] + error[i] * (std if std > 0.0 else position_std)
+            limit = most * size[3 * k + i]
+            box[3 * k + i] = size[3 * k + i] + fmin(fmax(error[3 + i] * size_std, -limit), limit)
+            speed[3 * k + i] = velocity[3 * k + i]
+            if moves:
+                speed[3 * k + i] += error[6 + i] * sqrt(fmax(stated[10 * (6 + i)], 0.0))
+        heading[k] = wrapped(yaw[k] + error[9] * yaw_std)
+        r = <Py_ssize_t>((0.5 + 0.5 * erf(error[10] / sqrt(2.0))) * typical)
+        likely[k] = scores[r if r < typical else typical - 1]
+        error += columns
+    return at_, speed_, box_, heading_, spread_, likely_
 
 
 def walled_off(origin, places, start, end, top):

@@ -5,7 +5,7 @@ The members of a cluster lie next to each other; `start` (c,) is the row of each
 """
 
 cimport numpy as np
-from libc.math cimport atan2, copysign, cos, fmax, sin
+from libc.math cimport atan2, copysign, cos, fmax, sin, sqrt
 from libc.string cimport memcpy, memset
 
 from mast_zenoh.kernels.algebra cimport MOST, factorise, invert, wrapped
@@ -148,3 +148,52 @@ def plain_clusters(agent, i, j):
             rest[k] = p
             k += 1
     return roots, others
+
+
+def joined_in_turn(root, position, agent, i, j, double radius):
+    position = whole(position)
+    cdef const np.int64_t* given = ints(root)
+    cdef const double* place = floats(position, 2)
+    cdef const np.int64_t* of = ints(agent)
+    cdef const np.int64_t* one = ints(i)
+    cdef const np.int64_t* other = ints(j)
+    cdef Py_ssize_t p, n = length(root), wide = length(position, 1)
+    cdef np.int64_t a, b, r, s
+    cdef double dx, dy, m, k
+    cdef bint apart
+    result, sizes, nexts, lasts = made(np.NPY_INT64, n), table(n, 3), made(np.NPY_INT64, n), made(np.NPY_INT64, n)
+    cdef np.int64_t* label = ints(result)
+    cdef double* cluster = writable(sizes, 2)  # of each first row: centre x and y, number of members
+    cdef np.int64_t* following = ints(nexts)   # of each member the next one, -1: none
+    cdef np.int64_t* last = ints(lasts)
+    memcpy(label, given, n * sizeof(np.int64_t))
+    for p in range(2 * length(i)):
+        r = one[p // 2] if p % 2 else other[p // 2]
+        label[r] = last[r] = r
+        following[r] = -1
+        cluster[3 * r], cluster[3 * r + 1], cluster[3 * r + 2] = place[wide * r], place[wide * r + 1], 1.0
+    for p in range(length(i)):
+        a, b = label[one[p]], label[other[p]]
+        if a == b:
+            continue
+        if b < a:
+            a, b = b, a
+        dx, dy = cluster[3 * a] - cluster[3 * b], cluster[3 * a + 1] - cluster[3 * b + 1]
+        apart = sqrt(dx * dx + dy * dy) > radius
+        r = a
+        while r >= 0 and not apart:
+            s = b
+            while s >= 0 and not apart:
+                apart, s = of[r] == of[s], following[s]
+            r = following[r]
+        if apart:
+            continue
+        s = b
+        while s >= 0:
+            label[s], s = a, following[s]
+        m, k = cluster[3 * a + 2], cluster[3 * b + 2]
+        cluster[3 * a] = (m * cluster[3 * a] + k * cluster[3 * b]) / (m + k)
+        cluster[3 * a + 1] = (m * cluster[3 * a + 1] + k * cluster[3 * b + 1]) / (m + k)
+        cluster[3 * a + 2] = m + k
+        following[last[a]], last[a] = b, last[b]
+    return result

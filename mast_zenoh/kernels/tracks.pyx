@@ -3,10 +3,10 @@
 
 cimport numpy as np
 from libc.math cimport cos, exp, fabs, fmax, fmin, rint, sin, sqrt
-from libc.string cimport memcpy
+from libc.string cimport memcpy, memset
 
 from mast_zenoh.kernels.algebra cimport factorise, forward, wrapped
-from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, squares, table, writable
+from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, squares, table, whole, writable
 from mast_zenoh.kernels.table cimport (
     SOURCE_DIGEST, P, XX, XY, YY, YAW, YAW_VARIANCE, TURN, ASIDE, ODDS, HITS, MISSES, VOTES, N_CLASSES, CLASS,
     CONFIRMED, AGE, ID, ROW, WIDTH,
@@ -40,6 +40,26 @@ def predict(t, double dt, noise):
         for k in range(81):
             row[P + k] += added[k]
         row += WIDTH
+
+
+def with_speed(box, mean, swing, cross, double vertical):
+    box = whole(box)
+    cdef const double* noise = floats(box, 3)
+    cdef const double* middle = floats(mean, 1)
+    cdef const double* half = floats(swing, 1)
+    cdef const double* common = floats(cross, 1)
+    cdef Py_ssize_t r, i, n = length(mean)
+    result = squares(n, 9)
+    cdef double* out = writable(result, 3)
+    memset(out, 0, 81 * n * sizeof(double))
+    for r in range(n):
+        for i in range(6):
+            memcpy(out + 9 * i, noise + 6 * i, 6 * sizeof(double))
+        out[60], out[70] = middle[r] + half[r], middle[r] - half[r]
+        out[61] = out[69] = common[r]
+        out[80] = vertical
+        out, noise = out + 81, noise + 36
+    return result
 
 
 def correct(t, measured, noise):

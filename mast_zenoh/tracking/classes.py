@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.kernels import kernel
 from mast_zenoh.states import CLASS_INDEX, CLASSES, Floats, Ints
 
 #: Per class:
@@ -46,12 +47,21 @@ def first_covariance(box: Floats, yaw: Floats, class_id: Ints) -> Floats:
 
     A heading constrains the velocity before any motion is seen.
     """
-    covariance = np.zeros((len(yaw), 9, 9))
-    covariance[:, :6, :6] = box
-    mean, half = _SPEED_MEAN.take(class_id), _SPEED_HALF.take(class_id)
     double = 2.0 * yaw
-    swing = half * np.cos(double)
+    mean, half = _SPEED_MEAN.take(class_id), _SPEED_HALF.take(class_id)
+    return with_speed(box, mean, half * np.cos(double), half * np.sin(double), SPEED_VERTICAL**2)
+
+
+@kernel
+def with_speed(box: Floats, mean: Floats, swing: Floats, cross: Floats, vertical: float) -> Floats:
+    """(n, 9, 9) of boxes with noise `box` (n, 6, 6) and of their velocity.
+
+    mean, swing, cross, vertical: (n,), (n,), (n,) and one (m/s)^2: variances mean + swing along x, mean - swing along
+    y, covariance `cross` of both, and variance of the vertical speed
+    """
+    covariance = np.zeros((len(mean), 9, 9))
+    covariance[:, :6, :6] = box
     covariance[:, 6, 6], covariance[:, 7, 7] = mean + swing, mean - swing
-    covariance[:, 6, 7] = covariance[:, 7, 6] = half * np.sin(double)
-    covariance[:, 8, 8] = SPEED_VERTICAL**2
+    covariance[:, 6, 7] = covariance[:, 7, 6] = cross
+    covariance[:, 8, 8] = vertical
     return covariance
