@@ -47,9 +47,9 @@ class CenterDistanceAssigner(Assigner):
 
     def _assign(self, truth: Boxes, tracks: Boxes) -> tuple[Ints, Ints]:
         i, j = pairs_within(truth, tracks, self.gate_m)
-        distance = centre_distance(truth.position[i], tracks.position[j])
-        near = distance <= self.gate_m
-        i, j, distance = i[near], j[near], distance[near]
+        distance = centre_distance(truth.position.take(i, 0), tracks.position.take(j, 0))
+        near = (distance <= self.gate_m).nonzero()[0]
+        i, j, distance = i.take(near), j.take(near), distance.take(near)
         # So much for a pair that no other choice of fewer pairs costs less.
         fewest = min(np.bincount(boxes.group).max() for boxes in (truth, tracks))
         chosen = cheapest(i, j, distance - (self.gate_m * (fewest + 1) + 1.0))

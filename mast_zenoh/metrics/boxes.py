@@ -32,8 +32,10 @@ class Boxes:
     def __len__(self) -> int:
         return len(self.id)
 
-    def select(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Boxes:
-        """The rows that a mask or an index array picks."""
+    def select(self, index: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Boxes:
+        """The rows that a mask, an index array or a slice picks; the rows of a slice are not copied."""
+        if isinstance(index, slice):
+            return Boxes(*[getattr(self, field.name)[index] for field in fields(self)])
         rows = index.nonzero()[0] if index.dtype == bool else index
         return Boxes(*[getattr(self, field.name).take(rows, 0) for field in fields(self)])
 

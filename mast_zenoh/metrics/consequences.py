@@ -62,7 +62,7 @@ def drives(
         for estimate in ESTIMATES:
             if Series(agent, estimate) not in record.series():
                 continue
-            table = record.tracks(Series(agent, estimate), scores.frames)
+            table = record.tracks([Series(agent, estimate)], scores.frames)
             tracks = Objects(table.boxes.group, table.boxes.position, table.velocity, table.boxes.size, table.boxes.yaw)
             ahead = driving.ahead(vehicle, tracks)
             series = scores.every_series[agent, estimate]

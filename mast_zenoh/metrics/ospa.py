@@ -61,9 +61,9 @@ class SetDistance:
         Only pairs nearer than c save anything.
         """
         i, j = pairs_within(truth, tracks, self.c)
-        distance = centre_distance(truth.position[i], tracks.position[j])
-        near = distance < self.c
-        i, j = i[near], j[near]
-        saving = self.c**self.p - distance[near] ** self.p
+        distance = centre_distance(truth.position.take(i, 0), tracks.position.take(j, 0))
+        near = (distance < self.c).nonzero()[0]
+        i, j = i.take(near), j.take(near)
+        saving = self.c**self.p - distance.take(near) ** self.p
         chosen = cheapest(i, j, -saving)
         return np.bincount(truth.group[i[chosen]], saving[chosen], minlength=n_groups).astype(np.float64)

@@ -61,7 +61,10 @@ class TruthTable:
 
 @dataclass(frozen=True, slots=True)
 class TrackTable:
-    """n rows of tracks: boxes with group = row of the frame, velocity (n, 3) m/s, world frame, and score (n,)."""
+    """n rows of tracks of some series in f frames.
+
+    boxes: group = series · f + row of the frame;  velocity: (n, 3) m/s, world frame;  score: (n,)
+    """
 
     boxes: Boxes
     velocity: Floats
@@ -181,10 +184,10 @@ class Record:
         mine, others = self._tracks[one], self._tracks[other]
         return all(mine.get(frame) is others.get(frame) for frame in frames.tolist())
 
-    def tracks(self, series: Series, frames: Ints) -> TrackTable:
-        """The tracks of one series in (f,) frames; none where there was no message."""
-        mine = self._tracks[series]
-        parts = [mine.get(int(frame), _NOTHING) for frame in frames]
+    def tracks(self, series: Sequence[Series], frames: Ints) -> TrackTable:
+        """The tracks of some series in (f,) frames; none where there was no message."""
+        numbers = frames.tolist()
+        parts = [mine.get(frame, _NOTHING) for mine in map(self._tracks.__getitem__, series) for frame in numbers]
         return TrackTable(*_joined(parts))
 
 

@@ -61,37 +61,32 @@ class Scorer:
         frames = record.frames()
         table = record.truth(frames)
         series, same_as = _distinct(record, frames)
-        tables = [record.tracks(each, frames) for each in series]
-        tracks = Boxes.join([mine.boxes for mine in tables])
-        start = np.cumsum([0, *(len(mine.score) for mine in tables)])
+        tracks = record.tracks(series, frames)
+        boxes, order = tracks.boxes.sorted()
+        of_series = np.searchsorted(boxes.group, np.arange(len(series) + 1) * len(frames)).tolist()
 
         # One series per agent and estimator; all are laid out in one row of groups and scored in one go.
         names, rows = [], []
         for a, agent in enumerate(record.agents):
+            position = table.agent_position[:, a]
             near, evaluated, excusing = self._split(table, a)
             truth = [mask.nonzero()[0] for mask in (evaluated, near & ~evaluated, excusing)]
             for k, each in enumerate(series):
                 if each.agent in ("", agent):
-                    heard = start[k] + self._near(tables[k].boxes, table.agent_position[:, a]).nonzero()[0]
+                    mine = slice(*of_series[k : k + 2])
+                    frame = boxes.group[mine] - k * len(frames)
+                    heard = self._near(boxes.position[mine], position.take(frame, 0)).nonzero()[0]
                     names.append((agent, each.estimator))
-                    rows.append((*truth, heard))
+                    rows.append((*truth, heard + (len(table.boxes) + mine.start)))
+        everything = Boxes.join([table.boxes, boxes])
         seen, unevaluated, excused, believed = ([each[kind] for each in rows] for kind in range(4))
-        laid_out, order = _laid_out(tracks, believed, len(frames)).sorted()
-        score = np.concatenate([np.zeros(0), *(mine.score for mine in tables)])
-        layout = _Layout(
-            series=tuple(names),
-            frames=frames,
-            truth=_laid_out(table.boxes, seen, len(frames)),
-            unevaluated=_laid_out(table.boxes, unevaluated, len(frames)),
-            excused=_laid_out(table.boxes, excused, len(frames)),
-            tracks=laid_out,
-            score=score[_together(believed)[order]],
-        )
-        return _compare(self.assigner, self.distance, layout, same_as)
+        layout = _Layout.of(tuple(names), frames, everything, (seen, unevaluated, believed), excused)
+        score = tracks.score.take(order).take(_together(believed) - len(table.boxes))
+        return _compare(self.assigner, self.distance, layout, score, same_as)
 
     def _split(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
         """Of the truth's rows: those near an agent, those it is measured by, those whose tracks are excused."""
-        near = self._near(table.boxes, table.agent_position[:, agent])
+        near = self._near(table.boxes.position, table.agent_position[table.boxes.group, agent])
         own = table.boxes.id == table.agent_object[table.boxes.group, agent]
         evaluated = near & (table.seen >= self.min_points)
         if not self.include_self:
@@ -99,9 +94,9 @@ class Scorer:
         excused = ~evaluated if self.ignore_unseen else own & (not self.include_self)
         return near, evaluated, excused
 
-    def _near(self, boxes: Boxes, agent_position: Floats) -> Bools:
-        """(n,) boxes in range of an agent that is at (f, 3); the group is the frame."""
-        return centre_distance(boxes.position, agent_position[boxes.group]) <= self.range_m
+    def _near(self, position: Floats, agent_position: Floats) -> Bools:
+        """(n,) which places (n, 3) are in range of an agent that is at (n, 3)."""
+        return centre_distance(position, agent_position) <= self.range_m
 
 
 def _distinct(record: Record, frames: Ints) -> tuple[list[Series], dict[tuple[str, str], tuple[str, str]]]:
@@ -123,26 +118,49 @@ def _distinct(record: Record, frames: Ints) -> tuple[list[Series], dict[tuple[st
 class _Layout:
     """Boxes of all series and frames in one row of groups; group = series · frames + frame.
 
-    truth:       what the series are measured by
-    unevaluated: other objects in range, for the figures
-    excused:     objects whose tracks are not false although they are not measured by
-    tracks:      tracks in range, with their score (n,)
+    boxes:   first what the series are measured by, then other objects in range, which are for the figures, then the
+             tracks in range
+    counts:  how many there are of these three
+    excused: objects whose tracks are not false although they are not measured by
     """
 
     series: tuple[tuple[str, str], ...]
     frames: Ints
-    truth: Boxes
-    unevaluated: Boxes
+    boxes: Boxes
+    counts: tuple[int, int, int]
     excused: Boxes
-    tracks: Boxes
-    score: Floats
+
+    @classmethod
+    def of(
+        cls,
+        series: tuple[tuple[str, str], ...],
+        frames: Ints,
+        boxes: Boxes,
+        kinds: Sequence[Sequence[Ints]],
+        excused: Sequence[Ints],
+    ) -> _Layout:
+        """The layout of rows of `boxes`, given for each of the three kinds, and for the excused, by series."""
+        picked = _laid_out(boxes, [rows for kind in kinds for rows in kind], len(series), len(frames))
+        of_seen, of_others, of_tracks = (sum(map(len, kind)) for kind in kinds)
+        counts = of_seen, of_others, of_tracks
+        return cls(series, frames, picked, counts, _laid_out(boxes, excused, len(series), len(frames)))
+
+    @property
+    def truth(self) -> Boxes:
+        """What the series are measured by."""
+        return self.boxes.select(slice(0, self.counts[0]))
+
+    @property
+    def tracks(self) -> Boxes:
+        """The tracks in range."""
+        return self.boxes.select(slice(len(self.boxes) - self.counts[2], None))
 
 
-def _laid_out(boxes: Boxes, rows: Sequence[Ints], n_frames: int) -> Boxes:
-    """Of each series its rows of `boxes`, as a layout has them."""
-    series = np.repeat(np.arange(len(rows)), [len(each) for each in rows])
+def _laid_out(boxes: Boxes, rows: Sequence[Ints], n_series: int, n_frames: int) -> Boxes:
+    """Rows of `boxes` by series, or by kind and series, as a layout has them."""
+    series = np.repeat(np.arange(len(rows)) % max(n_series, 1), [len(each) for each in rows])
     picked = boxes.select(_together(rows))
-    return picked.in_group(series * n_frames + picked.group)
+    return picked.in_group(series * n_frames + picked.group % max(n_frames, 1))
 
 
 def _together(rows: Sequence[Ints]) -> Ints:
@@ -151,8 +169,13 @@ def _together(rows: Sequence[Ints]) -> Ints:
 
 
 def _compare(
-    assigner: Assigner, distance: SetDistance, layout: _Layout, same_as: dict[tuple[str, str], tuple[str, str]]
+    assigner: Assigner,
+    distance: SetDistance,
+    layout: _Layout,
+    score: Floats,
+    same_as: dict[tuple[str, str], tuple[str, str]],
 ) -> Scores:
+    """The scores of what is laid out; score: (n,) of the tracks."""
     truth, tracks, excused = layout.truth, layout.tracks, layout.excused
     pairs = assigner.assign(truth, tracks)
     # Sums of fractions depend on the order of their terms: that of the ids, not that in which the messages came.
@@ -165,10 +188,13 @@ def _compare(
     track_outcome = np.full(len(tracks), FALSE, np.int64)
     track_outcome[pairs[:, 1]] = MATCHED
 
-    left = np.flatnonzero(track_outcome == FALSE)
-    pardons = assigner.assign(excused, tracks.select(left))
-    track_outcome[left[pardons[:, 1]]] = UNEVALUATED
-    of_track[left[pardons[:, 1]]] = excused.id[pardons[:, 0]]
+    evaluated = tracks
+    if len(excused):
+        left = np.flatnonzero(track_outcome == FALSE)
+        pardons = assigner.assign(excused, tracks.select(left))
+        track_outcome[left[pardons[:, 1]]] = UNEVALUATED
+        of_track[left[pardons[:, 1]]] = excused.id[pardons[:, 0]]
+        evaluated = tracks.select(track_outcome != UNEVALUATED)
 
     shape = len(layout.series), len(layout.frames)
 
@@ -176,9 +202,9 @@ def _compare(
         return np.bincount(group, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
 
     group = truth.group[pairs[:, 0]]
-    apart = centre_distance(truth.position[pairs[:, 0]], tracks.position[pairs[:, 1]])
+    apart = centre_distance(truth.position.take(pairs[:, 0], 0), tracks.position.take(pairs[:, 1], 0))
     squared_error: Floats = np.bincount(group, apart**2, minlength=shape[0] * shape[1]).astype(np.float64)
-    ospa, gospa = distance.of(truth, tracks.select(track_outcome != UNEVALUATED), shape[0] * shape[1])
+    ospa, gospa = distance.of(truth, evaluated, shape[0] * shape[1])
     switched, before = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])
     return Scores(
         series=layout.series,
@@ -197,7 +223,7 @@ def _compare(
             before,
             tracks.id[pairs[switched, 1]],
         ),
-        judged=_judged(layout, (truth_outcome, of_truth), (track_outcome, of_track)),
+        judged=_judged(layout, (truth_outcome, of_truth), (track_outcome, of_track), score),
         same_as=same_as,
     )
 
@@ -212,18 +238,16 @@ def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> tup
     return order[at + 1][by_pair], track_id[order[at]][by_pair]
 
 
-def _judged(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints]) -> Judged:
+def _judged(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints], score: Floats) -> Judged:
     """All boxes in the order of `Judged`; truth, track: outcome and matched id."""
-    parts = [layout.truth, layout.unevaluated, layout.tracks]
-    count = [len(part) for part in parts]
-    boxes = Boxes.join(parts)
-    is_track = np.repeat([False, False, True], count)
-    outcome = np.concatenate([truth[0], np.full(count[1], UNEVALUATED), track[0]])
-    match = np.concatenate([truth[1], np.full(count[1], -1), track[1]])
-    score = np.concatenate([np.full(count[0] + count[1], np.nan), layout.score])
+    boxes, others = layout.boxes, layout.counts[1]
+    is_track = np.arange(len(boxes)) >= len(boxes) - len(score)
+    outcome = np.concatenate([truth[0], np.full(others, UNEVALUATED), track[0]])
+    match = np.concatenate([truth[1], np.full(others, -1), track[1]])
+    scores = np.concatenate([np.full(len(boxes) - len(score), np.nan), score])
     place = (boxes.group * 2 + is_track) * len(OUTCOMES) + outcome
     order = order_by(boxes.id, place, ties=tuple(boxes.position.T[::-1]))
     boxes = boxes.select(order)
     series, frame = np.divmod(boxes.group, max(len(layout.frames), 1))
     at = layout.frames[frame] if len(frame) else frame
-    return Judged(series, at, is_track.take(order), outcome.take(order), boxes, match[order], score[order])
+    return Judged(series, at, is_track.take(order), outcome.take(order), boxes, match.take(order), scores.take(order))

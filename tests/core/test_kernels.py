@@ -218,7 +218,7 @@ ARGUMENTS = {
     "victim_like": lambda r, n, m: (
         (places(r, m), r.normal(0, 9, (m, 3)), r.uniform(0.3, 5, (m, 3)), r.uniform(-4, 4, m)),
         r.normal(size=(m, 11)), r.uniform(0, 90, m),
-        (places(r, n + 1), covariances(r, n + 1) * r.choice([0.0, 1.0, 9.0], (n + 1, 1, 1)), r.random(n + 1), r.normal(0, 9, 3)),
+        (places(r, n + 1), covariances(r, n + 1) * r.choice([0, 1, 9], (n + 1, 1, 1)), r.random(n + 1), r.random(3)),
         (0.3, 0.1, 0.05), bool(r.integers(2)), (3.0, 0.3),
     ),
     "walled_off": lambda r, n, m: (r.normal(0, 9, 3), r.normal(0, 20, (n, 3)), *buildings(r, m)[:3]),

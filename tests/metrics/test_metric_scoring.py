@@ -171,7 +171,7 @@ def test_the_picture_on_arrival_is_the_newest_that_has_come_and_nothing_once_it_
         run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), step)
     run.hold_pictures({"ego": 4})
     frames = np.arange(12)
-    held = run.tracks(Series("ego", "picture_on_arrival"), frames)
+    held = run.tracks([Series("ego", "picture_on_arrival")], frames)
     place = dict(zip(held.boxes.group.tolist(), held.boxes.position[:, 0].tolist(), strict=True))
     assert place == {1: 0.0, 2: 2.0, 3: 2.0, 4: 3.0, 5: 3.0, 6: 3.0, 7: 3.0}
 
