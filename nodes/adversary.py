@@ -161,11 +161,13 @@ class Adversary(Node):
             return to_sensor(world, *sensor)
 
         columns = Detections.from_columns(body).columns()
-        moved, added = local(tampering.moved).columns(), local(tampering.added).columns()
-        for name, column in columns.items():
-            column = column.copy()
-            column[tampering.moved_index] = moved[name]
-            columns[name] = np.concatenate([column[tampering.keep], added[name]])
+        if len(tampering.moved):
+            for name, moved in local(tampering.moved).columns().items():
+                columns[name] = columns[name].copy()
+                columns[name][tampering.moved_index] = moved
+        kept = tampering.keep.nonzero()[0]
+        for name, added in local(tampering.added).columns().items():
+            columns[name] = np.concatenate([columns[name].take(kept, 0), added])
         mount = {name: body[name] for name in ("mount_position", "mount_rotation")}
         context.relay("detections_out", received, columns | mount)
 

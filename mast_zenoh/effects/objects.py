@@ -108,14 +108,15 @@ def whole(
     body, effect = (received, REMOVED) if sent is None else (sent, INSERTED)
     assert body is not None
     n = len(body["position"]) if has_objects(message) else 0
-    nowhere, reference = np.full((n, 3), np.nan), np.tile(_reference(body), (2, n, 1))
+    nowhere, reference = np.full((n, 3), np.nan), np.empty((2, n, len(_WORLD)))
+    reference[:] = _reference(body)
     place = body["position"].copy() if n else nowhere
     return ObjectChanges(
         frame=np.full(n, frame, np.int64),
         seq=np.full(n, seq, np.int64),
         step=np.full(n, step, np.int64),
         effect=np.full(n, OBJECT_EFFECTS.index(effect), np.int64),
-        columns=_named(np.zeros(n, np.int64), ()),
+        columns=np.full(n, "", object),
         id=body["id"].copy() if n and "id" in body else np.full(n, -1, np.int64),
         before=place if effect == REMOVED else nowhere,
         after=place if effect == INSERTED else nowhere,
