@@ -200,9 +200,11 @@ def _draw_braking(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> Non
         wrong = part["needless"].astype(bool) | part["omitted"].astype(bool)
         for kind, (colour, words) in _BRAKING.items():
             mask = part[kind].astype(bool) & (~wrong if kind == "brake" else True)
-            spans = [(float(at) - step / 2, step) for at in times[mask]]
-            axis.broken_barh(spans, (lane + 0.12, 0.76), facecolors=colour, label="" if kind in labelled else words)
-            labelled.add(kind)
+            spans = _spans(times, mask, step)
+            if spans or kind not in labelled:
+                label = "" if kind in labelled else words
+                axis.broken_barh(spans, (lane + 0.12, 0.76), facecolors=colour, label=label)
+                labelled.add(kind)
     axis.set_yticks(
         np.arange(len(parts)) + 0.5,
         [ESTIMATES[name].replace(" with ", "\nwith ") for name in reversed(parts)],
@@ -210,3 +212,10 @@ def _draw_braking(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> Non
     )
     axis.set_ylim(0.0, len(parts))
     axis.grid(visible=False)
+
+
+def _spans(times: np.ndarray, mask: np.ndarray, step: float) -> list[tuple[float, float]]:
+    """Begin and length of each stretch of frames in the mask; each frame lasts for a step, half of it before."""
+    edges = np.diff(mask.astype(np.int64), prepend=0, append=0)
+    first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
+    return [(float(times[a]) - step / 2, float(times[b] - times[a]) + step) for a, b in zip(first, last, strict=True)]

@@ -77,11 +77,11 @@ def png(figure: Figure) -> bytes:
     """The figure as PNG, the same bytes every time."""
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(DPI)
-    canvas.draw()
+    canvas.draw()  # type: ignore[no-untyped-call]  # matplotlib has no types here
     # Figures are opaque: without the fourth channel they are smaller, and sooner encoded.
-    pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
     buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="png", compress_level=COMPRESSION)
+    Image.fromarray(np.ascontiguousarray(pixels)).save(buffer, format="png", compress_level=COMPRESSION)
     return buffer.getvalue()
 
 
