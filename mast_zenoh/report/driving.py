@@ -176,6 +176,8 @@ def _draw_collision(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> N
             markersize=3,
             label=ESTIMATES[name],
         )
+    if not any((part["ttc_s"].astype(np.float64) <= _LONGEST_S).any() for part in parts.values()):
+        _say(axis, f"nothing in the way within {_LONGEST_S:.0f} s, by any of the three")
     axis.set_ylim(0.0, _LONGEST_S)
     axis.set_ylabel("time to\ncollision (s)", fontsize=10, color=INK)
 
@@ -205,13 +207,22 @@ def _draw_braking(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> Non
                 label = "" if kind in labelled else words
                 axis.broken_barh(spans, (lane + 0.12, 0.76), facecolors=colour, label=label)
                 labelled.add(kind)
+    if not any(part[kind].any() for part in parts.values() for kind in _BRAKING):
+        _say(axis, "no braking, by any of the three")
     axis.set_yticks(
         np.arange(len(parts)) + 0.5,
-        [ESTIMATES[name].replace(" with ", "\nwith ") for name in reversed(parts)],
+        [ESTIMATES[name].replace(" with ", " with\n") for name in reversed(parts)],
         fontsize=8,
     )
     axis.set_ylim(0.0, len(parts))
     axis.grid(visible=False)
+
+
+def _say(axis: Axes, words: str) -> None:
+    """Say why a chart is empty."""
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 3.0}
+    place: dict[str, Any] = {"transform": axis.transAxes, "ha": "center", "va": "center", "zorder": 5}
+    axis.text(0.5, 0.5, words, fontsize=9, color=LOCAL, bbox=box, **place)
 
 
 def _spans(times: np.ndarray, mask: np.ndarray, step: float) -> list[tuple[float, float]]:

@@ -325,14 +325,15 @@ def drive(needless: list[int]) -> dict[str, np.ndarray]:
 
 def test_needless_braking_is_drawn_when_it_happens(attacked: RunFolder) -> None:
     assert driving_over_time(attacked, None) is None
-    object.__setattr__(attacked, "driving", drive([20, 21, 22]))
+    object.__setattr__(attacked, "driving", drive([20, 21, 22, 30]))
     figure = driving_over_time(attacked, 21)
     assert figure is not None
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "brakes needlessly" in labels
     (bars,) = (each for each in figure.axes[2].collections if each.get_label() == "brakes needlessly")
     spans = [path.get_extents() for path in bars.get_paths()]
-    assert sorted(round(float(span.x0 + span.x1) / 2, 3) for span in spans) == [2.0, 2.1, 2.2]
+    stretches = sorted((round(float(span.x0), 3), round(float(span.x1), 3)) for span in spans)
+    assert stretches == [(1.95, 2.25), (2.95, 3.05)]
 
 
 def test_an_older_run_says_that_achievements_are_not_known(run_folder: Callable[..., Path]) -> None:
