@@ -146,12 +146,12 @@ def _free_side(
 
     taken: what the names before it cover, as left, right, bottom, top in m; this one is added
     """
-    width, height = 0.045 * letters * half, 0.09 * half
+    width, height, gap = 0.045 * letters * half, 0.09 * half, 0.03 * half
     right, above = bool(wanted[0]), bool(wanted[1])
     for choice in ((right, above), (right, not above), (not right, above), (not right, not above)):
-        left = at[0] if choice[0] else at[0] - width
-        low = at[1] if choice[1] else at[1] - height
-        box = (left, left + width, low, low + height)
+        left = at[0] + gap if choice[0] else at[0] - gap - width
+        low = at[1] + gap if choice[1] else at[1] - gap - height
+        box = (left - gap, left + width + gap, low, low + height)
         if not any(box[0] < t[1] and t[0] < box[1] and box[2] < t[3] and t[2] < box[3] for t in taken):
             taken.append(box)
             return choice
