@@ -12,7 +12,6 @@ See docs/effects.md.
 
 from mast_zenoh.effects.message_effects import MESSAGE_EFFECTS
 from mast_zenoh.effects.meter import Meter
-from mast_zenoh.effects.rows import OBJECT_EFFECTS
 from mast_zenoh.effects.table import EFFECTS, Effects, Pose, Poses, effects_of
 
-__all__ = ["EFFECTS", "MESSAGE_EFFECTS", "OBJECT_EFFECTS", "Effects", "Meter", "Pose", "Poses", "effects_of"]
+__all__ = ["EFFECTS", "MESSAGE_EFFECTS", "Effects", "Meter", "Pose", "Poses", "effects_of"]

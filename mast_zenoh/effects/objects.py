@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.effects.rows import INSERTED, OBJECT_EFFECTS, REMOVED, UNCHANGED, Changes, compare, has_objects
+from mast_zenoh.effects.rows import UNCHANGED, Changes, compare, has_objects
 from mast_zenoh.messages import Body
+from mast_zenoh.metrics.manipulations import INSERTED, REMOVED
 from mast_zenoh.states import Bools, Floats, Ints
 
 #: Columns that say what the frame of reference of all positions is: in the world, or in the agent's frame.
@@ -30,7 +31,7 @@ class ObjectChanges(NamedTuple):
     """What happened to k objects of some messages of one passage.
 
     frame, seq, step: (k,) of the message, and the frame of the run in which the interposer received it
-    effect:   (k,) index into OBJECT_EFFECTS; UNCHANGED: the object moves with the frame of reference of its message
+    effect:   (k,) index into KINDS; UNCHANGED: the object moves with the frame of reference of its message
     columns:  (k,) object, names of the columns that were changed, separated by blanks
     id:       (k,) of the object in the message, -1: messages of this type have no ids
     before, after: (k, 3) m, where the object was in the message received and in the message sent; NaN: it was not
@@ -115,7 +116,7 @@ def whole(
         frame=np.full(n, frame, np.int64),
         seq=np.full(n, seq, np.int64),
         step=np.full(n, step, np.int64),
-        effect=np.full(n, OBJECT_EFFECTS.index(effect), np.int64),
+        effect=np.full(n, effect, np.int64),
         columns=np.full(n, "", object),
         id=body["id"].copy() if n and "id" in body else np.full(n, -1, np.int64),
         before=place if effect == REMOVED else nowhere,

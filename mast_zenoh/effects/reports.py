@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.effects.message_effects import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
-from mast_zenoh.effects.rows import OBJECT_EFFECTS
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
 from mast_zenoh.matching import greedy
 from mast_zenoh.messages import Body
 from mast_zenoh.metrics.boxes import pairs_within
 from mast_zenoh.metrics.lookup import find, occurs
+from mast_zenoh.metrics.manipulations import KINDS
 from mast_zenoh.metrics.places import Places
 from mast_zenoh.states import Bools, Floats, Ints
 
@@ -100,7 +100,7 @@ def _objects(effects: Effects, whose: Ints, said: Mapping[str, NDArray[Any]], re
     names = np.array(_ACTIONS)[said["action"]]
     group = said["node"] * span + frame[1]
     claimed = _events(names, said["before_position"], said["after_position"], group)
-    mine = np.flatnonzero(~effects.whole & (effects.code < len(OBJECT_EFFECTS)))
+    mine = np.flatnonzero(~effects.whole & (effects.code < len(KINDS)))
     code = np.array(EFFECTS)[effects.code[mine]]
     group = whose[mine] * span + frame[0][mine]
     measured = _events(code, effects.before[mine], effects.after[mine], group)

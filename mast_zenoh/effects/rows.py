@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from mast_zenoh.matching import cheapest
 from mast_zenoh.messages import SCHEMAS, Body
 from mast_zenoh.metrics.lookup import find
+from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 from mast_zenoh.states import Bools, Floats, Ints
 
-#: What can happen to an object.
-INSERTED, REMOVED, MOVED, ALTERED = OBJECT_EFFECTS = ("inserted", "removed", "moved", "altered")
-_INSERTED, _REMOVED, _MOVED, _ALTERED = range(len(OBJECT_EFFECTS))
+#: Beside the kinds of manipulation: nothing happened to the object.
 UNCHANGED = -1
 
 #: Numbers that differ by less than this, absolutely or relatively, are equal: rounding is no effect.
@@ -78,7 +77,7 @@ class Changes:
 
     sides:   the objects before, and those behind
     before, after: (k,) int64, rows of the one and of the other that are about one object; -1: there is none
-    effect:  (k,) index into OBJECT_EFFECTS; UNCHANGED: the row is as it was
+    effect:  (k,) index into KINDS; UNCHANGED: the row is as it was
     columns: (k,) the columns of the row that differ, as bits in the order of `names`
     names:   the columns with a row for each object
     others:  of each message the names of the other columns that differ, such as the frame of reference of its rows
@@ -127,7 +126,7 @@ def compare(message: str, before: Sequence[Body], after: Sequence[Body]) -> Chan
         before=np.concatenate([i, p, removed, np.full(counts[3], -1)]),
         after=np.concatenate([j, q, np.full(counts[2], -1), inserted]),
         effect=np.concatenate(
-            [np.full(counts[0], UNCHANGED), effect, np.full(counts[2], _REMOVED), np.full(counts[3], _INSERTED)]
+            [np.full(counts[0], UNCHANGED), effect, np.full(counts[2], REMOVED), np.full(counts[3], INSERTED)]
         ),
         columns=np.concatenate([np.zeros(counts[0], np.int64), columns, np.zeros(counts[2] + counts[3], np.int64)]),
         names=names,
@@ -267,4 +266,4 @@ def _effects(a: Rows, b: Rows, p: Ints, q: Ints, names: tuple[str, ...]) -> tupl
         columns |= differs.astype(np.int64) << bit
         if name == "position":
             moved = differs
-    return np.where(moved, _MOVED, np.where(columns != 0, _ALTERED, UNCHANGED)), columns
+    return np.where(moved, MOVED, np.where(columns != 0, ALTERED, UNCHANGED)), columns

@@ -10,13 +10,14 @@ import numpy as np
 
 from mast_zenoh.effects.message_effects import MESSAGE_EFFECTS
 from mast_zenoh.effects.passages import PassageMeter
-from mast_zenoh.effects.rows import MOVED, OBJECT_EFFECTS, UNCHANGED
+from mast_zenoh.effects.rows import UNCHANGED
 from mast_zenoh.geometry import rotation_from_quaternion
+from mast_zenoh.metrics.manipulations import KINDS, MOVED
 from mast_zenoh.states import Floats, Ints
 from mast_zenoh.wiring import Passage
 
 #: Every effect, by its code in `Effects`: what happens to objects, then what happens to whole messages.
-EFFECTS = OBJECT_EFFECTS + MESSAGE_EFFECTS
+EFFECTS = KINDS + MESSAGE_EFFECTS
 CODE = {name: code for code, name in enumerate(EFFECTS)}
 
 #: m; an object that is displaced by less was not moved.
@@ -130,7 +131,7 @@ def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndar
     columns["velocity"] = _turned(frames[1][1], columns["velocity"])
     apart = np.abs(columns["after"] - columns["before"]).max(axis=1, initial=0.0)
     code = columns.pop("effect")
-    columns["code"] = np.where((code == UNCHANGED) & (apart > LEAST_MOVE_M), CODE[MOVED], code)
+    columns["code"] = np.where((code == UNCHANGED) & (apart > LEAST_MOVE_M), MOVED, code)
     columns["passage"] = np.full(len(code), index, np.int64)
     columns["time_ns"] = np.zeros(len(code), np.int64)
     kept = columns["code"] >= 0

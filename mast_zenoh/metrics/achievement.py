@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.metrics.causes import INSERTED
 from mast_zenoh.metrics.lookup import find
-from mast_zenoh.metrics.manipulations import ALTERED, KINDS, MOVED, REMOVED, Manipulations
+from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.record import MISSION, PICTURE, TruthTable
 from mast_zenoh.metrics.scores import MATCHED, MISSED, UNEVALUATED, Scores, Table, Texts

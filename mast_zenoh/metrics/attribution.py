@@ -9,14 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.metrics.causes import (
-    ALTERED,
     CLUTTER,
     DUPLICATE,
     FAULT,
     FUSION,
-    INSERTED,
     LAG,
-    MOVED,
     SIGHT,
     TRACKING,
     UNKNOWN,
@@ -26,7 +23,7 @@ from mast_zenoh.metrics.causes import (
 )
 from mast_zenoh.metrics.histories import Histories
 from mast_zenoh.metrics.lookup import find, latest, occurs
-from mast_zenoh.metrics.manipulations import Manipulations
+from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, Manipulations
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.record import LOCAL, RECEIVED, TruthTable
 from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores, Texts

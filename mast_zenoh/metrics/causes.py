@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.metrics.manipulations import KINDS, Manipulations
+from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.places import Places
 from mast_zenoh.states import Bools, Ints
 
 #: Causes of false tracks, missed objects and identity switches: attacks first, with the codes of KINDS.
 CAUSES = (*KINDS, "duplicate", "lag", "occlusion or range", "clutter", "tracking", "fusion", "link or fault")
-INSERTED, REMOVED, MOVED, ALTERED, DUPLICATE, LAG, SIGHT, CLUTTER, TRACKING, FUSION, FAULT = range(len(CAUSES))
+DUPLICATE, LAG, SIGHT, CLUTTER, TRACKING, FUSION, FAULT = range(len(KINDS), len(CAUSES))
 UNKNOWN = -1
 #: Causes that are an attack, and those that are a fault; all others are natural.
-ATTACK_CAUSES, FAULT_CAUSES = CAUSES[INSERTED : ALTERED + 1], CAUSES[FAULT:]
+ATTACK_CAUSES, FAULT_CAUSES = KINDS, CAUSES[FAULT:]
 
 
 def named(causes: Ints) -> NDArray[np.object_]:
