@@ -96,6 +96,8 @@ class Evaluator(Node):
         self.routes = routes(wiring, self.agents)
         self.takes = {key: getattr(self, route.take) for key, route in self.routes.items()}
         self.metered = set(self.heard.meter.keys())
+        for route in self.routes.values():
+            self.heard.record.expect(route.series)
         context.ignore(set(wiring.keys()) - self.routes.keys() - self.metered)
 
     def on_everything(self, message: Overheard, context: Context) -> None:
@@ -160,7 +162,7 @@ class Evaluator(Node):
             objects = Snapshot.of(states, views=message.encoded)
             if route.wire:
                 alike.append((message, objects))
-        self.heard.record.add(header.frame, route.series, objects, message.step)
+        self.heard.record.add(header.frame, route.series, objects, message.step, header.time_ns)
 
     def take_attack_report(self, message: Overheard, route: Route) -> None:
         """What an adversary says it changed."""

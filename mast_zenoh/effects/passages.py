@@ -25,20 +25,25 @@ from mast_zenoh.effects.message_effects import (
 )
 from mast_zenoh.effects.objects import ObjectChanges, Passed
 from mast_zenoh.errors import MessageError
-from mast_zenoh.node import Overheard
+from mast_zenoh.node import Overheard, same_columns
 from mast_zenoh.wiring import Passage
 
 #: Messages of one passage that wait for their counterpart; beyond these the oldest is judged without it.
 MOST_WAITING = 4096
-#: Messages that are kept after they were sent on, so that they are recognised when they are sent again.
-REMEMBERED = 128
+#: Messages that are kept after they were sent on, so that they are recognised when they are sent again; of older ones
+#: only their numbers are. A message that was sent so many frames ago is not still on its way to be received.
+REMEMBERED, KNOWN_FRAMES = 128, 64
 #: Share of the messages of a passage that must be as late for it to be a usual delay.
 USUAL_SHARE = 0.05
+#: Numbers of messages that were sent on, that are remembered.
+MOST_NUMBERS = 65_536
 #: Changed messages that are compared at once.
 BATCH = 64
 
-#: ns; a message whose time is changed by more is of no use for its frame: its objects count as withheld.
+#: ns; a message whose time is changed by more is of no use for its frame: its objects count as withheld. That is so
+#: where the receiver goes by the time in the header; for detections, poses and the clock it goes by the frame.
 RESTAMPED_NS = 50_000_000
+TIMED = ("tracks", "picture")
 
 
 class PassageMeter:
@@ -57,6 +62,7 @@ class PassageMeter:
         self._waiting: dict[Id, list[Overheard]] = {}  # received, and not sent on yet
         self._early: dict[Id, list[Overheard]] = {}  # sent, and not known to have been received
         self._sent: dict[Id, tuple[int, Overheard]] = {}  # by number: when it was received, and what was sent on
+        self._passed_on: dict[Id, int] = {}  # when those were received that were sent on long ago
         self._again: dict[Id, tuple[int, Overheard]] = {}  # the same of those that were sent again
         self._unreadable: tuple[list[Overheard], list[Overheard]] = [], []  # received and sent
         self._passed: list[Passed] = []  # sent on changed, and not compared yet
@@ -73,6 +79,7 @@ class PassageMeter:
             self._unreadable[0].append(message)
             return
         id_ = header.frame, header.seq
+        self._expire(message.step)
         if id_ in self._early:
             self._pair(id_, message, _first(self._early, id_))
             return
@@ -91,6 +98,7 @@ class PassageMeter:
             self._unreadable[1].append(message)
             return
         id_ = header.frame, header.seq
+        self._expire(message.step)
         if id_ in self._waiting:
             self._first_sent.setdefault(header.frame, id_)
             self._pair(id_, _first(self._waiting, id_), message)
@@ -111,19 +119,41 @@ class PassageMeter:
         """The run is over, its last frame was `last_step`: judge what has found no counterpart."""
         self._settle()
         self._pair_unreadable()
+        for id_, messages in self._early.items():
+            self._surplus(id_, messages)
+        self._settle()
         late = self._usual_delay()
         for messages in self._waiting.values():
             for message in messages:
                 if self.interval.near_change(message.step):
                     self._note(UNSETTLED, message)
+                elif self._rivals.get(message.header.frame) is message:
+                    self._note(DROPPED, message)  # its subscribers had another one in its place: see `_forged`
                 elif message.step + late > last_step:
                     self._withheld(UNSETTLED, message)  # nobody can tell whether it would still have come
                 else:
                     self._withheld(DROPPED, message)
-        for id_, messages in self._early.items():
-            self._surplus(id_, [message for message in messages if not self._of_change(message)])
         self._waiting.clear()
         self._early.clear()
+
+    def _expire(self, step: int) -> None:
+        """Judge what was sent so long ago that it is not still to be received."""
+        while self._early:
+            oldest = next(iter(self._early))
+            if self._early[oldest][0].step >= step - KNOWN_FRAMES:
+                return
+            self._surplus(oldest, self._early.pop(oldest))
+
+    def _renumbered(self, sent: Overheard) -> bool:
+        """Whether a message that was received was sent on as this one, under another number: nobody can tell."""
+        header = sent.header
+        rivals = [id_ for id_, held in self._waiting.items() if id_[0] == header.frame and _same_content(held[0], sent)]
+        for id_ in rivals[:1]:
+            received = _first(self._waiting, id_)
+            self.effects.append(MessageEffect(REFRAMED, *id_, received.step, columns=("seq",)))
+            if (late := sent.step - received.step) > 0:
+                self._withheld(DELAYED, received, frames_late=late)
+        return bool(rivals)
 
     def _pair(self, id_: Id, received: Overheard, sent: Overheard) -> None:
         """Compare a message with what became of it."""
@@ -131,7 +161,10 @@ class PassageMeter:
         if id_ in self._early:
             self._again[id_] = self._sent[id_]
         if len(self._sent) > REMEMBERED:
-            del self._sent[next(iter(self._sent))]
+            oldest = next(iter(self._sent))
+            self._passed_on[oldest] = self._sent.pop(oldest)[0]
+            if len(self._passed_on) > MOST_NUMBERS:
+                del self._passed_on[next(iter(self._passed_on))]
         late = sent.step - received.step
         if late > 0:
             self._late[late] += 1
@@ -154,7 +187,7 @@ class PassageMeter:
         if changed.time_ns != header.time_ns:
             shift_ns = changed.time_ns - header.time_ns
             self._note(RESTAMPED, received, time_ns=shift_ns)
-            if abs(shift_ns) > RESTAMPED_NS:
+            if abs(shift_ns) > RESTAMPED_NS and self.passage.message in TIMED:
                 self._whole(received, received=True)
         self._passed.append(Passed(header.frame, header.seq, received.step, before, after))
         if len(self._passed) >= BATCH:
@@ -167,12 +200,16 @@ class PassageMeter:
         changes, others = objects.changed(self.passage.message, self._passed)
         self.objects.append(changes)
         for each, names in zip(self._passed, others, strict=True):
-            if names and self.passage.message == "pose":
-                before, after = ([body[name].copy() for name in ("position", "rotation")] for body in each[3:])
-                self.spoofs.append(Spoof(each.frame, *before, *after))
+            self._note_pose(each, names)
             if names:
                 self.effects.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
         self._passed = []
+
+    def _note_pose(self, passed: Passed, names: tuple[str, ...]) -> None:
+        """An agent was told another pose than its own."""
+        if names and self.passage.message == "pose":
+            before, after = ([body[name].copy() for name in ("position", "rotation")] for body in passed[3:])
+            self.spoofs.append(Spoof(passed.frame, *before, *after))
 
     def _forestalled(self, frame: int, message: Overheard) -> None:
         """Another message about its frame was sent before this one."""
@@ -192,11 +229,18 @@ class PassageMeter:
     def _surplus(self, id_: Id, messages: Sequence[Overheard]) -> None:
         """Messages were sent more often than they were received, or without having been received at all.
 
-        Sent again with another content, a message is forged.
+        Sent again with another content, a message is forged; of one of long ago only the number is known.
         """
         known = self._again.get(id_)
         for message in messages:
-            if known is None or not known[1].same_bytes(message):
+            if self._of_change(message):
+                continue
+            if id_ in self._passed_on:
+                step = self._passed_on[id_]
+                self.effects.append(MessageEffect(REPEATED, *id_, step, max(0, message.step - step)))
+            elif known is None and self._renumbered(message):
+                continue
+            elif known is None or not known[1].same_bytes(message):
                 self._forged(message)
             else:
                 step = known[0]
@@ -226,7 +270,8 @@ class PassageMeter:
             passed = Passed(header.frame, header.seq, message.step, rival.body, message.body)
         except MessageError:
             return
-        changes, _ = objects.changed(self.passage.message, [passed])
+        changes, (names,) = objects.changed(self.passage.message, [passed])
+        self._note_pose(passed, names)
         self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
 
     def _whole(self, message: Overheard, *, received: bool, frames_late: int = 0) -> None:
@@ -270,6 +315,14 @@ class PassageMeter:
     ) -> None:
         header = message.header
         self.effects.append(MessageEffect(effect, header.frame, header.seq, message.step, frames_late, time_ns))
+
+
+def _same_content(a: Overheard, b: Overheard) -> bool:
+    """Whether two messages about one frame differ in nothing but their numbers."""
+    try:
+        return a.header._replace(seq=b.header.seq) == b.header and same_columns(a.body, b.body)
+    except MessageError:
+        return False
 
 
 def _first(messages: dict[Id, list[Overheard]], id_: Id) -> Overheard:

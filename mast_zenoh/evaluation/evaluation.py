@@ -73,7 +73,7 @@ class Evaluation:
         "failed_metrics": by name the error of a user-defined metric that failed}.
         """
         ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in heard.record.agents}
-        heard.record.hold_pictures({agent: round(age_s / heard.period_s) for agent, age_s in ages_s.items()})
+        heard.record.hold_pictures({agent: round(age_s * 1e9) for agent, age_s in ages_s.items()}, heard.times_ns)
         scores = self.scorer.score(heard.record)
         truth = heard.record.truth(scores.frames)
         effects = _measured(heard, scores)

@@ -15,7 +15,7 @@ from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.states import Floats, Ints
 
 #: Effects on a pose without which an agent cannot place what it sees.
-_WITHHELD = ("dropped", "delayed", "corrupted", "restamped", "unsettled")
+_WITHHELD = ("dropped", "delayed", "corrupted", "unsettled")
 
 
 def with_poses(

@@ -106,7 +106,7 @@ class Record:
         self.agents = tuple(agents)
         self._truth: dict[int, tuple[Snapshot, Ints, Floats, Ints]] = {}
         self._tracks: dict[Series, dict[int, Snapshot]] = {}
-        self._arrivals: dict[str, list[tuple[int, int, Snapshot]]] = {}  # by agent: step, frame, picture
+        self._arrivals: dict[str, list[tuple[int, int, int, Snapshot]]] = {}  # by agent: step, frame, ns, picture
 
     def add_truth(
         self, frame: int, objects: ObjectStates, points: Ints, agent_position: Floats, agent_object: Ints
@@ -127,10 +127,20 @@ class Record:
         boxes = Snapshot.of(objects, views=True)
         self._truth[frame] = (boxes, points.copy(), agent_position.copy(), agent_object.copy())
 
-    def add(self, frame: int, series: Sequence[Series], objects: Snapshot, step: int | None = None) -> None:
+    def expect(self, series: Sequence[Series]) -> None:
+        """These estimates are part of the run, whether or not a message of them ever comes."""
+        for each in series:
+            self._tracks.setdefault(each, {})
+            if each.estimator == PICTURE_RECEIVED:
+                self._arrivals.setdefault(each.agent, [])
+
+    def add(
+        self, frame: int, series: Sequence[Series], objects: Snapshot, step: int | None = None, time_ns: int = 0
+    ) -> None:
         """An estimate of a frame, which belongs to several series: it is scored only once.
 
         step: frame of the run in which it was sent, None: the one that it is about
+        time_ns: ns, of its header
         Raises ValueError for an unknown agent.
         """
         for each in series:
@@ -138,24 +148,27 @@ class Record:
                 raise ValueError(f"frame {frame}: found agent {each.agent!r}, expected one of {self.agents}")
             self._tracks.setdefault(each, {}).setdefault(frame, objects)
             if each.estimator == PICTURE_RECEIVED:
-                arrival = frame if step is None else step, frame, objects
+                arrival = frame if step is None else step, frame, time_ns, objects
                 self._arrivals.setdefault(each.agent, []).append(arrival)
 
-    def hold_pictures(self, most_frames: Mapping[str, int]) -> None:
+    def hold_pictures(self, most_ns: Mapping[str, int], times_ns: Mapping[int, int]) -> None:
         """Make the series PICTURE_ON_ARRIVAL from the pictures received: in each frame the one about the latest frame
-        that has arrived, unless that is more than `most_frames` of the agent ago."""
+        that has arrived, unless its time is more than `most_ns` of the agent ago, or is yet to come.
+
+        times_ns: of the frames
+        """
         frames = self.frames().tolist()
         for agent, arrivals in self._arrivals.items():
             waiting = deque(sorted(arrivals, key=lambda arrival: arrival[:2]))  # of equals the first stays first
-            newest: tuple[int, Snapshot] | None = None
+            newest: tuple[int, int, Snapshot] | None = None
             held = self._tracks.setdefault(Series(agent, PICTURE_ON_ARRIVAL), {})
             for now in frames:
                 while waiting and waiting[0][0] <= now:
-                    _, about, snapshot = waiting.popleft()
+                    _, about, time_ns, snapshot = waiting.popleft()
                     if newest is None or about > newest[0]:
-                        newest = about, snapshot
-                if newest is not None and now - newest[0] <= most_frames[agent]:
-                    held[now] = newest[1]
+                        newest = about, time_ns, snapshot
+                if newest is not None and 0 <= times_ns.get(now, 0) - newest[1] <= most_ns[agent]:
+                    held[now] = newest[2]
 
     def frames(self) -> Ints:
         """(f,) int64, ascending: the frames of which the truth is known."""

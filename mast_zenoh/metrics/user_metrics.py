@@ -139,6 +139,8 @@ def check(metrics: Sequence[Metric], known: Sequence[str]) -> None:
     """Raises ValueError for two metrics of one name, and for one that is called like one of ours."""
     labels = [metric.label for metric in metrics]
     for label in labels:
+        if label.endswith("_iob") or label.startswith("success_"):
+            raise ValueError(f"metrics: found {label!r}: studies have names of that form of their own")
         if label in known or labels.count(label) > 1:
             raise ValueError(f"metrics: found {label!r} twice, expected a name of its own for each metric")
 
@@ -165,7 +167,9 @@ def values(
                 continue
             try:
                 result[metric.label].append(metric.value(estimate))
-            except (Exception, SystemExit) as error:
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:  # GeneratorExit and CancelledError are no Exception
                 errors[metric.label] = error
     for metric in metrics:
         if metric.label in errors:
@@ -189,12 +193,15 @@ def _estimate(
     boxes = judged.boxes.select(rows)
     frame = np.searchsorted(scores.frames, judged.frame[rows])
     at = truth.agent_position[frame, agents.index(agent)]
+    frames, counted = scores.frames.copy(), scored.copy()
+    for shared in (frames, counted):  # with the other metrics
+        shared.flags.writeable = False
     return Estimate(
         agent=agent,
         estimator=estimator,
-        frames=scores.frames,
+        frames=frames,
         period_s=period_s,
-        scored=scored,
+        scored=counted,
         frame=frame,
         is_track=judged.is_track[rows],
         outcome=np.array(OUTCOMES)[judged.outcome[rows]],

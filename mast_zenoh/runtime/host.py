@@ -236,7 +236,9 @@ class Host(NodeContext):
             self._moment_ns = self._now()
         try:
             return call(*arguments)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # GeneratorExit and CancelledError are no Exception
             self._note_failure(what, call, arguments, error)
             return None
 

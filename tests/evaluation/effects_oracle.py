@@ -72,6 +72,19 @@ def _of_passage(
                 damaged.append((arrival, each))
             else:
                 numbered.setdefault((after.header.frame, after.header.seq), ([], []))[1].append((each, after))
+    for (frame, _), (came, went) in numbered.items():
+        if came:
+            continue
+        for number, (others, gone) in numbered.items():  # sent on under another number
+            while number[0] == frame and len(others) > len(gone) and went:
+                (arrival, read), (sent, after) = others[len(gone)], went[0]
+                if not _renumbered(read, after):
+                    break
+                del others[len(gone)], went[0]
+                yield {"effect": "reframed", "columns": "seq", "frame": frame, "seq": number[1]}
+                if sent.step > arrival.step:
+                    delay = _delay(sent.step - arrival.step)
+                    yield {"effect": "delayed", "delay_s": delay, "frame": frame, "seq": number[1]}
     pairs = []
     for (frame, seq), (came, went) in numbered.items():
         went.sort(key=lambda each: each[0].step)
@@ -106,6 +119,15 @@ def _of_passage(
             yield from (number | row for row in _changes(passage, came[0], came[1], went[0], went[1], poses))
     for _ in [*damaged, *(each for each in forged if each.step <= last)]:
         yield {"effect": "forged"}
+
+
+def _renumbered(one: Read, other: Read) -> bool:
+    """Whether two messages about one frame differ in nothing but their numbers."""
+    if one.body is None or other.body is None or one.header is None or other.header is None:
+        return False
+    return one.header._replace(seq=0) == other.header._replace(seq=0) and all(
+        _equal(column, other.body[name]) for name, column in one.body.items()
+    )
 
 
 def _changes(passage: Passage, arrival: Arrival, before: Read, sent: Sent, after: Read, poses: Poses) -> Iterator[Row]:

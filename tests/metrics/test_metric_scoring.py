@@ -168,12 +168,32 @@ def test_the_picture_on_arrival_is_the_newest_that_has_come_and_nothing_once_it_
     for frame in range(12):
         run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
     for frame, step in ((0, 1), (1, 3), (2, 2), (3, 4)):  # that of frame 1 is overtaken by that of frame 2
-        run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), step)
-    run.hold_pictures({"ego": 4})
+        run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), step, frame * 100)
+    run.hold_pictures({"ego": 400}, {frame: 100 * frame for frame in range(12)})
     frames = np.arange(12)
     held = run.tracks([Series("ego", "picture_on_arrival")], frames)
     place = dict(zip(held.boxes.group.tolist(), held.boxes.position[:, 0].tolist(), strict=True))
     assert place == {1: 0.0, 2: 2.0, 3: 2.0, 4: 3.0, 5: 3.0, 6: 3.0, 7: 3.0}
+
+
+def test_the_picture_on_arrival_goes_by_the_time_in_its_header_as_the_agent_does():
+    run = Record(["ego"])
+    for frame in range(6):
+        run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
+    for frame, time_ns in ((0, 0), (1, -300), (2, 500)):  # restamped into the past, and into the future
+        run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), frame, time_ns)
+    run.hold_pictures({"ego": 200}, {frame: 100 * frame for frame in range(6)})
+    held = run.tracks([Series("ego", "picture_on_arrival")], np.arange(6))
+    assert held.boxes.group.tolist() == [0, 5]
+
+
+def test_an_estimate_of_which_no_message_ever_comes_misses_everything():
+    run = record([cars((0.0, 0.0))] * 3, [cars((0.0, 0.0))] * 3)
+    run.expect([Series("ego", "received"), Series("ego", "picture_received")])
+    run.hold_pictures({"ego": 400}, {0: 0, 1: 100, 2: 200})
+    scores = Scorer().score(run)
+    for estimator in ("received", "picture_received", "picture_on_arrival"):
+        assert counts(scores, estimator=estimator) == [(1, 0, 0)] * 3
 
 
 def test_a_frame_without_a_message_counts_as_one_without_tracks():

@@ -1,0 +1,133 @@
+"""What counts is what subscribers can tell: they take the first message about a frame, whatever its number."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from mast_zenoh import codec
+from mast_zenoh.effects.message_effects import Interval
+from mast_zenoh.effects.passages import KNOWN_FRAMES, REMEMBERED, PassageMeter
+from mast_zenoh.messages import Header
+from mast_zenoh.node import Overheard
+from mast_zenoh.states import ObjectStates
+from mast_zenoh.wiring import Input, Passage
+
+PERIOD_NS = 100_000_000
+WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+
+
+def meter(message: str = "tracks") -> PassageMeter:
+    passage = Passage("mallory", f"agent/a/{message}", "a", message, message, "in", "out")
+    return PassageMeter(passage, Interval(0))
+
+
+def tracks(frame: int, *, seq: int | None = None, x: float = 0.0, time_ns: int | None = None, step: int | None = None):
+    """The tracks of three objects; the first is at `x`."""
+    position = np.array([[x, 0.0, 0.0], [20.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
+    body = ObjectStates.of(position, id=np.arange(3)).columns() | WORLD
+    header = Header(
+        "tracks", "a", frame, frame * PERIOD_NS if time_ns is None else time_ns, frame if seq is None else seq
+    )
+    return Overheard("key", Input("everything", "a", "tracks", "a"), codec.conform(header, body), step or frame)
+
+
+def pose(frame: int, *, seq: int, x: float = 0.0):
+    body = {"position": np.array([x, 0.0, 0.0]), "rotation": WORLD["rotation"], "velocity": np.zeros(3)}
+    message = codec.conform(Header("pose", "a", frame, frame * PERIOD_NS, seq), body)
+    return Overheard("key", Input("everything", "a", "pose", "a"), message, frame)
+
+
+def effects(metered: PassageMeter) -> Counter[str]:
+    return Counter(each.effect for each in metered.effects)
+
+
+def changed(metered: PassageMeter) -> int:
+    """How many objects were changed in any way."""
+    return sum(len(each.frame) for each in metered.objects)
+
+
+@pytest.mark.parametrize("late", [0, 2])
+def test_a_message_under_another_number_is_the_same_to_its_subscribers(late: int) -> None:
+    metered = meter()
+    for frame in range(5):
+        metered.take_received(tracks(frame))
+        metered.take_sent(tracks(frame, seq=frame + 100, step=frame + late))
+    metered.close(100)
+    assert effects(metered) == Counter({"reframed": 5} | ({"delayed": 5} if late else {}))
+    assert {each.columns for each in metered.effects if each.effect == "reframed"} == {("seq",)}
+    assert changed(metered) == (15 if late else 0)
+
+
+def test_a_forged_message_in_place_of_the_true_one_changes_what_differs() -> None:
+    metered = meter()
+    for frame in range(5):
+        metered.take_received(tracks(frame))
+        metered.take_sent(tracks(frame, seq=frame + 100, x=3.0))
+    metered.close(100)
+    assert effects(metered) == {"dropped": 5, "forged": 5}
+    assert changed(metered) == 5, "two of three objects are as they were"
+
+
+@pytest.mark.parametrize("passed_on", [True, False])
+def test_a_pose_that_is_forged_before_the_true_one_is_a_false_pose(passed_on: bool) -> None:
+    metered = meter("pose")
+    for frame in range(5):
+        metered.take_received(pose(frame, seq=frame))
+        metered.take_sent(pose(frame, seq=frame + 100, x=15.0))
+        if passed_on:
+            metered.take_sent(pose(frame, seq=frame))
+    metered.close(100)
+    assert [(each.frame, each.position[0], each.false_position[0]) for each in metered.spoofs] == [
+        (frame, 0.0, 15.0) for frame in range(5)
+    ]
+
+
+def test_forgeries_are_measured_alike_however_long_the_run_is() -> None:
+    metered = meter()
+    for frame in range(2 * REMEMBERED):
+        metered.take_received(tracks(frame))
+        metered.take_sent(tracks(frame, seq=frame + 1000, x=3.0))
+        metered.take_sent(tracks(frame))
+    metered.close(2 * REMEMBERED)
+    assert effects(metered) == {"forged": 2 * REMEMBERED}
+    assert changed(metered) == 2 * REMEMBERED
+
+
+def test_a_message_of_long_ago_that_is_sent_again_is_repeated() -> None:
+    metered = meter()
+    for frame in range(2 * REMEMBERED):
+        metered.take_received(tracks(frame))
+        metered.take_sent(tracks(frame))
+    metered.take_sent(tracks(3, step=2 * REMEMBERED))
+    metered.close(2 * REMEMBERED + KNOWN_FRAMES)
+    assert effects(metered) == {"repeated": 1}
+    assert changed(metered) == 0
+
+
+def test_another_time_withholds_the_objects_of_tracks() -> None:
+    metered = meter()
+    metered.take_received(tracks(1))
+    metered.take_sent(tracks(1, time_ns=PERIOD_NS - 400_000_000))
+    metered.close(100)
+    assert effects(metered) == {"restamped": 1}
+    assert changed(metered) == 3
+
+
+def test_another_time_withholds_nothing_where_the_receiver_goes_by_the_frame() -> None:
+    def detections(time_ns: int) -> Overheard:
+        states = ObjectStates.of(np.zeros((2, 3)))
+        body = {name: getattr(states, name) for name in ("position", "size", "yaw", "score", "class_id")}
+        body |= {"covariance": np.zeros((2, 3, 3))}
+        body |= {"mount_position": np.zeros(3), "mount_rotation": WORLD["rotation"]}
+        message = codec.conform(Header("detections", "a", 1, time_ns, 1), body)
+        return Overheard("key", Input("everything", "a", "detections", "a"), message, 1)
+
+    metered = meter("detections")
+    metered.take_received(detections(PERIOD_NS))
+    metered.take_sent(detections(5 * PERIOD_NS))
+    metered.close(100)
+    assert effects(metered) == {"restamped": 1}
+    assert changed(metered) == 0
