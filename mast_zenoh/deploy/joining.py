@@ -38,6 +38,7 @@ def join(
             reasons = explain(credentials, endpoint)
             if any(UNREACHED not in reason for reason in reasons) and time.monotonic() > deadline:
                 raise CredentialsError("; ".join(reasons))
+            why = "; ".join(reasons) or why
         if time.monotonic() > deadline:
             raise EngineError(f"the router at {endpoint} cannot be reached within {seconds:.0f} s: {why}")
         threading.Event().wait(0.1)
