@@ -1,8 +1,10 @@
 # `make run` and `make test` work on a fresh machine that has Python >= 3.11 and nothing else of ours.
 PYTHON ?= python3
 BIN := .venv/bin
+TOOLS := .venv/tools/bin
+PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run test lint bench docs clean
+.PHONY: run test lint bench docs lock dist clean
 
 run: .venv/ready
 	$(BIN)/mast study case_study
@@ -24,11 +26,33 @@ bench: .venv/ready
 docs: .venv/ready
 	$(BIN)/python -m mast_zenoh.documentation docs
 
-# Kernels are compiled when the package is installed: again when their sources have changed.
-.venv/ready: pyproject.toml hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd)
+# After a change of dependencies in pyproject.toml; `make lock UPGRADE=--upgrade` takes the newest versions of all.
+LOCK := $(TOOLS)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --custom-compile-command 'make lock'
+lock: .venv/tools/ready
+	$(LOCK) $(UPGRADE) --extra dev --output-file requirements-dev.txt pyproject.toml
+	$(LOCK) $(UPGRADE) --group tools --output-file requirements-tools.txt
+
+# What is released: source archive, wheel, and the bill of materials (CycloneDX) of the wheel and all that it needs.
+dist: .venv/ready .venv/tools/ready
+	rm -rf dist
+	$(BIN)/python -m build --no-isolation
+	$(TOOLS)/uv venv --quiet --python $(BIN)/python dist/installed
+	$(TOOLS)/uv pip install --quiet --python dist/installed --constraint requirements-dev.txt dist/*.whl
+	$(TOOLS)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file dist/mast-zenoh.cdx.json dist/installed
+	rm -rf dist/installed
+
+# Kernels are compiled when the package is installed: again when their sources have changed. Third parties' packages are those of
+# the lock file, to the byte; --no-build-isolation, or the build would take others.
+.venv/ready: pyproject.toml requirements-dev.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd)
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed, this is " + sys.version'
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/$(PIP) --require-hashes --requirement requirements-dev.txt
+	$(BIN)/$(PIP) --no-deps --no-build-isolation --editable .
+	touch $@
+
+.venv/tools/ready: requirements-tools.txt
+	$(PYTHON) -m venv .venv/tools
+	$(TOOLS)/$(PIP) --require-hashes --requirement requirements-tools.txt
 	touch $@
 
 clean:

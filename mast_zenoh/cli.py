@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -271,6 +272,7 @@ def report(
 
 def main() -> None:
     """The console script: an error becomes one line and its own exit code (docs/exit_codes.md)."""
+    os.umask(os.umask(0o022) | 0o022)  # what a run writes is nobody else's to change; its nodes inherit it
     try:
         app()
     except MastError as error:

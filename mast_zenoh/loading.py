@@ -42,8 +42,7 @@ def module(path: Path) -> ModuleType:
     finally:
         sys.path.remove(str(path.parent))
         for beside in set(sys.modules) - before:
-            file = getattr(sys.modules[beside], "__file__", None)
-            if file and Path(file).parent == path.parent:
+            if _folder(sys.modules[beside]) == path.parent:
                 del sys.modules[beside]
     return loaded
 
@@ -68,13 +67,19 @@ def defines_algorithms(loaded: ModuleType) -> bool:
     """Whether a user's module, or one beside it that it has imported, adds classes that `type=…` can name."""
     own = [value for value in vars(loaded).values() if isinstance(value, type)]
     for value in vars(loaded).values():
-        if isinstance(value, ModuleType) and Path(value.__file__ or "").parent == Path(loaded.__file__ or "").parent:
+        if isinstance(value, ModuleType) and _folder(value) == _folder(loaded):
             own += [found for found in vars(value).values() if isinstance(found, type)]
     return any(
         not cls.__module__.startswith("mast_zenoh.")
         and any(base.__module__.startswith("mast_zenoh.") for base in cls.__mro__[1:])
         for cls in own
     )
+
+
+def _folder(loaded: ModuleType) -> Path | None:
+    """The folder of a module's file; None without one: built-in modules have none, nor have namespace packages."""
+    file = getattr(loaded, "__file__", None)
+    return Path(file).parent if file else None
 
 
 _nodes: dict[tuple[str, str | None], type[Node]] = {}

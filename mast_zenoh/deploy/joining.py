@@ -9,6 +9,7 @@ from collections.abc import Callable
 import zenoh
 
 from mast_zenoh.errors import CredentialsError, EngineError, Interrupted
+from mast_zenoh.launch.supervisor import how_ended
 from mast_zenoh.runtime.session import open_client
 from mast_zenoh.security import explain
 from mast_zenoh.security.credentials import UNREACHED, Credentials
@@ -37,6 +38,12 @@ def join(
             reasons = explain(credentials, endpoint)
             if any(UNREACHED not in reason for reason in reasons) and time.monotonic() > deadline:
                 raise CredentialsError("; ".join(reasons))
+            why = "; ".join(reasons) or why
         if time.monotonic() > deadline:
             raise EngineError(f"the router at {endpoint} cannot be reached within {seconds:.0f} s: {why}")
         threading.Event().wait(0.1)
+
+
+def router_ended(router: str, code: int | None, name: str) -> EngineError:
+    """The error of a run whose router has ended; router: in words, code: its exit code, name: of its log."""
+    return EngineError(f"{router} has ended: {how_ended(code)}; see logs/{name}.log")

@@ -65,6 +65,7 @@ log = logging.getLogger("mast")
 
 def main() -> None:
     """The console script; ends the process, with the exit code of what went wrong."""
+    os.umask(0o077)  # nobody but the launcher gets what a node writes here
     faulthandler.enable()
     parser = argparse.ArgumentParser(prog="mast-node", description="A node of a run, or its router, on this host.")
     parser.add_argument("--run", required=True, help="id of the run: all keys begin with mast/RUN/")

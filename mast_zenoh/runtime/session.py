@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import socket
 import stat
@@ -17,6 +18,8 @@ from mast_zenoh.errors import CredentialsError
 from mast_zenoh.security import explain
 from mast_zenoh.security.credentials import UNREACHED, Credentials
 from mast_zenoh.security.levels import client_settings
+
+log = logging.getLogger("mast")
 
 _WAIT_BEFORE_DROP = "transport/link/tx/queue/congestion_control/drop/wait_before_drop"
 
@@ -102,9 +105,10 @@ def _end_silent_links(locators: Sequence[str]) -> None:
 
 
 def open_client(endpoint: str, credentials: Credentials | None = None, *, try_ms: int | None = None) -> zenoh.Session:
-    """A client of the router at `endpoint`; it retries until the router is there.
+    """A client of the router at `endpoint`; it retries until the router is there and answers.
 
-    With credentials it raises CredentialsError, which says why, when they are refused, or the router's are.
+    With credentials it raises CredentialsError, which says why, when they are refused, or the router's are. What only
+    time can help is logged: no router yet, or one that answers nothing, as it does while others flood it.
 
     try_ms: try once, for so long, and raise zenoh.ZError
     """
@@ -115,10 +119,15 @@ def open_client(endpoint: str, credentials: Credentials | None = None, *, try_ms
     if credentials is None:
         return open_session(settings)
     settings |= client_settings(credentials) | {"connect/timeout_ms": _ASK_WHY_MS}
+    logged = ""
     while True:
         try:
             return open_session(settings)
         except zenoh.ZError:
             reasons = explain(credentials, endpoint)
+        why = "; ".join(reasons) or f"{endpoint}: no connection within {_ASK_WHY_MS / 1000:g} s, and no reason for it"
         if any(UNREACHED not in reason for reason in reasons):
-            raise CredentialsError("; ".join(reasons))
+            raise CredentialsError(why)
+        if why != logged:
+            log.warning("%s; trying again", why)
+            logged = why

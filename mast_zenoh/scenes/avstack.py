@@ -40,6 +40,7 @@ class AVstackScene(Scene):
     n_mobile:         how many of the mobile agents besides the ego, the first ones; None: all
     replay:           take the detections in `detections.jsonl`, if there is one; else they are made by `detector`
     detector:         what makes detections of what the lidars see
+    max_unpacked_mb:  limit for what is unpacked of an archive, 10^6 bytes
 
     The first mobile agent is "ego", further ones are "mobile_k", static ones "infra_k", k being their number in the
     files. An object's lidar returns come from `visibility.jsonl`; else the objects in a lidar's object files are seen,
@@ -55,12 +56,16 @@ class AVstackScene(Scene):
         n_mobile: int | None = None,
         replay: bool = True,
         detector: Detector = _DETECTOR,
+        max_unpacked_mb: float = 1000.0,
     ) -> None:
+        if not isinstance(max_unpacked_mb, (int, float)) or not 0 < max_unpacked_mb < float("inf"):
+            raise ConfigurationError(f"{path}: max_unpacked_mb is {max_unpacked_mb!r}, expected a number above 0")
         self.path = Path(path)
         self.n_infrastructure = n_infrastructure
         self.n_mobile = n_mobile
         self.replay = replay
         self.detector = detector
+        self.max_unpacked_mb = max_unpacked_mb
 
     def inputs(self) -> Sequence[Path]:
         """The archive or the folder."""
@@ -68,7 +73,7 @@ class AVstackScene(Scene):
 
     def record(self, seed: int, frames: int | None) -> Recording:
         """See `Scene.record`."""
-        with opened(self.path) as layout:
+        with opened(self.path, self.max_unpacked_mb) as layout:
             return self._record(layout, seed, frames)
 
     def _record(self, layout: Layout, seed: int, frames: int | None) -> Recording:

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import tarfile
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from mast_zenoh.errors import SceneError
+from mast_zenoh.scenes.archive import unpack
 
 _DEPTH = 3  # folders down from the given one in which a run is looked for
 
@@ -77,11 +77,12 @@ class Layout:
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[Layout]:
+def opened(path: Path, max_unpacked_mb: float) -> Iterator[Layout]:
     """The layout at `path`: a run folder, a folder above a single run, or a tar archive of either.
 
     An archive is unpacked into a temporary folder, never outside it, without the images and point clouds, and is gone
-    when the context ends. Raises SceneError when there is no run or more than one.
+    when the context ends. Raises SceneError when there is no run or more than one, or more to unpack than
+    `max_unpacked_mb` (10^6 bytes).
     """
     if path.is_dir():
         yield find(path)
@@ -89,13 +90,7 @@ def opened(path: Path) -> Iterator[Layout]:
     if not path.is_file():
         raise SceneError(f"{path}: no such file or folder")
     with tempfile.TemporaryDirectory(prefix="mast-scene-") as folder:
-        try:
-            with tarfile.open(path) as archive:
-                for member in archive:
-                    if member.name.endswith((".txt", ".json", ".jsonl")):
-                        archive.extract(member, folder, filter="data")
-        except (tarfile.TarError, EOFError, OSError, ValueError) as error:
-            raise SceneError(f"{path}: cannot be unpacked: {error}") from error
+        unpack(path, Path(folder), (".txt", ".json", ".jsonl"), int(max_unpacked_mb * 1e6))
         # Messages are to name the archive, not a folder that is gone when they are read.
         try:
             yield find(Path(folder))

@@ -182,6 +182,9 @@ class Recording:
         """Read what `save` wrote. Raises SceneError when the file is missing, broken or of another format."""
         try:
             with np.load(path, allow_pickle=False) as file:
+                unpacked, size = sum(member.file_size for member in file.zip.infolist()), path.stat().st_size
+                if unpacked > size:  # `save` compresses nothing
+                    raise ValueError(f"unpacks to {unpacked} bytes, more than its own {size}")
                 arrays = {name: file[name] for name in file.files}
             for array in arrays.values():
                 array.setflags(write=False)  # what is sent of it needs no protection of its own
@@ -198,7 +201,7 @@ class Recording:
                 buildings=tuple(np.split(arrays["building_corners"], start[1:-1])) if len(start) > 1 else (),
                 **{name: arrays[name] for name in _ARRAYS},
             )
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        except (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, zipfile.BadZipFile) as error:
             raise SceneError(f"{path}: not a prepared scene: {error}") from error
         recording.validate()
         return recording

@@ -22,6 +22,9 @@ from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, KEY, UNREACH
 _CONNECT_S = 2.0
 _VERDICT_S = 0.5
 
+#: Zenoh's router pauses for 0.1 s after each broken handshake, and lets others wait meanwhile (zenoh#2685).
+_BUSY = "it is busy or does not speak TLS"
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -36,7 +39,11 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Router:
-    """What was seen of the router. silent: why it could not be reached; verdict: its alert about us, OpenSSL's word."""
+    """What was seen of the router.
+
+    silent:  why it could not be reached, or not asked: time may help; plain: what it says is not TLS
+    verdict: its alert about us, in OpenSSL's words
+    """
 
     silent: str = ""
     plain: bool = False
@@ -214,7 +221,11 @@ def _router(host: str, port: int, credentials: Credentials | None, authority: x5
                 link.recv(1)  # in TLS 1.3 the server's refusal comes after the handshake
         except TimeoutError:
             if theirs is None:
-                return Router(plain=True)
+                found = f"it has accepted a connection, but no TLS handshake within {_CONNECT_S:g} s"
+                return Router(silent=f"{found}: {_BUSY}")
+        except ssl.SSLEOFError:
+            if theirs is None:
+                return Router(silent=f"it has closed the connection during the TLS handshake: {_BUSY}")
         except ssl.SSLError as error:
             verdict = error.reason or str(error)
             if theirs is None and "ALERT" not in verdict:

@@ -134,6 +134,25 @@ def test_a_file_is_run_once_so_that_its_classes_stay_the_same(tmp_path: Path, mo
     assert loading.module(file).Mine is loading.module(Path("mine.py")).Mine
 
 
+@pytest.mark.parametrize("imported", ["time", "sys", "itertools", "xml", "namespace_without_a_file"])
+def test_a_module_without_a_file_may_be_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, imported: str
+) -> None:
+    """Built-in modules have no `__file__`, that of a namespace package is None."""
+    (tmp_path / "mine" / "namespace_without_a_file").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "mine")
+    loaded = loading.module(write(tmp_path / "mine", "scenario.py", f"import {imported}\n"))
+    assert not loading.defines_algorithms(loaded)
+
+
+def test_an_algorithm_in_a_file_beside_it_is_recognised_among_modules_without_a_file(tmp_path: Path) -> None:
+    text = "from mast_zenoh.scenes.base import Scene\n\nclass Mine(Scene):\n    pass\n"
+    write(tmp_path, "my_scene_beside.py", text)
+    assert loading.defines_algorithms(
+        loading.module(write(tmp_path, "scenario.py", "import sys, time\nimport my_scene_beside\n"))
+    )
+
+
 # -- nodes ---------------------------------------------------------------------------------------------------------
 
 

@@ -68,12 +68,11 @@ def serve() -> Iterator[Callable[..., Path]]:
     """Starts supervisors, in short folders: a socket's path may not be long."""
     top = Path(tempfile.mkdtemp(prefix="mast_w"))
 
-    def start(patience_s: float = 600.0) -> Path:
+    def start(patience_s: float = 600.0, umask: int = -1) -> Path:
         folder = top / "runs" / "r" / "h"
         (top / "runs").mkdir()
-        subprocess.run(
-            [sys.executable, "-m", "mast_zenoh.deploy.ssh.warden", str(folder), str(patience_s)], check=True, timeout=60
-        )
+        command = [sys.executable, "-m", "mast_zenoh.deploy.ssh.warden", str(folder), str(patience_s)]
+        subprocess.run(command, check=True, timeout=60, umask=umask)
         return folder
 
     yield start
@@ -126,6 +125,19 @@ def test_a_command_that_is_told_again_is_not_done_again(serve) -> None:
     assert gone(pid)
     assert not folder.parent.exists(), "nothing is left but what other runs may need"
     assert folder.parent.parent.exists()
+
+
+def test_whatever_a_host_has_of_a_run_is_for_its_user_alone_whatever_the_umask(serve) -> None:
+    folder = serve(umask=0)
+    attached = Attached(folder)
+    program = "import pathlib, sys; pathlib.Path('written').touch(); sys.exit(0)"
+    started(attached, "ego", sys.executable, "-c", program)
+    attached.wait(lambda said: said.get("node") == "ego" and said["exit"] == 0)
+    found = {path: path.stat().st_mode & 0o777 for path in (folder.parent, folder, *folder.rglob("*"))}
+    assert {"control", "logs", "ego.log", "@warden.log", "written"} <= {path.name for path in found}
+    assert {str(path): oct(mode) for path, mode in found.items() if mode & 0o077} == {}
+    attached.do("leave", "leave", grace_s=10.0)
+    assert attached.ended()
 
 
 def test_nodes_have_their_environment_and_a_folder_and_end_with_the_code_that_is_told(serve) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -13,7 +14,7 @@ from launched import eventually
 from mast_zenoh.errors import CredentialsError
 from mast_zenoh.runtime import session as sessions
 from mast_zenoh.runtime.session import open_client, open_router
-from mast_zenoh.security import explain
+from mast_zenoh.security import diagnosis, explain
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.credentials import ROUTER, Credentials
 from mast_zenoh.security.deployment import Deployment
@@ -96,7 +97,28 @@ def test_who_has_credentials_is_never_led_onto_a_link_in_the_clear() -> None:
     with router:
         credentials = Authority("r").issue("a")
         assert "not encrypted" in refused(endpoint, credentials)
-        assert "does not speak TLS" in refused(endpoint.replace("tcp", "tls"), credentials)
+        with pytest.raises(zenoh.ZError):
+            open_client(endpoint.replace("tcp", "tls"), credentials, try_ms=500)
+        assert "is busy or does not speak TLS" in "".join(explain(credentials, endpoint.replace("tcp", "tls")))
+
+
+@pytest.mark.parametrize("sent", [b"GET / HTTP/1.0\r\n\r\n", bytes.fromhex("1603010200010001fc0303"), b""])
+def test_a_client_gets_in_though_others_open_connections_with_rubbish(
+    sent: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The router turns to each for a moment: for longer than a client waits before it asks why it does not get in."""
+    monkeypatch.setattr(diagnosis, "_CONNECT_S", 0.2)
+    with meshed("acl") as (deployment, endpoint), ExitStack() as stack:
+        host, _, port = endpoint.partition("/")[2].rpartition(":")
+        for _ in range(30):
+            stack.enter_context(socket.create_connection((host, int(port)))).sendall(sent)
+        with open_client(endpoint, own(deployment)) as session:
+            assert list(session.info.routers_zid())
+        assert bool(caplog.records) == sent.startswith(b"GET"), "a handshake that is only slow holds up nobody"
+        if caplog.records:
+            first = caplog.records[0].message
+            assert "cannot be reached: it has accepted a connection, but no TLS handshake within 0.2 s" in first
+            assert first.endswith("it is busy or does not speak TLS; trying again")
 
 
 def test_a_router_that_is_not_there_yet_is_no_fault_of_the_credentials() -> None:

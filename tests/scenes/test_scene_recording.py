@@ -1,5 +1,7 @@
 """A prepared scene: slices, files, and what it refuses."""
 
+import tracemalloc
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -76,3 +78,37 @@ def test_an_unsound_recording_is_refused_with_the_reason(recording: Recording, c
 def test_two_rows_of_one_object_in_a_frame_are_refused(recording: Recording) -> None:
     with pytest.raises(SceneError, match="frame 0 has two truth rows of one id"):
         replace(recording, truth=recording.truth.with_(id=np.array([7, 7, 7]))).validate()
+
+
+def test_a_prepared_scene_that_unpacks_to_more_than_its_own_size_is_refused_unread(
+    recording: Recording, tmp_path: Path
+) -> None:
+    recording.save(tmp_path / "sound.npz")
+    with np.load(tmp_path / "sound.npz") as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez_compressed(tmp_path / "scene.npz", **arrays | {"points": np.zeros((40_000, 1000), np.int32)})
+    tracemalloc.start()
+    try:
+        with pytest.raises(SceneError, match=r"scene\.npz: not a prepared scene: unpacks to \d+ bytes, more than its"):
+            Recording.load(tmp_path / "scene.npz")
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_prepared_scene_that_claims_more_rows_than_memory_holds_is_refused(
+    recording: Recording, tmp_path: Path
+) -> None:
+    recording.save(tmp_path / "scene.npz")
+    content = (tmp_path / "scene.npz").read_bytes()
+    shape = b"'shape': (2,), }"
+    assert shape in content
+    many = b"'shape': (%d,), }" % 10**15
+    with zipfile.ZipFile(tmp_path / "scene.npz") as sound, zipfile.ZipFile(tmp_path / "huge.npz", "w") as huge:
+        for info in sound.infolist():
+            array = sound.read(info)
+            if shape in array:
+                array = array.replace(shape + b" " * (len(many) - len(shape)), many)
+            huge.writestr(info.filename, array)
+    with pytest.raises(SceneError, match=r"huge\.npz: not a prepared scene"):
+        Recording.load(tmp_path / "huge.npz")

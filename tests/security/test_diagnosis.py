@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
-from mast_zenoh.security import explain
+from mast_zenoh.security import diagnosis, explain
 from mast_zenoh.security.authority import Authority
-from mast_zenoh.security.credentials import Credentials
+from mast_zenoh.security.credentials import UNREACHED, Credentials
 from mast_zenoh.security.diagnosis import Certificate, Facts, Router, reasons
 
 NOW = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
@@ -77,3 +81,53 @@ def test_what_is_wrong_with_files_is_seen(tmp_path: Path) -> None:
     folder = good.write(tmp_path / "wide")
     (folder / "key.pem").chmod(0o640)
     assert "mode 0640" in "".join(explain(folder))
+
+
+@pytest.fixture
+def port(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., str]]:
+    """Starts a server that answers whoever connects with some bytes, and closes the connection or keeps it."""
+    monkeypatch.setattr(diagnosis, "_CONNECT_S", 0.3)
+    with ExitStack() as stack:
+
+        def serve(answer: bytes = b"", closes: bool = False) -> str:
+            server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+
+            def accept() -> None:
+                with suppress(OSError):
+                    link = stack.enter_context(server.accept()[0])
+                    link.recv(4096)  # or it would be reset
+                    link.sendall(answer)
+                    if closes:
+                        link.close()
+
+            thread = threading.Thread(target=accept)
+            thread.start()
+            stack.callback(thread.join)
+            return f"tls/127.0.0.1:{server.getsockname()[1]}"
+
+        yield serve
+
+
+def test_a_router_that_does_not_answer_a_handshake_may_be_busy_and_is_worth_another_try(
+    port: Callable[..., str],
+) -> None:
+    (reason,) = explain(Authority("r").issue("a"), port())
+    assert UNREACHED in reason
+    assert "accepted a connection, but no TLS handshake within 0.3 s: it is busy or does not speak TLS" in reason
+
+
+def test_a_router_that_ends_the_connection_in_the_handshake_is_worth_another_try(port: Callable[..., str]) -> None:
+    (reason,) = explain(Authority("r").issue("a"), port(closes=True))
+    assert UNREACHED in reason
+    assert "closed the connection during the TLS handshake: it is busy or does not speak TLS" in reason
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.0 400 Bad Request\r\n\r\n", b"\x05\x00\x41\x42\x43\x44\x45", bytes(64)])
+def test_a_router_that_answers_something_else_does_not_speak_tls(port: Callable[..., str], answer: bytes) -> None:
+    assert explain(Authority("r").issue("a"), port(answer)) == ["the router at 127.0.0.1 does not speak TLS"]
+
+
+def test_an_alert_in_the_handshake_is_the_routers_word_about_us(port: Callable[..., str]) -> None:
+    alert = bytes([21, 3, 3, 0, 2, 2, 48])  # fatal, unknown_ca
+    (reason,) = explain(Authority("r").issue("a"), port(alert))
+    assert "refuses us: another authority has issued ours" in reason

@@ -11,7 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.deploy.compose.document import ROUTER
 from mast_zenoh.deploy.docker import docker
+from mast_zenoh.deploy.joining import router_ended
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import NodeSpec
@@ -34,9 +36,8 @@ class Container(Child):
 
     @property
     def exit(self) -> int | None:
-        """See Child. What a signal has ended says 128 and its number."""
-        code = self.code
-        return code if code is None or code <= 128 else 128 - code
+        """See Child."""
+        return None if self.code is None else _signed(self.code)
 
     def where(self) -> dict[str, Any]:
         """See Child."""
@@ -47,11 +48,13 @@ class Containers(Supervisor[Container]):
     """A context: entered, it knows of every container that ends.
 
     label: `KEY=VALUE` that all containers of the run have; container: a node's container's name
-    logs:  folder for what the nodes say
+    logs:  folder for what the nodes say; router: the name of the router's container
     """
 
-    def __init__(self, label: str, container: Callable[[str], str], logs: Path) -> None:
+    def __init__(self, label: str, container: Callable[[str], str], logs: Path, router: str) -> None:
         super().__init__()
+        self._router = router
+        self._router_code: int | None = None
         self._container = container
         self._logs = logs
         self._by_container: dict[str, Container] = {}
@@ -148,6 +151,12 @@ class Containers(Supervisor[Container]):
         """See Supervisor."""
         return child.ended_now.wait(seconds)
 
+    def running(self) -> list[Container]:
+        """See Supervisor. Raises EngineError when the router has ended: nodes that leave for that are not to blame."""
+        if self._router_code is not None:
+            raise router_ended("the router", _signed(self._router_code), ROUTER)
+        return super().running()
+
     def newly_ended(self) -> list[Container]:
         """See Supervisor; what they have said last is in their logs."""
         ended = super().newly_ended()
@@ -161,10 +170,10 @@ class Containers(Supervisor[Container]):
 
     def end(self, grace_s: float) -> None:
         """End all: those that stand still or are cut off go on; SIGTERM, wait, SIGKILL."""
-        self.resume(self.running())
-        self.connect(self.running())
+        self.resume(super().running())
+        self.connect(super().running())
         for word in ("TERM", "KILL"):
-            running = self.running()
+            running = super().running()
             if not running:
                 break
             for child in running:
@@ -175,6 +184,8 @@ class Containers(Supervisor[Container]):
                 child.ended_now.wait(max(0.0, deadline - time.monotonic()))
 
     def _died(self, container: str, code: int) -> None:
+        if container == self._router:
+            self._router_code = code
         child = self._by_container.get(container)
         if child is not None and child.code is None:
             child.code = code
@@ -189,6 +200,11 @@ class Containers(Supervisor[Container]):
         except subprocess.TimeoutExpired:
             log.kill()
             log.wait()
+
+
+def _signed(code: int) -> int:
+    """Docker's exit code as Python has it: what a signal has ended says 128 and its number."""
+    return code if code <= 128 else 128 - code
 
 
 def connected_as(how: Mapping[str, Any]) -> list[str]:

@@ -76,10 +76,10 @@ class Compose(Engine):
         (folder / document.FILE).write_text(content, encoding="utf-8")
         project = [*command(), "--project-name", document.project(run), "--file", str(folder / document.FILE)]
         engine.run([*project, "up", "--no-start"], timeout=_MAKE_S)
-        supervisor = stack.enter_context(
-            Containers(f"{document.LABEL}={run}", lambda name: document.container(run, name), folder / "logs")
-        )
         router = document.container(run, document.ROUTER)
+        supervisor = stack.enter_context(
+            Containers(f"{document.LABEL}={run}", lambda name: document.container(run, name), folder / "logs", router)
+        )
         # By Compose itself: 1.29 connects a container with its further networks when it starts it.
         engine.run([*project, "up", "--detach", "--no-deps", document.ROUTER], timeout=_MAKE_S)
         stack.callback(_keep_log, router, folder / "logs" / f"{document.ROUTER}.log")

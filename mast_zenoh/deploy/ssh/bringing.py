@@ -23,7 +23,7 @@ from mast_zenoh.deploy.ssh.attachment import Attachment, attaching
 from mast_zenoh.deploy.ssh.connection import Loop, connected, make_folder, together, write_file
 from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, Host
 from mast_zenoh.deploy.ssh.installation import Cargo, Installed
-from mast_zenoh.deploy.ssh.nodes import RemoteNodes
+from mast_zenoh.deploy.ssh.nodes import RemoteNodes, exit_of
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.launching import Launch
@@ -65,6 +65,7 @@ class Bringing:
         self.installed: dict[str, Installed] = {}
         self.reached_from: dict[str, str] = {}  # our address, as each host sees it
         self.endpoints: dict[str, str] = {}
+        self.router: tuple[Attachment, str] | None = None  # see RemoteNodes
 
     def bring(self) -> tuple[zenoh.Session, Supervisor[Any]]:
         """The launcher's session, and who starts the nodes."""
@@ -82,9 +83,8 @@ class Bringing:
         if self.launch.deployment is not None:
             self.launch.deployment.close()  # they are where they are needed
         self._on_all(self._reach_router)
-        return session, RemoteNodes(
-            self.attachments, self.placed, self._command, self.launch.folder / "logs", self.changed
-        )
+        logs = self.launch.folder / "logs"
+        return session, RemoteNodes(self.attachments, self.placed, self._command, logs, self.changed, self.router)
 
     def _on_all(self, do: Callable[[Host, asyncssh.SSHClientConnection], Any], *, whole: bool = False) -> None:
         async def on(host: Host) -> None:
@@ -227,10 +227,10 @@ class Bringing:
 
             self._on_all(settle)
         start = attachment.tell("start", name=ROUTER, argv=argv, env=self._environment(host.name))
+        self.router = attachment, start
 
         def ended() -> bool:
-            found = attachment.state(ROUTER, start)
-            return found is not None and found["exit"] is not None
+            return exit_of(attachment, ROUTER, start) is not None
 
         log = self.launch.folder / "logs" / f"{ROUTER}.log"
         self._until(lambda: ended() or (log.is_file() and b"router at" in log.read_bytes()), _ROUTER_S, lambda: "")

@@ -101,7 +101,7 @@ async def _bring(ssh: asyncssh.SSHClientConnection, host: Host, wheels: list[Pat
     new = f"{target}.{secrets.token_hex(4)}"
     try:
         async with ssh.start_sftp_client() as sftp:
-            await sftp.mkdir(new)
+            await connection.make_folder(sftp, new)  # or its wheels could be exchanged
             await sftp.put([str(each) for each in wheels], new)
         await connection.ask(ssh, host, "unpack", new, target, "1" if venv else "0")
     except (asyncssh.Error, OSError) as error:

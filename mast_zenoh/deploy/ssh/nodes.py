@@ -9,10 +9,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.deploy.joining import router_ended
 from mast_zenoh.deploy.ssh.attachment import Attachment
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import NodeSpec
+from mast_zenoh.security.credentials import ROUTER
 
 #: From a command to its answer: a lost connection must have come back by then.
 _ANSWER_S = 30.0
@@ -32,11 +34,7 @@ class RemoteNode(Child):
     @property
     def exit(self) -> int | None:
         """See Child. Whose host has lost its supervisor has ended with it."""
-        found = self.attachment.state(self.name, self.start)
-        if found is not None and found["exit"] is not None:
-            code: int = found["exit"]
-            return code
-        return -int(signal.SIGKILL) if self.attachment.gone else None
+        return exit_of(self.attachment, self.name, self.start)
 
     def where(self) -> dict[str, Any]:
         """See Child."""
@@ -50,6 +48,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
     attachments: by host; placed: the host of each node; a node that comes later goes to the first
     command: of a node, as its host runs it: words, and environment
     logs: folder for what they say; changed: notified by the attachments
+    router: its host, and id of the command that has started it; None: it is not on any host
     """
 
     def __init__(
@@ -59,8 +58,10 @@ class RemoteNodes(Supervisor[RemoteNode]):
         command: Callable[[str, str], tuple[Sequence[str], dict[str, str]]],
         logs: Path,
         changed: threading.Condition,
+        router: tuple[Attachment, str] | None = None,
     ) -> None:
         super().__init__()
+        self._router = router
         self._logs = logs
         self._attachments = attachments
         self._placed = placed
@@ -107,17 +108,26 @@ class RemoteNodes(Supervisor[RemoteNode]):
     def let_go(self, child: RemoteNode) -> None:
         """See Supervisor. Its host keeps nothing of it but its log."""
 
+    def running(self) -> list[RemoteNode]:
+        """See Supervisor. Raises EngineError when the router has ended: nodes that leave for that are not to blame."""
+        if self._router is not None:
+            attachment, start = self._router
+            code = exit_of(attachment, ROUTER, start)
+            if code is not None:
+                raise router_ended(f"the router on {attachment.host.called}", code, ROUTER)
+        return super().running()
+
     def end(self, grace_s: float) -> None:
         """See Supervisor. What a host that is out of reach still runs ends by itself, and is noted."""
         asked = {}
-        for child in self.running():
+        for child in super().running():
             child.notes.append("told to leave by SIGTERM")
             if child.attachment not in asked:
                 asked[child.attachment] = child.attachment.tell("end", grace_s=max(grace_s, _GRACE_S))
         deadline = time.monotonic() + max(grace_s, _GRACE_S) * 2
         for attachment, which in asked.items():
             attachment.answer(which, max(0.0, deadline - time.monotonic()))
-        for child in self.running():
+        for child in super().running():
             child.notes.append(f"{child.attachment.host.called} is out of reach")
 
     def _signal(self, children: Iterable[RemoteNode], number: int) -> None:
@@ -129,3 +139,12 @@ class RemoteNodes(Supervisor[RemoteNode]):
         for attachment, which in asked.items():
             if attachment.answer(which, _ANSWER_S) is None and not attachment.gone:
                 raise EngineError(f"{attachment.host.called}: has not answered within {_ANSWER_S:.0f} s")
+
+
+def exit_of(attachment: Attachment, name: str, start: str) -> int | None:
+    """Exit code of a process on a host; a host that has lost its supervisor has lost its processes too."""
+    state = attachment.state(name, start)
+    if state is not None and state["exit"] is not None:
+        code: int = state["exit"]
+        return code
+    return -int(signal.SIGKILL) if attachment.gone else None

@@ -143,5 +143,6 @@ def _now(folder: str) -> float:
 
 
 if __name__ == "__main__":
+    os.umask(os.umask(0o022) | 0o022)
     programs: dict[str, Any] = {each.__name__: each for each in (probe, unpack, verify, reach, remove)}
     print(json.dumps(programs[sys.argv[1]](*sys.argv[2:])))

@@ -315,6 +315,7 @@ def _die_with_parent() -> None:
 
 def serve(folder: Path, patience_s: float) -> None:
     """Make the folder, listen, and go on in the background."""
+    os.umask(0o077)  # its nodes inherit it
     folder.parent.mkdir(mode=0o700, exist_ok=True)
     folder.mkdir(mode=0o700)
     (folder / "logs").mkdir()

@@ -1,0 +1,94 @@
+"""What is installed is decided in pyproject.toml, and to the byte in lock files, for every Python that is supported."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.markers import default_environment
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PYTHONS = ("3.11", "3.12", "3.13")
+LOCKS = {
+    "requirements-dev.txt": [
+        *PROJECT["project"]["dependencies"],
+        *PROJECT["project"]["optional-dependencies"]["dev"],
+        *PROJECT["build-system"]["requires"],
+    ],
+    "requirements-tools.txt": PROJECT["dependency-groups"]["tools"],
+}
+
+#: Their major versions follow the calendar (or, setuptools, every removal): a bound would only keep out fixes.
+UNBOUNDED = {"cryptography", "rich", "pyarrow", "pillow", "dask", "setuptools"}
+
+
+def locked(name: str) -> list[Requirement]:
+    """The entries of a lock file."""
+    lines = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
+    return [Requirement(line.partition(" --hash")[0]) for line in lines if line and not line.lstrip().startswith("#")]
+
+
+def pins(name: str, python: str) -> dict[str, str]:
+    """Version by package that a lock file has for a version of Python on Linux; fails when it has two."""
+    here = {**default_environment(), "python_version": python, "python_full_version": f"{python}.0"}
+    found: dict[str, str] = {}
+    for entry in locked(name):
+        if entry.marker is None or entry.marker.evaluate(here):
+            package = canonicalize_name(entry.name)
+            assert package not in found, f"{package} is twice in {name} for Python {python}"
+            (specifier,) = entry.specifier
+            found[package] = specifier.version
+    return found
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_every_entry_of_a_lock_file_is_one_version_with_hashes(name: str) -> None:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    entries = [line for line in text.replace("\\\n", " ").splitlines() if line and not line.lstrip().startswith("#")]
+    assert len(entries) > 20
+    for entry in entries:
+        assert re.match(r"[\w.-]+==[^\s*;]+ ( *;[^#]*)?( *--hash=sha256:[0-9a-f]{64} *)+$", entry + " "), entry[:200]
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_a_lock_file_names_no_index_and_no_place(name: str) -> None:
+    for word in ("://", "--index", "--extra-index", "--find-links", "file:", " @ "):
+        assert word not in (ROOT / name).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("name", LOCKS)
+def test_the_lock_file_has_all_that_pyproject_asks_for(name: str, python: str) -> None:
+    found = pins(name, python)
+    for text in LOCKS[name]:
+        asked = Requirement(text)
+        version = found.get(canonicalize_name(asked.name))
+        assert version is not None, f"{asked.name} is not in {name}: run `make lock`"
+        assert asked.specifier.contains(version), (
+            f"{name} has {asked.name} {version}, expected {asked}: run `make lock`"
+        )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *PROJECT["build-system"]["requires"],
+        *PROJECT["project"]["dependencies"],
+        *(
+            text
+            for name, extra in PROJECT["project"]["optional-dependencies"].items()
+            if name != "dev"
+            for text in extra
+        ),
+    ],
+)
+def test_what_users_install_has_bounds_where_a_major_version_could_break_us(text: str) -> None:
+    asked = Requirement(text)
+    operators = {specifier.operator for specifier in asked.specifier}
+    assert ">=" in operators
+    assert ("<" in operators) != (asked.name in UNBOUNDED)

@@ -1,0 +1,81 @@
+"""What a deployment writes, here and on hosts, is nobody else's to change, and its secrets nobody else's to read."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mast_zenoh.deploy.compose import engine
+from mast_zenoh.deploy.image import USER
+from mast_zenoh.deploy.ssh import onhost
+from mast_zenoh.runtime import elsewhere
+from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+
+WIRING = Wiring((Wire("w", "", "clock", (Leg("w", Endpoint("a", "out"), (Endpoint("b", "in"),)),)),))
+
+
+@pytest.fixture(autouse=True, params=[0o000, 0o022, 0o077], ids="{:03o}".format)
+def umask(request: pytest.FixtureRequest) -> Iterator[int]:
+    before = os.umask(request.param)
+    yield request.param
+    os.umask(before)
+
+
+def modes(folder: Path) -> dict[str, int]:
+    paths = (folder, *folder.rglob("*"))
+    return {str(path.relative_to(folder)): stat.S_IMODE(path.lstat().st_mode) for path in paths}
+
+
+@pytest.mark.parametrize("level", ["tls", "mtls", "acl"])
+def test_credentials_of_containers_are_for_their_user_alone(tmp_path: Path, level: str) -> None:
+    folder = tmp_path / "credentials"
+    with Deployment(
+        level, "r", WIRING, ["a", "b"], prefix="mast/r", driver="a", hosts=["router"], folder=folder
+    ) as made:
+        engine._hand_over(folder, made.router, USER if not os.getuid() else f"{os.getuid()}:{os.getgid()}")
+        found = modes(folder)
+        assert {"a/ca.pem", "b", "router/router.json", "router"} <= found.keys()
+        assert ("a/key.pem" in found) == (level != "tls")
+        for path, mode in found.items():
+            assert mode == (0o600 if Path(path).suffix else 0o700), path
+        if not os.getuid():
+            owner = folder / "router" / "router.json"
+            assert f"{owner.stat().st_uid}:{owner.stat().st_gid}" == USER
+    assert not folder.exists()
+
+
+def on_host(home: Path, *words: str) -> dict:
+    command = [sys.executable, onhost.__file__, *words]
+    done = subprocess.run(
+        command, env={**os.environ, "HOME": str(home)}, capture_output=True, text=True, check=True, timeout=60
+    )
+    return json.loads(done.stdout)
+
+
+def test_what_is_installed_on_a_host_is_not_for_others_to_change(tmp_path: Path) -> None:
+    on_host(tmp_path, "probe", "mast", "e", "r")
+    new = tmp_path / "mast" / "releases" / "new"
+    new.mkdir(mode=0o700)
+    with zipfile.ZipFile(new / "some.whl", "w") as wheel:
+        wheel.writestr("package/module.py", "x = 1\n")
+    on_host(tmp_path, "unpack", str(new), str(tmp_path / "mast" / "releases" / "r"), "0")
+    found = modes(tmp_path / "mast")
+    assert "releases/r/package/module.py" in found
+    assert found["runs"] == 0o700
+    assert {path: oct(mode) for path, mode in found.items() if mode & 0o022} == {}
+
+
+def test_a_node_elsewhere_writes_for_nobody_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["mast-node", "--run", "r", "--name", "ego", "--endpoint", "tcp/127.0.0.1:1"])
+    monkeypatch.setattr(elsewhere, "_host", lambda arguments: (tmp_path / "written").touch())
+    elsewhere.main()
+    assert modes(tmp_path)["written"] == 0o600

@@ -1,0 +1,58 @@
+"""What a run writes is its user's alone to change, and its secrets are nobody else's to read, whatever the umask."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+from launched import MAST, Launched
+
+from mast_zenoh.launch.interception import SECRET_FILE
+
+pytestmark = pytest.mark.mesh
+LAX = ("sh", "-c", 'umask 000; exec "$@"', "sh", *MAST)
+SMALL = ("--set", "n_infrastructure=1", "--out")
+
+
+def modes(*folders: Path) -> dict[Path, int]:
+    """Permissions of all that is in some folders, and of the folders; not those of symbolic links, which have none."""
+    paths: Iterable[Path] = (path for folder in folders for path in (folder, *folder.rglob("*")))
+    return {path: stat.S_IMODE(path.stat().st_mode) for path in paths if not path.is_symlink()}
+
+
+def writable_by_others(found: dict[Path, int]) -> dict[str, str]:
+    return {str(path): oct(mode) for path, mode in found.items() if mode & 0o022}
+
+
+def test_a_run_a_report_and_the_cache_leave_nothing_that_others_may_change(
+    start: Callable[..., Launched], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    run = start(*LAX, "run", "baseline", "--frames", "12", *SMALL)
+    assert run.end()[0] == 0
+    found = modes(run.out, tmp_path / "cache")
+    names = {path.name for path in found}
+    assert {"run.json", "messages.mcap", "metrics.json", "report.html", "scene.npz", "broker.log", "scenes"} <= names
+    assert writable_by_others(found) == {}
+
+
+def test_keys_of_a_secure_run_are_nobody_elses_to_read(start: Callable[..., Launched], tmp_path: Path) -> None:
+    run = start(*LAX, "run", "baseline", "--secure", "--mode", "realtime", "--frames", "40", "--no-report", *SMALL)
+    run.started()
+    (keys,) = Path(os.environ["TMPDIR"]).glob("mast-keys-*")
+    during = modes(keys)
+    secret = stat.S_IMODE((run.out / SECRET_FILE).stat().st_mode)
+    code, output = run.end()
+    assert code == 0, output
+    files = {path: mode for path, mode in during.items() if path.suffix == ".pem"}
+    assert {path.name for path in files} == {"ca.pem", "certificate.pem", "key.pem"}
+    assert set(files.values()) == {0o600}
+    folders = {path: mode for path, mode in during.items() if path not in files}
+    assert {path.name for path in folders} > {"ego", "infra_1", "simulator", "broker", "command_center"}
+    assert set(folders.values()) == {0o700}
+    assert secret == 0o600
+    assert writable_by_others(modes(run.out)) == {}
+    assert not list(Path(os.environ["TMPDIR"]).glob("mast-keys-*")), "keys do not outlive their run"
