@@ -93,6 +93,7 @@ class MessageLog:
                 with suppress(OSError):
                     self._file.close()
                 self.path.unlink()
+                self._file = None
             what = f"{self.path}: cannot be made a recording: {error.strerror or error}"
             raise DiskFull(what) if is_disk_full(error) else RunFolderError(what) from None
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
-from endings_table import Ending, ending
+from endings_table import Ending, ending, table
 from launched import MAST
 
 from mast_zenoh.messagelog.reader import read
@@ -236,6 +236,20 @@ def test_a_path_that_the_locale_has_no_letters_for(tmp_path: Path, utf8: str) ->
     ended = Ended(tmp_path / "Ergebnis_ä", (*MAST, "run", str(file), *with_report()[2:]), env=ascii_only)
     ended.is_as(Ending("ok", 0))
     assert (ended.out / "report.html").is_file()
+
+
+def test_ten_runs_that_end_at_random_keep_the_promises_of_the_table() -> None:
+    tool = Path(__file__).parents[2] / "tools" / "endings.py"
+    command = [sys.executable, str(tool), "--runs", "10", "--seed", "12", "--runtime", "inproc"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_row_of_the_table_has_a_test() -> None:
+    tests = Path(__file__).read_text() + (Path(__file__).parents[1] / "mesh" / "test_endings.py").read_text()
+    rows = table()
+    assert len(rows) > 15
+    assert not [what for what in rows if f'"{what}"' not in tests]
 
 
 def test_a_study_that_is_stopped_says_so(tmp_path: Path) -> None:
