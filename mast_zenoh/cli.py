@@ -12,6 +12,7 @@ import typer
 
 from mast_zenoh import deploying, scenario
 from mast_zenoh.errors import Interrupted, MastError
+from mast_zenoh.launch import ending
 from mast_zenoh.options import (
     Against,
     AllowFailures,
@@ -29,6 +30,7 @@ from mast_zenoh.options import (
     check_run_folder,
     conclude,
     reference_folder,
+    reporting,
     show_notices,
 )
 from mast_zenoh.options import err as _err
@@ -143,10 +145,11 @@ def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
     from mast_zenoh.study import comparison
 
     ended = comparison.run(loaded, out, console=_out, **options)
-    from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
+    with reporting(ended.out):
+        from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
 
-    terminal.show(_out, ended.folders)
-    _out.print(f"report: {html.write_study_report(ended.out, ended.folders)}", highlight=False)
+        terminal.show(_out, ended.folders)
+        _out.print(f"report: {html.write_study_report(ended.out, ended.folders)}", highlight=False)
     for label, run_ in ended.runs.items():
         show_notices(run_, f"{label}: ")
     ended.raise_failures()
@@ -270,18 +273,29 @@ def report(
         _err.print(f"warning: {warning}", style="bold yellow", markup=False, highlight=False)
 
 
-def main() -> None:
-    """The console script: an error becomes one line and its own exit code (docs/exit_codes.md)."""
+def carry_out() -> int:
+    """Carry out the command; its exit code. An error becomes one line and its own code (docs/exit_codes.md)."""
     os.umask(os.umask(0o022) | 0o022)  # what a run writes is nobody else's to change; its nodes inherit it
     try:
         app()
-    except MastError as error:
-        _err.print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
-        _err.print(str(error), markup=False, highlight=False)
-        sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        sys.exit(Interrupted.exit_code)
+    except SystemExit as left:
+        if left.code == Interrupted.exit_code:  # Typer's, for a KeyboardInterrupt
+            return _show(Interrupted("stopped before anything was started, or left running"))
+        return left.code if isinstance(left.code, int) else int(left.code is not None)
+    except (Exception, KeyboardInterrupt) as caught:
+        error = ending.from_exception(caught)
+        if error is None:
+            raise
+        return _show(error)
+    return 0
 
 
-if __name__ == "__main__":
-    main()
+def _show(error: MastError) -> int:
+    _err.print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
+    _err.print(str(error), markup=False, highlight=False)
+    return error.exit_code
+
+
+def main() -> None:
+    """Carry out the command, and exit with its code."""
+    sys.exit(carry_out())

@@ -78,7 +78,9 @@ def status(run_folder: RunFolder) -> None:
     table = Table("node", "state", "where", box=None)
     for row in kind.status(run_folder, record):
         table.add_row(row["node"], row["state"], row["where"])
-    _out.print(f"{record['id']}: {record['status']}", highlight=False)
+    from mast_zenoh.launch import liveness
+
+    _out.print(f"{record['id']}: {liveness.seen_now(record)['status']}", highlight=False)
     _out.print(table)
 
 

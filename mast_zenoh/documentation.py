@@ -63,7 +63,12 @@ def exit_codes_page() -> str:
     rows = [(error.exit_code, f"`{error.__name__}`", _first_line(error)) for error in error_types()]
     rows += [(0, "", "Success"), (2, "", "Usage error")]
     lines += [f"| {code} | {name} | {meaning} |" for code, name, meaning in sorted(rows)]
-    return "\n".join([*lines, "", "`mast diff`: 0 two runs are equal, 1 they differ, 2 they cannot be compared.", ""])
+    return "\n".join(
+        [*lines, "", "`mast diff`: 0 two runs are equal, 1 they differ, 2 they cannot be compared.", "", _ENDINGS, ""]
+    )
+
+
+_ENDINGS = "[endings.md](endings.md): for each way in which a run can end, the status in `run.json` and what is left."
 
 
 def error_types(base: type[errors.MastError] = errors.MastError) -> list[type[errors.MastError]]:

@@ -20,7 +20,7 @@
         ├── DiskFull             28   there is no room for what a run writes
         ├── VersionMismatch      29   a node elsewhere runs another version
         ├── HandlerFailed        30   a handler of a node raised an exception: the numbers may be wrong
-        └── Interrupted         130   Ctrl-C or SIGTERM
+        └── Interrupted         130   Ctrl-C, SIGTERM or SIGHUP
 
 A usage error on the command line exits with 2, as everywhere.
 """
@@ -28,6 +28,7 @@ A usage error on the command line exits with 2, as everywhere.
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable
 
 
@@ -152,9 +153,18 @@ class HandlerFailed(RunError):
 
 
 class Interrupted(RunError):
-    """The run was stopped by Ctrl-C or SIGTERM; what was recorded up to then is kept."""
+    """The run was stopped by Ctrl-C, SIGTERM or SIGHUP; what was recorded up to then is kept."""
 
     exit_code = 130
+
+
+#: No space, no quota left, and a file larger than the process may write.
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def is_disk_full(error: BaseException) -> bool:
+    """Whether an error of the operating system says that there is no room for what is written."""
+    return isinstance(error, OSError) and error.errno in _NO_ROOM
 
 
 def nearest(found: str, known: Iterable[str]) -> str:

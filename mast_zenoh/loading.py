@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +24,7 @@ def module(path: Path) -> ModuleType:
     path = path.resolve()
     # Dataclasses look their module up in sys.modules; there it has a name of its own, so that a user's file called
     # `types.py` stands in for no other module.
-    name = f"{path.stem.replace('.', '_')}_{hashlib.blake2b(str(path).encode(), digest_size=6).hexdigest()}"
+    name = f"{path.stem.replace('.', '_')}_{hashlib.blake2b(os.fsencode(path), digest_size=6).hexdigest()}"
     if name in sys.modules:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)

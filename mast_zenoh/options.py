@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,6 +13,7 @@ from rich.console import Console
 from typer.core import TyperCommand
 
 from mast_zenoh.errors import HandlerFailed, Interrupted, NotComparable, RunFolderError
+from mast_zenoh.launch import ending
 from mast_zenoh.runtime import failures
 from mast_zenoh.security import levels
 
@@ -64,6 +67,30 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
     A comparison that is not possible costs neither the results nor the run's own failure, which is raised first. A twin
     whose handlers failed counts as a failure of the run unless that is allowed.
     """
+    with reporting(ended.folder):
+        refusal, reference = _show(ended, report=report, against=against)
+    if ended.error:
+        if refusal:
+            err.print(f"warning: not compared: {refusal}", style="bold yellow", markup=False, highlight=False)
+        raise ended.error
+    if refusal:
+        raise refusal
+    if reference is not None and against == "twin" and not allow_failures:
+        _raise_failure(reference)
+
+
+@contextmanager
+def reporting(folder: Path, command: str = "report") -> Iterator[None]:
+    """What ends the drawing of a report costs the report: the error says so, and how to write it."""
+    again = f"the results in {folder} are complete but for the report: `mast {command} {folder}` writes it"
+    try:
+        yield
+    except (KeyboardInterrupt, OSError) as caught:
+        raise ending.explained(caught, again) from None
+
+
+def _show(ended: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
+    """Show the results of a run; why it could not be compared, and what it was compared with."""
     from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
     from mast_zenoh.report.runfolder import RunFolder
 
@@ -79,14 +106,7 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
     else:
         out.print(f"run folder: {ended.folder}", highlight=False)
     show_notices(ended)
-    if ended.error:
-        if refusal:
-            err.print(f"warning: not compared: {refusal}", style="bold yellow", markup=False, highlight=False)
-        raise ended.error
-    if refusal:
-        raise refusal
-    if reference is not None and against == "twin" and not allow_failures:
-        _raise_failure(reference)
+    return refusal, reference
 
 
 def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:

@@ -42,8 +42,12 @@ _spare_pandas()
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write a table as Parquet; a NaN is a missing value."""
-    parquet.write_table(to_arrow(columns), path)
+    """Write a table as Parquet, whole or not at all; a NaN is a missing value."""
+    try:
+        parquet.write_table(to_arrow(columns), path)
+    except BaseException:
+        path.unlink(missing_ok=True)  # one that is cut off cannot be read
+        raise
 
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:

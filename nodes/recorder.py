@@ -55,11 +55,13 @@ class Recorder(Node):
             self.log.add(overheard.key, payload, header, overheard.step)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """How many there were, and how many could not be written."""
+        """How many there were, how many could not be written, and why."""
         self.log.close()
+        recorded = {name: getattr(self.log, name) for name in ("messages", "malformed", "lost")}
         if self.log.problem:
             context.log.error("%s: %d messages are lost", self.log.problem, self.log.lost)
-        return {"recorded": {name: getattr(self.log, name) for name in ("messages", "malformed", "lost")}}
+            recorded |= {"problem": self.log.problem, "disk_full": self.log.disk_full}
+        return {"recorded": recorded}
 
 
 if __name__ == "__main__":

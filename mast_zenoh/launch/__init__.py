@@ -9,6 +9,7 @@ latency      what was measured on the wall clock
 reports      what its nodes report: failures of handlers, results
 conclusion   what is written at the end;  notices: what deserves attention
 folder       what the run leaves behind;  nodelogs: logs of nodes in this process
-display      what is shown meanwhile;  signals: Ctrl-C and SIGTERM
+display      what is shown meanwhile
+ending       how an ending becomes a status and an exit code;  liveness: whether a launcher lives
 network      the hosts of a run as network namespaces
 """

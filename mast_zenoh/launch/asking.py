@@ -21,6 +21,7 @@ from mast_zenoh import bundle, errors, keyexpr, loading
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, NotRunning, WiringError, nearest
 from mast_zenoh.interposition import Place, insert
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import liveness
 from mast_zenoh.launch.interception import SECRET_FILE, place_json, seal
 from mast_zenoh.node import Node
 from mast_zenoh.resolved import RECORDING, NodeSpec, Resolved, build_node
@@ -176,7 +177,7 @@ def _own_wires(cls: type[Node], name: str, resolved: Resolved) -> list[Wire]:
 
 def _running(run: Path) -> dict[str, Any]:
     """run.json of a run on a mesh that goes on."""
-    record: dict[str, Any] = run_folder.read_json(run / "run.json")
+    record: dict[str, Any] = liveness.seen_now(run_folder.read_json(run / "run.json"))
     if record.get("status") != "running":
         raise NotRunning(f"{run}: the run is over: {record.get('status')}")
     if record.get("runtime") != "mesh":

@@ -7,8 +7,10 @@ import math
 import os
 import platform
 import re
+import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -17,8 +19,11 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh import kernels
-from mast_zenoh.errors import RunFolderError
+from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.runtime.results import EVALUATOR
+
+#: Takes up room until the final run.json is written: a run that filled the disk can still say so.
+_RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
@@ -27,20 +32,40 @@ _EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens a
 def create(out: Path | None, name: str) -> Path:
     """A new, empty run folder: `out`, or one under runs/ named after the scenario and the time.
 
-    Raises RunFolderError when it holds something already, or cannot be made.
+    Raises RunFolderError when it holds something already, or cannot be made, and DiskFull.
     """
+    wanted = out or Path("runs") / f"{name}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}"
     try:
         if out is None:
-            out = _unused(Path("runs") / f"{name}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}")
+            out = _unused(wanted)
         out.mkdir(parents=True, exist_ok=True)
         occupied = any(out.iterdir())
     except OSError as error:
-        raise RunFolderError(f"{out}: cannot be made a run folder: {error.strerror or error}") from None
+        what = f"{wanted}: cannot be made a run folder: {error.strerror or error}"
+        raise DiskFull(what) if is_disk_full(error) else RunFolderError(what) from None
     if occupied:
         raise RunFolderError(f"{out}: is not empty; name a new folder with --out, or remove what is there")
     for part in ("logs", "figures"):
         (out / part).mkdir()
     return out.resolve()
+
+
+@contextmanager
+def begun(folder: Path) -> Iterator[None]:
+    """Reserve room in a new run folder for its final run.json; where the block raises, the folder is emptied again."""
+    try:
+        (folder / _RESERVE).write_bytes(os.urandom(_RESERVE_BYTES))  # no file system can store it in less
+        yield
+    except BaseException:
+        for path in folder.iterdir():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        raise
+
+
+def finish(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write the final run.json; on a full disk, in the room that was reserved for it."""
+    (folder / _RESERVE).unlink(missing_ok=True)
+    write_json(folder / "run.json", record)
 
 
 def _unused(path: Path) -> Path:
@@ -57,11 +82,15 @@ def _unused(path: Path) -> Path:
 def write_json(path: Path, content: Any) -> None:
     """Write a JSON file so that whoever reads it finds the old one or the new one, whole."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        json.dump(content, file, indent=2, allow_nan=False)
-        file.write("\n")
-    os.chmod(name, 0o644)
-    os.replace(name, path)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            json.dump(content, file, indent=2, allow_nan=False)
+            file.write("\n")
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise
 
 
 def read_json(path: Path) -> Any:

@@ -15,14 +15,13 @@ from rich.markup import escape
 
 from mast_zenoh.errors import (
     BackendError,
-    Interrupted,
     NodeDied,
     RunError,
     StallError,
     StartError,
     VersionMismatch,
 )
-from mast_zenoh.launch import conclusion, latency
+from mast_zenoh.launch import conclusion, ending, latency
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.depot import Depot
 from mast_zenoh.launch.display import Display
@@ -31,7 +30,6 @@ from mast_zenoh.launch.interception import Interceptions
 from mast_zenoh.launch.network.hosts import Hosts
 from mast_zenoh.launch.processes import Processes
 from mast_zenoh.launch.reports import Report, Reports
-from mast_zenoh.launch.signals import stop_signals
 from mast_zenoh.launch.steps import Steps
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import Resolved
@@ -85,7 +83,6 @@ class Launch:
             session.put(f"{prefix(self.record['id'])}/@control/leave/{name}", "leave")
 
         with ExitStack() as stack:
-            self.signals = stack.enter_context(stop_signals())
             session, supervisor = self._join(stack)
             self.session = session
             self.reports = Reports(session, f"{prefix(self.record['id'])}/@control", supervisor.children)
@@ -198,7 +195,7 @@ class Launch:
                 self._ended(child, steps)
             if len(self.signals) > interrupted:
                 interrupted = len(self.signals)
-                self.problem = Interrupted("stopped by Ctrl-C or SIGTERM")
+                self.problem = ending.from_signals(self.signals)
                 self._stop("interrupted")
             if self.hosts is not None:
                 self._mind(self.hosts)
@@ -282,7 +279,7 @@ class Launch:
         (line,) = failures.lines({report.node: [report.failure]}, {report.node: f"logs/{report.node}.log"})
         self.display.say(f"[red]{escape(line)}")
         if report.failure["handler"] == "start":
-            self.problem = self.problem or StartError(line)
+            self.problem = self.problem or ending.from_failed_start(line, report.failure["exception"])
             self._stop("a node did not start")
 
     def _states(self, supervisor: Supervisor[Any]) -> dict[str, str]:

@@ -14,20 +14,17 @@ from typing import Any
 
 from rich.console import Console
 
-from mast_zenoh import checks
-from mast_zenoh.errors import BackendError, HandlerFailed, Interrupted, MastError
-from mast_zenoh.launch import conclusion, steps
+from mast_zenoh import checks, stop_signals
+from mast_zenoh.errors import BackendError, MastError
+from mast_zenoh.launch import conclusion, ending, liveness, steps
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.nodelogs import NodeLogs
-from mast_zenoh.launch.signals import stop_signals
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import failures
 from mast_zenoh.runtime.inproc import InProcess
-
-_STATUS: dict[type[MastError], str] = {Interrupted: "interrupted", HandlerFailed: "handler_failures"}
 
 
 @dataclass
@@ -77,56 +74,68 @@ def run(
     steps.check(resolved, where, unplugs=engine is not None and engine.unplugs)
     if engine is not None:
         engine.check(resolved, secure)
-    folder = run_folder.create(out, resolved.name)
-    resolved.write(folder)
-    record: dict[str, Any] = {
-        "id": f"{resolved.name}-{secrets.token_hex(4)}",
-        "name": resolved.name,
-        "status": "running",
-        "message": "",
-        "runtime": runtime,
-        "security": secure,
-        "mode": resolved.mode,
-        "rate": resolved.rate,
-        "seed": resolved.seed,
-        "frames": resolved.frames,
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": [os.path.basename(sys.argv[0]), *sys.argv[1:]],
-        "versions": run_folder.versions(),
-        "timings": {},
-        "nodes": {},
-    }
-    run_folder.write_json(folder / "run.json", record)
-    begun = time.monotonic()
-    error: MastError | None = None
-    try:
-        with Display(console, resolved.name, resolved.frames) as display:
-            if runtime == "inproc":
-                _run_inproc(resolved, folder, record, display)
-            else:
-                launch = Launch(resolved, folder, record, display, endpoint, listen, secure, engine)
-                prepare(launch)
-                launch.run()
-    except MastError as caught:
-        error = caught
-    record["timings"]["total_s"] = round(time.monotonic() - begun, 3)
-    ended = Run(folder, record, error)
-    if ended.failures and not ended.error and not allow_failures:
-        ended.error = failures.error(ended.failures, ended.logs)
-    record["status"] = _STATUS.get(type(ended.error), "failed") if ended.error else "ok"
-    record["message"] = str(ended.error) if ended.error else record["message"]
-    run_folder.write_json(folder / "run.json", record)
-    if any(entry["kind"] != "attack" for entry in resolved.timeline):
-        checks.run(folder, resolved)
+    with stop_signals.noted() as received:
+        folder = run_folder.create(out, resolved.name)
+        record: dict[str, Any] = {
+            "id": f"{resolved.name}-{secrets.token_hex(4)}",
+            "name": resolved.name,
+            "status": ending.RUNNING,
+            "message": "",
+            "runtime": runtime,
+            "security": secure,
+            "mode": resolved.mode,
+            "rate": resolved.rate,
+            "seed": resolved.seed,
+            "frames": resolved.frames,
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "command": [os.path.basename(sys.argv[0]), *sys.argv[1:]],
+            "launcher": liveness.identity(),
+            "versions": run_folder.versions(),
+            "timings": {},
+            "nodes": {},
+        }
+        with run_folder.begun(folder):
+            run_folder.write_json(folder / "run.json", record)
+            resolved.write(folder)
+        begun, caught = time.monotonic(), None
+        try:
+            if received:
+                raise ending.from_signals(received)
+            with Display(console, resolved.name, resolved.frames) as display:
+                if runtime == "inproc":
+                    _run_inproc(resolved, folder, record, display, received)
+                else:
+                    launch = Launch(
+                        resolved, folder, record, display, endpoint, listen, secure, engine, signals=received
+                    )
+                    prepare(launch)
+                    launch.run()
+        except BaseException as raised:  # whatever it is, the run folder says how the run ended
+            caught = raised
+        record["timings"]["total_s"] = round(time.monotonic() - begun, 3)
+        ended = Run(folder, record, ending.of_run(caught, record, str(folder)))
+        if ended.failures and not ended.error and not allow_failures:
+            ended.error = failures.error(ended.failures, ended.logs)
+        record["status"] = ending.status(ended.error)
+        record["message"] = str(ended.error) if ended.error else record["message"]
+        run_folder.finish(folder, record)
+        if caught is not None and ending.from_exception(caught) is None:
+            raise caught  # a defect
+        if any(entry["kind"] != "attack" for entry in resolved.timeline):
+            checks.run(folder, resolved)
+    if received and not ended.error:
+        stop_signals.pass_on(received)  # it came when nothing of the run was left to stop
     return ended
 
 
-def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], display: Display) -> None:
+def _run_inproc(
+    resolved: Resolved, folder: Path, record: dict[str, Any], display: Display, received: list[int]
+) -> None:
     """All nodes in this process."""
     if resolved.network.get("faults"):
         raise BackendError("host faults need hosts: one process has no network between its nodes; use runtime 'mesh'")
     states = dict.fromkeys(resolved.nodes, "running")
-    with NodeLogs(folder / "logs"), stop_signals() as received:
+    with NodeLogs(folder / "logs") as logs:
 
         def progress(frame: int) -> bool:
             display.update(frame, states)
@@ -135,15 +144,18 @@ def _run_inproc(resolved: Resolved, folder: Path, record: dict[str, Any], displa
         process = InProcess(resolved.in_folder(folder), progress=progress)
         outcomes: dict[str, dict[str, Any]] = {}
         try:
-            outcomes = process.run()
+            with stop_signals.second_interrupts(received):
+                outcomes = process.run()
         finally:
             record["nodes"] = _nodes_inproc(resolved, folder, process, outcomes)
     timing = outcomes.pop("")
     record["timings"] |= run_folder.rates(timing["frames"], timing["wall_s"])
     record["steps"] = [step._asdict() for step in process.steps]
     conclusion.write(resolved, folder, record, outcomes, {})
-    if received:
-        raise Interrupted("stopped by Ctrl-C or SIGTERM")
+    if received and timing["frames"] < resolved.frames:
+        raise ending.from_signals(received)
+    if logs.failure is not None:
+        raise logs.failure
 
 
 def _nodes_inproc(

@@ -10,11 +10,15 @@ _FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 
 class NodeLogs(logging.Handler):
-    """A context: appends what the logger `mast.<node>` gets to <node>.log in a folder, made at the first record."""
+    """A context: appends what the logger `mast.<node>` gets to <node>.log in a folder, made at the first record.
+
+    failure: why the logs are incomplete; None if nothing was lost
+    """
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self.setFormatter(logging.Formatter(_FORMAT))
+        self.failure: OSError | None = None
         self._folder = folder
         self._files: dict[str, TextIO] = {}
         self._logger = logging.getLogger("mast")
@@ -26,11 +30,17 @@ class NodeLogs(logging.Handler):
     def __exit__(self, *_: object) -> None:
         self._logger.removeHandler(self)
         for file in self._files.values():
-            file.close()
+            try:
+                file.close()
+            except OSError as error:
+                self.failure = self.failure or error
 
     def emit(self, record: logging.LogRecord) -> None:
         """Append a record to its node's file."""
         node = record.name.removeprefix("mast.")
-        if node not in self._files:
-            self._files[node] = (self._folder / f"{node}.log").open("a", encoding="utf-8")
-        print(self.format(record), file=self._files[node], flush=True)
+        try:
+            if node not in self._files:
+                self._files[node] = (self._folder / f"{node}.log").open("a", encoding="utf-8")
+            print(self.format(record), file=self._files[node], flush=True)
+        except OSError as error:  # must not fail the handler that logs
+            self.failure = self.failure or error

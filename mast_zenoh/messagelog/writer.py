@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
-from mast_zenoh.errors import RunFolderError
+from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import channels
 from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
 from mast_zenoh.messages import SCHEMAS, Header
@@ -48,12 +49,14 @@ class MessageLog:
     malformed: how many have come that have no sound header
     lost:      how many could not be written, or are in the chunk that is being made
     problem:   why nothing more can be written; "" if nothing is wrong
+    disk_full: whether that is for want of room
     """
 
     def __init__(self, path: Path = Path(FILE)) -> None:
         self.path = path
         self.messages = 0
         self.problem = ""
+        self.disk_full = False
         self._file: IO[bytes] | None = None
         self._chunk: list[_Entry] = []
         self._bytes = 0
@@ -81,22 +84,18 @@ class MessageLog:
     def begin(self, hears: Mapping[str, Input]) -> None:
         """Open the file, with a channel for every key; those that are heard later get theirs with their first message.
 
-        Raises RunFolderError where there is a file or cannot be one.
+        Raises RunFolderError where there is a file or cannot be one, and DiskFull.
         """
-        from mcap.writer import CompressionType, Writer  # every node knows this module, one writes
-
         try:
-            self._file = self.path.open("xb")
+            self._open(hears)
         except OSError as error:
-            raise RunFolderError(f"{self.path}: cannot be made a recording: {error.strerror or error}") from None
-        self._writer: Writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
-        self._writer.start(channels.PROFILE)
-        self._schemas = {name: self._schema(name) for name in sorted({heard.message for heard in hears.values()})}
-        self._hears = hears
-        #: The rank of a key among all, by wire and leg: it keeps their order among messages of one time.
-        self._ranks = {key: rank for rank, key in enumerate(sorted(hears, key=channels.wire_and_key))}
-        self._channels = {key: self._channel(key) for key in self._ranks}
-        self._file.flush()  # a run that is killed at once leaves a recording of no messages
+            if self._file is not None:  # what it holds cannot be read
+                with suppress(OSError):
+                    self._file.close()
+                self.path.unlink()
+                self._file = None
+            what = f"{self.path}: cannot be made a recording: {error.strerror or error}"
+            raise DiskFull(what) if is_disk_full(error) else RunFolderError(what) from None
 
     def add(self, key: str, payload: bytes, header: Header, step: int) -> None:
         """A message on a key; lost if there is a problem. step: the frame in which it was sent; -1: unknown"""
@@ -128,13 +127,23 @@ class MessageLog:
         if self._file is None:
             return
         self._flush()
-        try:
-            if not self.problem:
-                self._writer.finish()
-            self._file.close()
-        except OSError as error:
-            self.problem = self.problem or f"{self.path}: cannot be written: {error.strerror or error}"
-        self._file = None
+        file, self._file = self._file, None
+        if not self.problem:
+            self._write(self._writer.finish)
+        self._write(file.close)
+
+    def _open(self, hears: Mapping[str, Input]) -> None:
+        from mcap.writer import CompressionType, Writer  # every node knows this module, one writes
+
+        self._file = self.path.open("xb")
+        self._writer: Writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
+        self._writer.start(channels.PROFILE)
+        self._schemas = {name: self._schema(name) for name in sorted({heard.message for heard in hears.values()})}
+        self._hears = hears
+        #: The rank of a key among all, by wire and leg: it keeps their order among messages of one time.
+        self._ranks = {key: rank for rank, key in enumerate(sorted(hears, key=channels.wire_and_key))}
+        self._channels = {key: self._channel(key) for key in self._ranks}
+        self._file.flush()  # a run that is killed at once leaves a recording of no messages
 
     def _schema(self, name: str) -> int:
         told = channels.json_schema(SCHEMAS[name]).encode()
@@ -202,5 +211,6 @@ class MessageLog:
         try:
             write()
         except OSError as error:
-            self.problem = f"{self.path}: cannot be written: {error.strerror or error}"
+            self.problem = self.problem or f"{self.path}: cannot be written: {error.strerror or error}"
+            self.disk_full |= is_disk_full(error)
         return not self.problem

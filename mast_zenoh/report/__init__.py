@@ -16,6 +16,7 @@ illustrations        which figures a page has;  html, page: the pages themselves
 study_*              tables, figures and pages of studies with trials;  attempts_table: of outsiders
 """
 
+from mast_zenoh.report import backend  # noqa: F401  # first: imports Matplotlib
 from mast_zenoh.report.html import write_report, write_study_report
 from mast_zenoh.report.table import ScoreTable, as_markdown, as_rich, score_table
 

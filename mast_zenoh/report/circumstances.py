@@ -37,8 +37,10 @@ def status(run: RunFolder) -> str:
         names = [f"{name} failed in {_frames(entries)}" for name, entries in failed.items()]
         return f"Handlers of {listed(names)}: the numbers may be wrong"
     state = run.run.get("status", "ok")
-    if state == "running":
+    if state == "killed":
         return "The run was cut off: its launcher did not live to write down how it ended"
+    if state == "running":
+        return "The run goes on, or was cut off: nothing here says how it ended"
     return "" if state == "ok" else f"The run did not end well ({state}): read the numbers with that in mind"
 
 
@@ -47,7 +49,7 @@ def reference_status(reference: Reference | None) -> str:
     if reference is None or not status(reference.run):
         return ""
     state = reference.run.run.get("status")
-    ends = {"running": "was cut off", "interrupted": "was interrupted"}
+    ends = {"running": "has not ended", "killed": "was cut off", "interrupted": "was interrupted"}
     return f"compared with {reference.name}, which {ends.get(str(state), 'failed')}"
 
 

@@ -17,7 +17,11 @@ def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
     page = _templates().get_template(template).render(content, version=__version__)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.html"
-    path.write_text(page, "utf-8")
+    try:
+        path.write_text(page, "utf-8", errors="surrogateescape")  # paths that are no text
+    except BaseException:
+        path.unlink(missing_ok=True)  # half a page looks like a whole one
+        raise
     return path
 
 

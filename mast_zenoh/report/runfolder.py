@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch import liveness
 from mast_zenoh.report import files
 from mast_zenoh.report.faulted import with_faults
 from mast_zenoh.report.files import Reader, Table, rows
@@ -71,6 +72,7 @@ class RunFolder:
         reader = Reader(path)
         read = reader.read
         run = read("run.json", files.json_object, "how the run and its nodes ended is not known", {})
+        run = liveness.seen_now(run)
         scenario = read("scenario.json", files.json_object, "no configuration", {})
         wiring = read("wiring.json", files.json_object, "the nodes on each wire are not known", {})
         metrics = read("metrics.json", files.json_object, "no table of means", {})

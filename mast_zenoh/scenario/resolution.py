@@ -10,6 +10,7 @@ from typing import Any
 from mast_zenoh import bundle, endpoints, keyexpr, loading, registry, scenes
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
 from mast_zenoh.resolved import NodeSpec, Resolved, build_node
+from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.scenario.nodes import nodes_of
 from mast_zenoh.scenario.reading import choose_scene
 from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, spelt
@@ -51,7 +52,7 @@ def resolve(
         build_node(spec, name, str(path))
     wiring = _wiring(path, scenario, nodes, [REWRITE] if timeline.links else [])
     return Resolved(
-        name=str(scenario.get("name", path.stem)),
+        name=checked_name(scenario.get("name", name_of_file(path.stem)), f"{path}: name"),
         seed=options["seed"],
         mode=options["mode"],
         rate=float(options["rate"]),

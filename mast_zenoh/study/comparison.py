@@ -9,8 +9,8 @@ from rich.console import Console
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import HandlerFailed
+from mast_zenoh.launch import ending, local
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import local
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.study.definition import Configuration, Study
 
@@ -58,12 +58,16 @@ def run(
         (folder / part).rmdir()
     runs: dict[str, local.Run] = {}
     place = runtime or study.runtime or "mesh"
-    for label, run_ in resolved.items():
-        ended = local.run(run_, folder / label, runtime=place, allow_failures=allow_failures, console=console)
-        if ended.error and not isinstance(ended.error, HandlerFailed):
-            raise ended.error
-        runs[label] = ended
-    run_folder.write_json(folder / "study.json", {"name": study.name, "runs": list(runs)})
+
+    def note(status: str) -> None:
+        run_folder.write_json(folder / "study.json", {"name": study.name, "status": status, "runs": list(runs)})
+
+    with ending.written(note):
+        for label, run_ in resolved.items():
+            ended = local.run(run_, folder / label, runtime=place, allow_failures=allow_failures, console=console)
+            if ended.error and not isinstance(ended.error, HandlerFailed):
+                raise ended.error
+            runs[label] = ended
     return Compared(folder, runs)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from mast_zenoh import loading
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
 from mast_zenoh.settings import split
 
@@ -106,7 +107,7 @@ def _checked(path: Path, content: Any) -> Study:
         if key not in KEYS:
             raise ConfigurationError(f"{path}: {key}: unknown key{nearest(str(key), KEYS)}")
     configurations = tuple(each for label, run in content["runs"].items() for each in _spread(path, label, run))
-    labels = [each.label for each in configurations]
+    labels = [checked_name(each.label, f"{path}: runs") for each in configurations]
     if len(set(labels)) < len(labels):
         twice = next(label for label in labels if labels.count(label) > 1)
         raise ConfigurationError(f"{path}: runs: two configurations are called {twice!r}")
@@ -120,7 +121,7 @@ def _checked(path: Path, content: Any) -> Study:
         raise ConfigurationError(f"{path}: runtime: found {content['runtime']!r}{nearest('', RUNTIMES)}")
     return Study(
         path=path,
-        name=str(content.get("name", path.stem)),
+        name=checked_name(content.get("name", name_of_file(path.stem)), f"{path}: name"),
         configurations=configurations,
         baseline=baseline,
         scenes=_places(path, scenes),

@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mast_zenoh.errors import Interrupted
+from mast_zenoh.launch import ending
 from mast_zenoh.study import execution, plan, tables
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.store import Store
@@ -48,19 +48,18 @@ def run(
     trials = [replace(trial, allow_failures=allow_failures) for trial in trials]
     store = Store.create(out, study, resume=resume)
     failures: dict[str, str] = {}
-    store.note(study, trials, failures, "running")
     todo = [trial for trial in trials if not resume or store.load(trial) is None]
     if len(todo) < len(trials):
         console.print(f"{len(trials) - len(todo)} of {len(trials)} trials are done already", highlight=False)
-    try:
-        _carry_out(store, todo, failures, jobs, cluster, console)
-    except KeyboardInterrupt:
-        store.note(study, trials, failures, "interrupted")
-        raise Interrupted(
-            f"stopped by Ctrl-C; what is done is kept: go on with the same command and --out {store.folder} --resume"
-        ) from None
-    ended = tables.write(study, store, trials, failures)
-    store.note(study, trials, failures, "failed" if failures else "ok")
+    hint = f"what is done is kept: go on with the same command and --out {store.folder} --resume"
+    with ending.written(lambda status: store.note(study, trials, failures, status)):
+        try:
+            _carry_out(store, todo, failures, jobs, cluster, console)
+            ended = tables.write(study, store, trials, failures)
+        except (KeyboardInterrupt, OSError) as caught:
+            raise ending.explained(caught, hint) from None
+    if failures:
+        store.note(study, trials, failures, "failed")
     return ended
 
 

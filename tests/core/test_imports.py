@@ -10,7 +10,7 @@ PACKAGE = ROOT / "mast_zenoh"
 
 #: From the top down. Modules of one line may import each other.
 LAYERS = (
-    ("__main__", "cli", "deploying", "options", "documentation"),
+    ("__main__", "standard_streams", "cli", "deploying", "options", "documentation"),
     ("study",),
     ("report",),
     ("deploy",),
@@ -41,7 +41,7 @@ LAYERS = (
         "tables",
     ),
     ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics", "links", "faults"),
-    ("geometry", "matching", "states", "steps", "streams", "kernels", "errors", "release", "__init__"),
+    ("geometry", "matching", "states", "steps", "streams", "kernels", "errors", "release", "stop_signals", "__init__"),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))

@@ -6,14 +6,14 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh import stop_signals
 from mast_zenoh.launch.launching import _POLL_S, Launch
-from mast_zenoh.launch.signals import stop_signals
 
 
 def test_a_signal_that_is_noted_slowly_does_not_hold_up_the_launcher() -> None:
     nothing: Any = None
     launch = Launch(nothing, Path(), {}, nothing, None, "")
-    with stop_signals() as received:
+    with stop_signals.noted() as received:
 
         def note(number: int, _: object) -> None:
             threading.Event().wait(2 * _POLL_S)

@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import threading
 from pathlib import Path
 
+import psutil
 import pytest
-from launched import Launched, Observer, alive, eventually
+from endings_table import ending
+from launched import MAST, Launched, Observer, alive, eventually
 
 from mast_zenoh import codec
+from mast_zenoh.messagelog.reader import read
 
 pytestmark = pytest.mark.mesh
 
@@ -105,17 +110,66 @@ def test_who_drives_a_scene_that_nobody_else_is_left_to_see_does_not_play_on(lau
     assert "nobody else is on the mesh" in output
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_run_that_is_stopped_keeps_what_it_has(launch, number: signal.Signals) -> None:
     run: Launched = launch("baseline", *PACED)
     at_frame(run, 20)
     run.process.send_signal(number)
     code, output = run.end()
-    assert code == 130, output
     record = run.record()
-    assert record["status"] == "interrupted"
+    assert (record["status"], code) == ending("signal while the scene is played"), output
     assert all(node["exit"] == 0 for node in record["nodes"].values()), record["nodes"]
     assert 20 <= json.loads((run.out / "metrics.json").read_text())["frames"] < 60
+
+
+def test_a_second_signal_ends_the_nodes_at_once_and_the_recording_can_be_read(launch) -> None:
+    run: Launched = launch("baseline", *PACED)
+    at_frame(run, 10)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        run.process.send_signal(number)
+    code, output = run.end()
+    assert (run.record()["status"], code) == ending("second signal while the scene is played"), output
+    assert "Traceback" not in output
+    list(read(run.out))
+
+
+def test_a_signal_while_nodes_start_ends_them(launch) -> None:
+    run: Launched = launch("baseline", *PACED)
+    run.started()
+    run.process.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert (run.record()["status"], code) == ending("signal while nodes start"), output
+    assert "Traceback" not in output
+
+
+@pytest.mark.parametrize(
+    ("seconds", "what"),
+    [
+        (0.5, "launcher suspended for less than 2 s and resumed (Ctrl-Z, SIGSTOP)"),
+        (3.0, "launcher suspended for longer and resumed"),
+    ],
+)
+def test_a_launcher_that_was_suspended_goes_on_or_says_that_it_could_not(launch, seconds: float, what: str) -> None:
+    run: Launched = launch("baseline", "--frames", "150")
+    at_frame(run, 15)
+    run.process.send_signal(signal.SIGSTOP)
+    eventually(lambda: psutil.Process(run.process.pid).status() == psutil.STATUS_STOPPED, "it stands still")
+    threading.Event().wait(seconds)
+    run.process.send_signal(signal.SIGCONT)
+    code, output = run.end()
+    assert (run.record()["status"], code) in (ending(what), ("ok", 0)), output
+    assert "Traceback" not in output
+    list(read(run.out))
+
+
+def test_nodes_that_fill_the_disk_fail_the_run(launch, tiny_disk: Path, tmp_path: Path) -> None:
+    (tmp_path / "run_0").symlink_to(tiny_disk)
+    code, output = launch("baseline", "--frames", "150").end()
+    record = json.loads((tiny_disk / "run.json").read_text())
+    assert (record["status"], code) == ending("disk full while the scene is played"), output
+    assert "messages.mcap: cannot be written: No space left on device" in output
+    assert "Traceback" not in output
+    list(read(tiny_disk))
 
 
 def test_a_killed_launcher_takes_its_nodes_with_it(launch) -> None:
@@ -125,7 +179,12 @@ def test_a_killed_launcher_takes_its_nodes_with_it(launch) -> None:
     assert alive(pids) == pids
     run.kill()
     eventually(lambda: not alive(pids), "all nodes have left", seconds=5.0)
-    assert run.record()["status"] == "running", "what was written before is readable"
+    row = ending("launcher killed (SIGKILL)")
+    assert (run.record()["status"], 128 - run.process.returncode) == row, "what was written before is readable"
+    told = subprocess.run([*MAST, "report", str(run.out)], capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr
+    assert "The run was cut off" in told.stderr.replace("\n", " ")
+    assert "killed" in (run.out / "report.html").read_text()
 
 
 def test_a_node_that_hangs_is_ended(launch, tmp_path: Path) -> None:

@@ -1,0 +1,81 @@
+"""Whether the launcher that a run.json names still lives: its process id, told apart from a later process with it."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.launch.ending import KILLED, RUNNING
+
+
+def identity() -> dict[str, Any]:
+    """This process, for run.json: its id, when it began (clock ticks since boot), and on which machine and boot."""
+    return {"pid": os.getpid(), "began": _began(os.getpid()), **_here()}
+
+
+def lives(launcher: Mapping[str, Any]) -> bool | None:
+    """Whether the launcher of a run lives; None where that cannot be told from here."""
+    here = _here()
+    if launcher.get("machine") != here["machine"] or not isinstance(launcher.get("pid"), int):
+        return None
+    if launcher.get("boot") != here["boot"]:
+        return False  # the machine has been started again since
+    if launcher.get("pid_namespace") != here["pid_namespace"]:
+        return None  # in a container, say
+    began = _began(launcher["pid"])
+    return began is not None and began == launcher.get("began")
+
+
+def seen_now(record: Mapping[str, Any]) -> dict[str, Any]:
+    """run.json as it is to be read now: a run that its launcher did not live to finish is `killed`, not `running`."""
+    launcher = record.get("launcher")
+    if record.get("status") == RUNNING and isinstance(launcher, Mapping) and lives(launcher) is False:
+        message = "its launcher was killed: what was recorded up to then is kept"
+        return {**record, "status": KILLED, "message": record.get("message") or message}
+    return dict(record)
+
+
+def _began(pid: int) -> str | None:
+    """When a process began; None if there is none, or it has ended and only waits to be collected."""
+    try:
+        # The name, in parentheses, may itself hold spaces and parentheses.
+        fields = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+    except OSError:
+        return None if Path("/proc/self/stat").exists() or not _signalled(pid) else "unknown"
+    return None if fields[0] in "ZX" else fields[19]
+
+
+def _signalled(pid: int) -> bool:
+    """Whether there is a process, on systems without /proc."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+@cache
+def _here() -> dict[str, str]:
+    def first_line(path: str) -> str:
+        try:
+            return Path(path).read_text("utf-8").strip()
+        except OSError:
+            return ""
+
+    def link(path: str) -> str:
+        try:
+            return os.readlink(path)
+        except OSError:
+            return ""
+
+    return {
+        "machine": f"{socket.gethostname()} {first_line('/etc/machine-id')}".strip(),
+        "boot": first_line("/proc/sys/kernel/random/boot_id"),
+        "pid_namespace": link("/proc/self/ns/pid"),
+    }

@@ -1,0 +1,33 @@
+"""The table of endings in docs/endings.md, which the tests of endings read: what is documented is what is tested."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+PAGE = Path(__file__).parents[1] / "docs" / "endings.md"
+
+
+class Ending(NamedTuple):
+    """A row: the status in run.json ("" where no run folder is left), and the exit code (None: the signal's own)."""
+
+    status: str
+    code: int | None
+
+
+def table() -> dict[str, Ending]:
+    """Every ending by the words of its first column."""
+    rows = {}
+    for line in PAGE.read_text("utf-8").splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("| ") and len(cells) == 4 and cells[0] != "what happened":
+            status = re.fullmatch(r"`(\w+)`.*", cells[1])
+            code = re.match(r"\d+", cells[2])
+            rows[cells[0]] = Ending(status[1] if status else "", int(code[0]) if code else None)
+    return rows
+
+
+def ending(what: str) -> Ending:
+    """The row that begins with these words."""
+    return table()[what]

@@ -1,0 +1,93 @@
+"""`mast`, in whose own process something happens the first time that it comes to a stage.
+
+    python at_stage.py STAGE WHAT… -- run baseline …
+
+What happens: signals by name (SIGINT SIGINT), or the path of a file that is made as large as its disk has room.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh import __main__ as process
+
+
+def fill(path: Path) -> None:
+    """Take all that is left of a disk."""
+    with path.open("wb", buffering=0) as file:
+        for size in (1 << 16, 1 << 12, 1 << 8, 1):
+            try:
+                while file.write(b"\xff" * size) == size:
+                    pass
+            except OSError as error:
+                if error.errno != errno.ENOSPC:
+                    raise
+
+
+def happen(words: list[str]) -> None:
+    """What is to happen."""
+    for word in words:
+        if word.startswith("SIG"):
+            signal.raise_signal(signal.Signals[word])
+        else:
+            fill(Path(word))
+
+
+def before(place: Any, name: str, words: list[str], times: int = 1) -> None:
+    """Have it happen before the call of a function, the `times`-th one."""
+    call: Callable[..., Any] = getattr(place, name)
+    calls = 0
+
+    def wrapped(*arguments: Any, **options: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == times:
+            happen(words)
+        return call(*arguments, **options)
+
+    setattr(place, name, wrapped)
+
+
+def arrange(stage: str, words: list[str]) -> None:
+    """Arrange for it to happen at a stage of `mast run`."""
+    if stage == "loading":
+        from mast_zenoh import scenario
+
+        before(scenario, "resolve", words)
+    elif stage == "starting":
+        from mast_zenoh.launch import local
+
+        before(local.run_folder, "versions", words)
+    elif stage == "building":
+        from mast_zenoh.runtime.inproc import InProcess
+
+        before(InProcess, "run", words)
+    elif stage == "playing":
+        from mast_zenoh.launch.display import Display
+
+        before(Display, "update", words, times=3)
+    elif stage == "collecting":
+        from mast_zenoh.launch import conclusion
+
+        before(conclusion, "write", words)
+    elif stage == "reporting":
+        from mast_zenoh.report import html
+
+        before(html, "write_page", words)
+    else:
+        raise SystemExit(f"no such stage: {stage}")
+
+
+if __name__ == "__main__":
+    split = sys.argv.index("--")
+    stage, *words = sys.argv[1:split]
+    sys.argv = ["mast", *sys.argv[split + 1 :]]
+    os.environ["PYTHONUNBUFFERED"] = "1"
+    arrange(stage, words)
+    process.main()

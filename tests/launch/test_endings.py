@@ -1,0 +1,260 @@
+"""However `mast run` ends, run.json says how, the exit code is the documented one, and no traceback is shown."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+from endings_table import Ending, ending, table
+from launched import MAST
+
+from mast_zenoh.messagelog.reader import read
+
+STAGED = (sys.executable, str(Path(__file__).parent / "at_stage.py"))
+RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "30", "--no-report", "--out")
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+class Ended:
+    """A command that has ended: its exit code, what it printed, and the folder that it was given."""
+
+    def __init__(self, out: Path, command: Sequence[str], **options: object) -> None:
+        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        done = subprocess.run([*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | options))
+        self.out, self.code = out, done.returncode
+        self.text = (done.stdout or "") + (done.stderr or "")
+
+    @property
+    def status(self) -> str:
+        """In run.json; "" if there is none."""
+        path = self.out / "run.json"
+        return json.loads(path.read_text())["status"] if path.is_file() else ""
+
+    def is_as(self, row: Ending) -> None:
+        """Check what is said of it in a row of the table, and what holds for all of them."""
+        assert (self.status, self.code) == row, self.text
+        assert "Traceback" not in self.text
+        assert not [path.name for path in self.out.glob(".*")], "no temporary file is left"
+        if (self.out / "messages.mcap").is_file():
+            list(read(self.out))
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "run"
+
+
+def at(stage: str, *what: str, run: Sequence[str] = RUN) -> tuple[str, ...]:
+    return (*STAGED, stage, *what, "--", *run)
+
+
+def with_report() -> list[str]:
+    return [word for word in RUN if word != "--no-report"]
+
+
+def no_larger_than(size: int) -> Callable[[], None]:
+    """Limits the files that a command may write, as a full disk does, to `size` bytes each."""
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_a_signal_before_the_run_folder_exists_leaves_nothing(out: Path, name: str) -> None:
+    Ended(out, at("loading", name)).is_as(ending("signal before the run folder exists"))
+    assert not out.exists()
+
+
+def test_a_signal_while_the_command_line_is_imported_is_answered_in_one_line(out: Path) -> None:
+    """Before any module of ours that takes time is loaded."""
+    script = (
+        "import sys, signal\n"
+        "from mast_zenoh import __main__ as process\n"
+        "class Raiser:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'mast_zenoh.cli': signal.raise_signal(signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Raiser()); process.main()"
+    )
+    ended = Ended(out, (sys.executable, "-c", script, *RUN))
+    ended.is_as(ending("signal before the run folder exists"))
+    assert "error: Interrupted" in ended.text
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_a_signal_while_nodes_start(out: Path, name: str) -> None:
+    Ended(out, at("starting", name)).is_as(ending("signal while nodes start"))
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_a_signal_while_the_scene_is_played_keeps_results_and_draws_the_report(out: Path, name: str) -> None:
+    run = with_report() if name == "SIGINT" else RUN
+    Ended(out, at("playing", name, run=run)).is_as(ending("signal while the scene is played"))
+    assert json.loads((out / "metrics.json").read_text())["frames"] == 3
+    assert (out / "report.html").is_file() == (name == "SIGINT")
+
+
+@pytest.mark.parametrize("names", [("SIGINT", "SIGINT"), ("SIGTERM", "SIGINT"), ("SIGHUP", "SIGTERM", "SIGINT")])
+def test_a_second_signal_while_the_scene_is_played(out: Path, names: tuple[str, ...]) -> None:
+    Ended(out, at("playing", *names)).is_as(ending("second signal while the scene is played"))
+
+
+@pytest.mark.parametrize("names", [("SIGINT",), ("SIGTERM",), ("SIGHUP",), ("SIGINT", "SIGTERM")])
+def test_a_signal_while_results_are_collected_costs_the_report(out: Path, names: tuple[str, ...]) -> None:
+    Ended(out, at("collecting", *names, run=with_report())).is_as(ending("signal while results are collected"))
+    assert (out / "metrics.parquet").is_file()
+    assert not (out / "report.html").exists()
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path, name: str) -> None:
+    ended = Ended(out, at("reporting", name, run=with_report()))
+    ended.is_as(ending("signal while the report is drawn"))
+    assert f"mast report {out}" in ended.text.replace("\n", "")
+    assert (out / "metrics.json").is_file()
+    assert not (out / "report.html").exists()
+
+
+def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:
+    ended = Ended(out, at("playing", "SIGHUP"), preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    ended.is_as(Ending("ok", 0))
+
+
+@pytest.mark.parametrize(
+    ("stream", "what"),
+    [("stdout", "reader of standard output gone (`head -0`)"), ("stderr", "reader of standard error gone")],
+)
+def test_a_reader_that_is_gone_costs_no_run(out: Path, stream: str, what: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        ended = Ended(out, (*MAST, *RUN), **{stream: writing})
+    finally:
+        os.close(writing)
+    ended.is_as(ending(what))
+
+
+@pytest.mark.parametrize("descriptors", [(1,), (2,), (0, 1, 2)])
+def test_a_closed_stream_costs_no_run_and_its_number_is_given_to_no_file(out: Path, descriptors: tuple[int]) -> None:
+    ended = Ended(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
+    ended.is_as(ending("standard output or error closed (`>&-`)"))
+
+
+def test_standard_output_on_a_full_disk_is_an_error_but_the_run_is_kept(out: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        ended = Ended(out, (*MAST, *RUN), stdout=full)
+    ended.is_as(ending("standard output on a full disk (`> /dev/full`)"))
+    assert "standard output: No space left on device" in ended.text
+
+
+def test_a_disk_that_is_full_from_the_beginning_leaves_no_run_folder(out: Path) -> None:
+    ended = Ended(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
+    ended.is_as(ending("disk full while the run folder is made"))
+    assert "error: DiskFull" in ended.text
+    assert not any(out.iterdir())
+
+
+def test_a_recording_that_outgrows_the_disk_fails_the_run_and_keeps_its_results(out: Path) -> None:
+    command = [word if word != "30" else "120" for word in (*MAST, *RUN)]
+    ended = Ended(out, command, preexec_fn=no_larger_than(2_200_000))
+    ended.is_as(ending("disk full while the scene is played"))
+    assert "messages.mcap: cannot be written: File too large" in ended.text
+    assert (out / "metrics.parquet").is_file()
+
+
+@pytest.mark.parametrize(
+    ("stage", "what"),
+    [
+        ("starting", "disk full while the run folder is made"),
+        ("building", "disk full while nodes start"),
+        ("playing", "disk full while the scene is played"),
+        ("collecting", "disk full while results are collected"),
+        ("reporting", "disk full while the report is drawn"),
+    ],
+)
+def test_a_disk_without_a_byte_left(tiny_disk: Path, stage: str, what: str) -> None:
+    out = tiny_disk / "run"
+    ended = Ended(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
+    ended.is_as(ending(what))
+    assert "error: DiskFull" in ended.text
+    whole = [path for path in out.glob("*.parquet") if path.read_bytes()[-4:] != b"PAR1"]
+    assert not whole, "a table is there whole or not at all"
+
+
+def test_a_run_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("a file")
+    done = subprocess.run([*MAST, *RUN[:-1]], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == ending("run folder cannot be made").code
+    assert "runs/baseline-" in done.stderr.replace("\n", "")
+    assert "None" not in done.stderr
+
+
+@pytest.mark.parametrize("name", ["../evil", "a/b", "/tmp/evil", "..", "", "a*b", 7])
+def test_a_scenario_s_name_does_not_leave_runs(tmp_path: Path, name: object) -> None:
+    (tmp_path / "named.py").write_text(
+        "from mast_zenoh import loading\n"
+        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
+        f"def scenario(): return baseline() | dict(name={name!r})\n"
+    )
+    command = [*MAST, "run", "named.py", *RUN[2:-1]]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == ending("scenario whose name leaves `runs/`").code, done.stderr
+    assert "named.py: name: found" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["named.py"]
+
+
+def test_a_defect_is_shown_with_its_traceback_and_the_run_says_that_it_failed(out: Path) -> None:
+    script = (
+        "from mast_zenoh.launch import conclusion\n"
+        "conclusion.write = lambda *_: 1 / 0\n"
+        "from mast_zenoh.__main__ import main\n"
+        "main()"
+    )
+    ended = Ended(out, (sys.executable, "-c", script, *RUN))
+    assert (ended.status, ended.code) == ending("defect in the launcher")
+    assert "ZeroDivisionError" in json.loads((out / "run.json").read_text())["message"]
+    assert "Traceback" in ended.text
+
+
+@pytest.mark.parametrize("backend", ["bogus", "tkagg"])
+def test_a_report_needs_no_screen_and_no_valid_mplbackend(out: Path, backend: str) -> None:
+    Ended(out, (*MAST, *with_report()), env={**os.environ, "MPLBACKEND": backend}).is_as(Ending("ok", 0))
+    assert (out / "report.html").is_file()
+
+
+@pytest.mark.parametrize("utf8", ["0", "1"])
+def test_a_path_that_the_locale_has_no_letters_for(tmp_path: Path, utf8: str) -> None:
+    file = tmp_path / "Kreuzung_größer.py"
+    file.write_text(
+        "from mast_zenoh import loading\n_, scenario = loading.function('scenarios', 'baseline', 'scenario')\n"
+    )
+    ascii_only = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": utf8, "PYTHONCOERCECLOCALE": "0"}
+    ended = Ended(tmp_path / "Ergebnis_ä", (*MAST, "run", str(file), *with_report()[2:]), env=ascii_only)
+    ended.is_as(Ending("ok", 0))
+    assert (ended.out / "report.html").is_file()
+
+
+def test_ten_runs_that_end_at_random_keep_the_promises_of_the_table() -> None:
+    tool = Path(__file__).parents[2] / "tools" / "endings.py"
+    command = [sys.executable, str(tool), "--runs", "10", "--seed", "12", "--runtime", "inproc"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_row_of_the_table_has_a_test() -> None:
+    tests = Path(__file__).read_text() + (Path(__file__).parents[1] / "mesh" / "test_endings.py").read_text()
+    rows = table()
+    assert len(rows) > 15
+    assert not [what for what in rows if f'"{what}"' not in tests]
+
+
+def test_a_study_that_is_stopped_says_so(tmp_path: Path) -> None:
+    command = (*STAGED, "collecting", "SIGTERM", "--", "study", "case_study", "--runtime", "inproc", "--frames", "4")
+    ended = Ended(tmp_path / "study", (*command, "--out"))
+    assert ended.code == 130, ended.text
+    assert "Traceback" not in ended.text
+    assert json.loads((tmp_path / "study" / "study.json").read_text())["status"] == "interrupted"

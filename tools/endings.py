@@ -1,0 +1,179 @@
+"""Ends runs at random moments in random ways, from a seed, and checks what docs/endings.md promises of all of them.
+
+    python tools/endings.py --runs 100 --seed 0 [--only NUMBER]
+
+Each run is a process of `mast run`, on a mesh or in one process. Prints a line for each, and the command that repeats
+one that broke a promise. Exits with 1 if any did.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch.liveness import seen_now
+from mast_zenoh.messagelog.reader import read
+
+WAYS = (
+    *("SIGINT", "SIGTERM", "SIGHUP", "SIGINT SIGINT", "SIGTERM SIGINT", "SIGINT SIGINT SIGINT"),
+    *("SIGKILL", "SIGSTOP SIGCONT", "output", "disk"),
+)
+#: By status as a tool sees it, the exit codes that go with it; -9 also where a run is killed while its report is drawn.
+CODES = {
+    "ok": (0, 28, 130, -9),
+    "interrupted": (130, -9),
+    "failed": (21, 22, 23, 28),
+    "killed": (-9,),
+    "": (130, 28, -9),
+}
+LONGEST_S = 120.0
+GONE_S = 10.0  # from the end of the launcher to that of its last node
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is done to a run: a way to end it, how long after its beginning, and the pause between two signals (s)."""
+
+    runtime: str
+    way: str
+    after_s: float
+    pause_s: float
+    room: int
+
+    @classmethod
+    def draw(cls, seed: int, number: int, runtime: str | None = None) -> Plan:
+        """The plan of a number."""
+        drawn = random.Random(f"{seed}/{number}")
+        chosen = drawn.choice(("mesh", "inproc"))
+        runtime = runtime or chosen
+        after_s = drawn.uniform(0.15, 9.0 if runtime == "mesh" else 4.0)
+        return cls(runtime, drawn.choice(WAYS), after_s, drawn.uniform(0.0, 1.0), drawn.randrange(1 << 14, 4 << 20))
+
+
+def end_one(plan: Plan, folder: Path) -> tuple[str, list[str]]:
+    """Carry out a plan in an empty folder: how the run ended, and the promises that it broke."""
+    out = folder / "run"
+    command = [sys.executable, "-m", "mast_zenoh", "run", "baseline", "--runtime", plan.runtime, "--frames", "60"]
+    limit: Callable[[], None] | None = None
+    if plan.way == "disk":
+        limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (plan.room, plan.room))  # noqa: E731
+    reading, writing = os.pipe()
+    with (folder / "stderr").open("wb") as errors:
+        process = subprocess.Popen([*command, "--out", str(out)], stdout=writing, stderr=errors, preexec_fn=limit)
+    os.close(writing)
+    with open(reading, "rb") as output:
+        reader = threading.Thread(target=_read, args=(output, plan.after_s if plan.way == "output" else LONGEST_S))
+        reader.start()
+        if plan.way.startswith("SIG"):
+            _signal(process, plan)
+        try:
+            code = process.wait(LONGEST_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return "hung", [f"did not end within {LONGEST_S:.0f} s"]
+        reader.join()
+    return _judge(plan, out, code, (folder / "stderr").read_text(errors="replace"))
+
+
+def _read(output: object, seconds: float) -> None:
+    """Read what a run prints for so long, or to its end, and close the pipe then."""
+    deadline = time.monotonic() + seconds
+    os.set_blocking(output.fileno(), False)  # type: ignore[attr-defined]
+    while time.monotonic() < deadline:
+        if output.read(4096) == b"":  # type: ignore[attr-defined]
+            break
+        threading.Event().wait(0.02)
+    output.close()  # type: ignore[attr-defined]
+
+
+def _signal(process: subprocess.Popen[bytes], plan: Plan) -> None:
+    threading.Event().wait(plan.after_s)
+    for name in plan.way.split():
+        if process.poll() is None:
+            process.send_signal(signal.Signals[name])
+        threading.Event().wait(plan.pause_s)
+
+
+def _judge(plan: Plan, out: Path, code: int, errors: str) -> tuple[str, list[str]]:
+    """How it ended, in words, and what is wrong about that."""
+    broken = []
+    record = json.loads((out / "run.json").read_text()) if (out / "run.json").is_file() else {}
+    status = seen_now(record).get("status", "")
+    if code not in CODES.get(status, ()):
+        broken.append(f"status {status!r} with exit code {code}")
+    if status == "killed" and plan.way != "SIGKILL":
+        broken.append("no final status")
+    if "Traceback" in errors:
+        broken.append(f"a traceback: {errors[-2000:]}")
+    if code not in (0, -9) and "error: " not in errors:
+        broken.append("no message")
+    deadline = time.monotonic() + GONE_S
+    while (left := _processes(out)) and time.monotonic() < deadline:
+        threading.Event().wait(0.1)
+    if left:
+        broken.append(f"processes left behind: {left}")
+    if (out / "messages.mcap").is_file():
+        try:
+            messages = sum(1 for _ in read(out))
+            noted = record.get("recorded", {}).get("messages", messages)
+            if status != "killed" and noted != messages:
+                broken.append(f"{messages} messages are recorded, run.json says {noted}")
+        except RunFolderError as error:
+            broken.append(str(error))
+    return f"{status or 'no run folder'}, exit code {code}", broken
+
+
+def _processes(out: Path) -> list[int]:
+    """Processes that have the run folder on their command line."""
+    found = []
+    for process in psutil.process_iter(["cmdline", "status"]):
+        alive = process.info["status"] != psutil.STATUS_ZOMBIE
+        if alive and any(str(out) in word for word in process.info["cmdline"] or ()) and process.pid != os.getpid():
+            found.append(process.pid)
+    return found
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--runtime", choices=("mesh", "inproc"), help="Default: either.")
+    parser.add_argument("--only", type=int, help="the number of one run")
+    arguments = parser.parse_args()
+    numbers = range(arguments.runs) if arguments.only is None else [arguments.only]
+    endings: Counter[str] = Counter()
+    failed = 0
+    for number in numbers:
+        plan = Plan.draw(arguments.seed, number, arguments.runtime)
+        with tempfile.TemporaryDirectory(prefix="mast-ending-") as folder:
+            how, broken = end_one(plan, Path(folder))
+        endings[how] += 1
+        print(f"{number:4} {plan.runtime:6} {plan.way:20} at {plan.after_s:4.1f} s: {how}", flush=True)
+        for promise in broken:
+            failed += 1
+            repeat = f"python tools/endings.py --seed {arguments.seed} --only {number}"
+            repeat += f" --runtime {arguments.runtime}" if arguments.runtime else ""
+            print(f"     BROKEN: {promise}\n     {repeat}", flush=True)
+    print("; ".join(f"{count} {how}" for how, count in endings.most_common()))
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()
