@@ -72,7 +72,7 @@ class NodeContext:
         self.node = node
         self.seed = seed
         self.wiring = wiring
-        self._publishers = publishers(wiring)
+        self._publishers: dict[str, str] | None = None  # by key; made when it is asked for first
         self.frame = -1
         self.time_ns = 0
         self.log = logging.getLogger(f"mast.{name}")
@@ -183,6 +183,8 @@ class NodeContext:
 
     def publisher(self, key: str) -> str:
         """The node that publishes on a key: the interposer on what it has passed on."""
+        if self._publishers is None:
+            self._publishers = {leg.key: leg.publisher.node for _, leg in self.wiring.legs()}
         return self._publishers.get(key) or (self._hears[key].source if key in self._hears else key)
 
     def flush(self) -> None:
@@ -264,8 +266,3 @@ class NodeContext:
             self.first_rejected[key] = self.frame, reason[:_MAX_REASON]
             self.log.warning("rejected a message on %s: %s (further ones on this key are only counted)", key, reason)
         self.rejected[key, reason.split(":", 1)[0]] += count
-
-
-def publishers(wiring: Wiring) -> dict[str, str]:
-    """The node that publishes on each key."""
-    return {leg.key: leg.publisher.node for _, leg in wiring.legs()}

@@ -17,7 +17,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import Header, Message
 from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
 from mast_zenoh.runtime import results
-from mast_zenoh.runtime.context import NodeContext, Outgoing, publishers
+from mast_zenoh.runtime.context import NodeContext, Outgoing
 from mast_zenoh.runtime.failures import Failure
 from mast_zenoh.runtime.limits import HELD, Room
 from mast_zenoh.timespan import Timespan
@@ -97,7 +97,7 @@ class Host(NodeContext):
     def rewired(self, wiring: Wiring) -> None:
         """From now on messages take the ways of another wiring."""
         self.wiring = wiring
-        self._publishers = publishers(wiring)
+        self._publishers = None
         if not _direct_clock(wiring):
             self._awaited, self._last_step = False, self._end
         self._guard("rewired", self.node.rewired, self)
