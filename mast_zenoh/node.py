@@ -26,6 +26,7 @@ import numpy as np
 from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import Body, Header, Message
+from mast_zenoh.timespan import Timespan
 from mast_zenoh.wiring import Input, Wiring
 
 
@@ -99,11 +100,24 @@ class Overheard:
     step:    frame that the run was at when the message was sent; -1: unknown
     """
 
-    __slots__ = ("_content", "_flaw", "_header", "key", "step", "wire")
+    __slots__ = ("_content", "_flaw", "_header", "_now", "_timespan", "key", "step", "wire")
 
-    def __init__(self, key: str, wire: Input, content: bytes | Message, step: int, flaw: str = "") -> None:
-        """content: the bytes as sent, in one process the message itself; flaw: why a receiver refuses the latter."""
+    def __init__(
+        self,
+        key: str,
+        wire: Input,
+        content: bytes | Message,
+        step: int,
+        flaw: str = "",
+        timespan: Timespan | None = None,
+        now: int = -1,
+    ) -> None:
+        """content: the bytes as sent, in one process the message itself; flaw: why a receiver refuses the latter.
+
+        timespan: what frames and times it can have, None: any; now: frame that the run is at, where `step` is unknown
+        """
         self.key, self.wire, self.step = key, wire, step
+        self._timespan, self._now = timespan, now
         self._content, self._flaw = content, flaw
         self._header: Header | None = None
 
@@ -136,6 +150,15 @@ class Overheard:
     def check(self) -> None:
         """Raise MessageError wherever a subscriber of the key would refuse the message."""
         _ = self.header, self.body
+        self.check_time()
+
+    def check_time(self) -> None:
+        """Raise MessageError where a subscriber would refuse the header, or its frame and time."""
+        header = self.header
+        if self._timespan is not None:
+            refusal = self._timespan.refusal(header, self.step if self.step >= 0 else self._now)
+            if refusal:
+                raise MessageError(refusal)
 
     @property
     def encoded(self) -> bool:
@@ -223,6 +246,13 @@ class Context(Protocol):
         """
         ...
 
+    def reject(self, reason: str) -> None:
+        """Count the message that is being handled as rejected: sound, but of no use here, such as one that is too old.
+
+        reason: its first word, before a colon, says of what kind
+        """
+        ...
+
     def connected(self, port: str, subject: str | None = None) -> bool:
         """Whether a wire is connected to an output port."""
         ...
@@ -247,6 +277,13 @@ class Node:
     unopened: ClassVar[Collection[str]] = ()
     #: whether its handlers do so little that in real time it is called by the thread that brings a message, at once
     prompt: ClassVar[bool] = False
+
+    def restamps_s(self, duration_s: float) -> float:
+        """s, by how much it may put the time in a header wrong in a run of that length.
+
+        Receivers reject what is off by more than all nodes of a run say, and `timespan.LEEWAY_S`.
+        """
+        return 0.0
 
     def start(self, context: Context) -> None:
         """Called once, before the first frame."""

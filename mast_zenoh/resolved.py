@@ -12,6 +12,7 @@ from mast_zenoh import loading, registry
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.node import Node
 from mast_zenoh.steps import ProcessStep
+from mast_zenoh.timespan import Timespan
 
 if TYPE_CHECKING:  # most nodes never see a scene
     from mast_zenoh.scenes.recording import Recording
@@ -36,6 +37,7 @@ class Resolved:
 
     modules: the user's Python files that define algorithms named in it; whoever builds its nodes runs them first
     steps: what happens to processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
+    leeway_ns: by how much the times of messages may be wrong, see `Timespan`; None, as in earlier versions: any
     """
 
     name: str
@@ -51,7 +53,13 @@ class Resolved:
     steps: tuple[ProcessStep, ...] = ()
     timeline: tuple[dict[str, Any], ...] = ()
     network: dict[str, Any] = field(default_factory=dict)
+    leeway_ns: int | None = None
     recording: Recording | None = field(default=None, compare=False)
+
+    @property
+    def timespan(self) -> Timespan | None:
+        """The frames and times that messages can have; None where it is unknown."""
+        return None if self.leeway_ns is None else Timespan(self.frames, self.period_ns, self.leeway_ns)
 
     def to_json(self) -> dict[str, Any]:
         """The form of scenario.json, without the wiring, which has a file of its own."""
@@ -65,7 +73,8 @@ class Resolved:
             }
             for name, s in self.nodes.items()
         }
-        names = ("name", "seed", "mode", "rate", "frames", "period_ns", "scene", "modules", "timeline", "network")
+        names = ["name", "seed", "mode", "rate", "frames", "period_ns", "leeway_ns"]
+        names += ["scene", "modules", "timeline", "network"]
         steps = [step._asdict() for step in self.steps]
         return {**{name: getattr(self, name) for name in names}, "steps": steps, "nodes": nodes}
 

@@ -53,6 +53,7 @@ class Agent(Node):
         self.sensed: Gather[str, Received] = Gather({"clock", "pose", "detections"})
         self.pictures: LatestBefore[tuple[int, ObjectStates]] = LatestBefore()
         self.last: tuple[Pose, Pose] | None = None  # newest pose and mount
+        self.newest_ns = 0  # to which the tracker has been stepped
 
     def on_clock(self, received: Received, context: Context) -> None:
         """Frames whose pose or detections never came are tracked with what there is."""
@@ -81,7 +82,11 @@ class Agent(Node):
 
     def perceive(self, frame: int, items: dict[str, Received], context: Context) -> None:
         """Both estimates of one frame; always one message each, even if empty."""
-        time_ns = next(iter(items.values())).time_ns
+        time_ns = items.get("clock", next(iter(items.values()))).time_ns
+        if time_ns < self.newest_ns:
+            before = f"{self.newest_ns}, that of the frame before"
+            context.reject(f"old: frame {frame}: time_ns is {time_ns}, expected at least {before}")
+            return
         detections = Detections.empty()
         if "detections" in items:
             body = items["detections"].body
@@ -96,6 +101,7 @@ class Agent(Node):
         if self.last is None and not {"pose", "detections"} <= items.keys():
             return  # never heard where it is or what its sensor is like
         self.last = (pose, mount)
+        self.newest_ns = time_ns
         tracks, origin, rotation = self.pipeline.track(time_ns, detections, pose, mount, self.lidar)
         reference = {"origin": origin, "rotation": rotation}
         context.publish("tracks", tracks.columns() | reference, frame=frame, time_ns=time_ns)

@@ -20,15 +20,24 @@ class CommandCenter(Node):
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
         self.taken: deque[int] = deque(maxlen=64)  # frames of the newest batches
+        self.newest_ns = 0  # to which the pipeline has been stepped
 
     def on_clock(self, received: Received, context: Context) -> None:
         """Nothing to do: the broker judges the deadlines."""
 
     def on_collated(self, received: Received, context: Context) -> None:
-        """One batch in, one picture out, about the same frame; a second batch of a frame is a duplicate."""
+        """One batch in, one picture out, about the same frame; a second batch of a frame is a duplicate.
+
+        A pipeline never goes back in time: a batch that is older than the one before is rejected.
+        """
         if received.frame in self.taken:
             return
+        if received.time_ns < self.newest_ns:
+            before = f"{self.newest_ns}, that of the batch before"
+            context.reject(f"old: collated: time_ns is {received.time_ns}, expected at least {before}")
+            return
         self.taken.append(received.frame)
+        self.newest_ns = received.time_ns
         body = received.body
         picture, support = self.pipeline.step(
             received.time_ns, ObjectStates.from_columns(body), body["agent"], tuple(body["agents"])

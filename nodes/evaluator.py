@@ -107,6 +107,7 @@ class Evaluator(Node):
             self.heard.meter.add(message)
         if key in self.routes:
             route = self.routes[key]
+            message.check_time()
             self.takes[key](message, route)
 
     def take_clock(self, message: Overheard, route: Route) -> None:

@@ -57,6 +57,10 @@ class Link(Node):
         self.carried: Counter[str] = Counter()
         self.fates: dict[str, Counter[str]] = {}
 
+    def restamps_s(self, duration_s: float) -> float:
+        """See `Node.restamps_s`."""
+        return max(sum(rule.restamps_s(duration_s) for rule in rules) for rules in self.rules.values())
+
     def on_clock(self, received: Received, context: Context) -> None:
         """The step before is over: what was done in it is reported."""
         self.clocks = (self.clocks[1], (received.frame, received.time_ns))

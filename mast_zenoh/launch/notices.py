@@ -85,7 +85,7 @@ def _rejected(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
     if not by_key:
         return 0, ""
     _, key, reason = min(first)
-    what = f"{_number(by_key.total(), 'malformed message')} on {_number(len(by_key), 'key')}"
+    what = f"{_number(by_key.total(), 'message')} on {_number(len(by_key), 'key')}"
     return by_key.total(), f"{what} (first: {key}: {reason})"
 
 

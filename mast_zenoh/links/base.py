@@ -80,6 +80,10 @@ class Rule(ABC):
         drawn: Sequence[float] = self.sample(rng, 1)[0].tolist()
         return drawn
 
+    def restamps_s(self, duration_s: float) -> float:
+        """s, by how much `skew_ns` may be off zero in a run of that length; a rule that sets it says so."""
+        return 0.0
+
     @abstractmethod
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
         """What becomes of a message: nothing, itself, itself changed, or several of it, itself first."""

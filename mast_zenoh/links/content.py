@@ -30,6 +30,10 @@ class ClockSkew(Rule):
         expect("drift", drift, abs(drift) <= 1.0, "-1 to 1")
         self.offset_s, self.drift = offset_s, drift
 
+    def restamps_s(self, duration_s: float) -> float:
+        """See `Rule.restamps_s`."""
+        return abs(self.offset_s) + abs(self.drift) * duration_s
+
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
         """See `Rule.apply`."""
         ahead = round(self.offset_s * NANOSECONDS + self.drift * (passage.time_ns - self._from_ns))

@@ -265,7 +265,7 @@ def _troubles(record: Mapping[str, Any]) -> str:
     """What a node counted and lived through; empty: nothing."""
     refused, foreign = (_total(record.get(key)) for key in ("rejected", "foreign"))
     counts = (
-        (refused, "malformed messages refused"),
+        (refused, "messages rejected"),
         (foreign, "messages from outside the run"),
         (sum(entry["count"] for entry in failures_of(record)), "handler failures"),
     )

@@ -14,12 +14,13 @@ from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import Body, Header, Message
 from mast_zenoh.node import Node, Received
 from mast_zenoh.runtime.delayed import Delayed
+from mast_zenoh.runtime.limits import DELAYED, Room
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring import Input, Ports, Wiring
 
-MAX_DELAYED = 10_000  #: messages that are to leave later; more are refused
 MAX_DELAY_S = 3600.0  #: no message leaves later than that
 _FOREVER = 1 << 62  # ns, or steps
+_MAX_REASON = 200  # characters kept of why a message was rejected
 
 
 class Outgoing(NamedTuple):
@@ -34,6 +35,14 @@ class Outgoing(NamedTuple):
     flaw: str = ""
 
 
+class _Kept(NamedTuple):
+    """A message that leaves later, and what it takes up of the room of a source, bytes."""
+
+    out: Outgoing
+    source: str
+    size: int
+
+
 class NodeContext:
     """The publishing half of a node's host, which is also its context.
 
@@ -42,6 +51,8 @@ class NodeContext:
     now:  a monotonic clock, ns, for real time; without it time goes by frames, as in lock-step
     emit: called at once with every message that the node publishes
     frame, time_ns: of the newest clock;  sent: messages by key
+    rejected: messages by (key, kind) that were not taken; first_rejected: by key the frame in which one was rejected
+    first, and why
     """
 
     def __init__(
@@ -61,12 +72,15 @@ class NodeContext:
         self.node = node
         self.seed = seed
         self.wiring = wiring
+        self._publishers: dict[str, str] | None = None  # by key; made when it is asked for first
         self.frame = -1
         self.time_ns = 0
         self.log = logging.getLogger(f"mast.{name}")
         self._hears = dict(ports.inputs)
         self.hears: Mapping[str, Input] = self._hears
         self.sent: Counter[str] = Counter()
+        self.rejected: Counter[tuple[str, str]] = Counter()
+        self.first_rejected: dict[str, tuple[int, str]] = {}
         self._emit = emit
         self._encode = encode
         self._outputs = ports.outputs
@@ -81,7 +95,9 @@ class NodeContext:
         self._step = -1  # that what is sent now is sent in
         self._began_ns: int | None = None  # when the first clock came
         self._moment_ns = 0  # when the handler that runs was called: for it no time goes by, so that nothing overtakes
-        self._delayed: Delayed[Outgoing] = Delayed()
+        self._delayed: Delayed[_Kept] = Delayed()
+        self._delayed_room = Room(DELAYED)
+        self._handling = ""  # key of the message whose handler runs
 
     def publish(
         self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None
@@ -142,6 +158,10 @@ class NodeContext:
         """See node.Context."""
         self._ignored = frozenset(keys)
 
+    def reject(self, reason: str) -> None:
+        """See node.Context."""
+        self._count_rejected(self._handling, reason)
+
     def connected(self, port: str, subject: str | None = None) -> bool:
         """See node.Context."""
         self._output(port)
@@ -160,6 +180,12 @@ class NodeContext:
         self._let_go(self._now())
         due = self._delayed.due
         return None if due is None else max(0.0, (due - self._now()) * 1e-9)
+
+    def publisher(self, key: str) -> str:
+        """The node that publishes on a key: the interposer on what it has passed on."""
+        if self._publishers is None:
+            self._publishers = {leg.key: leg.publisher.node for _, leg in self.wiring.legs()}
+        return self._publishers.get(key) or (self._hears[key].source if key in self._hears else key)
 
     def flush(self) -> None:
         """Let go at once what was to leave later, in the order in which it would have left."""
@@ -205,21 +231,38 @@ class NodeContext:
             raise ConfigurationError(
                 f"{self.name}: after_s: a node that does not hear the clock cannot delay a message"
             )
-        if len(self._delayed) >= MAX_DELAYED:
-            raise ConfigurationError(f"{self.name}: more than {MAX_DELAYED} messages are to leave later")
         delay_ns = round(after_s * 1e9)
         if self._now is not None:
             due = self._moment_ns + delay_ns
-            self._delayed.push(due, due, out)
+            self._delay(due, due, out)
             self._let_go(self._moment_ns)  # what was due before this one leaves before it
         elif delay_ns < self._period_ns:
             self._emit(out)
             self.sent[key] += 1
         else:
-            self._delayed.push(self._step + delay_ns // self._period_ns, self.time_ns + delay_ns, out)
+            self._delay(self._step + delay_ns // self._period_ns, self.time_ns + delay_ns, out)
+
+    def _delay(self, due: int, rank: int, out: Outgoing) -> None:
+        """Keep a message until it is due, in the room of the source whose message is being handled."""
+        came, payload = self._handling or out.key, out.payload
+        source = self.publisher(came)
+        # In one process it takes up what its bytes would on a mesh, so that both drop the same.
+        size = len(payload if isinstance(payload, bytes) else codec.encode(payload))
+        if self._delayed_room.take(source, size):
+            self._delayed.push(due, rank, _Kept(out, source, size))
+        else:
+            self._count_rejected(came, f"delayed: more than {self._delayed_room.limit} of {source} are to leave later")
 
     def _let_go(self, now: int) -> None:
         """Send what is due by now (a step in lock-step, else ns), in the step in which it leaves."""
-        for out in self._delayed.pop(now):
+        for out, source, size in self._delayed.pop(now):
+            self._delayed_room.free(source, size)
             self._emit(out._replace(step=self._step))
             self.sent[out.key] += 1
+
+    def _count_rejected(self, key: str, reason: str, count: int = 1) -> None:
+        """Count messages that were not taken, by key and by what precedes the colon of the reason."""
+        if key not in self.first_rejected:
+            self.first_rejected[key] = self.frame, reason[:_MAX_REASON]
+            self.log.warning("rejected a message on %s: %s (further ones on this key are only counted)", key, reason)
+        self.rejected[key, reason.split(":", 1)[0]] += count

@@ -22,6 +22,7 @@ from mast_zenoh.runtime.pacer import Pacer
 from mast_zenoh.runtime.rewiring import Rewirer, Told, counted, packed
 from mast_zenoh.runtime.timetable import Timetable
 from mast_zenoh.steps import ProcessStep
+from mast_zenoh.timespan import Timespan
 from mast_zenoh.wiring import Wiring
 
 #: How long the last messages of a real-time run may be under way before everyone is told to stop.
@@ -54,12 +55,12 @@ class Driver(MeshNode):
         rate: float,
         timetable: Timetable,
         without: Collection[str] = (),
+        timespan: Timespan | None = None,
         start_timeout_s: float = 60.0,
         stall_timeout_s: float = 30.0,
     ) -> None:
-        super().__init__(
-            run, name, node, wiring, seed, session, period_ns=period_ns, lockstep=lockstep, without=without
-        )
+        limits: Any = {"without": without, "timespan": timespan}
+        super().__init__(run, name, node, wiring, seed, session, period_ns=period_ns, lockstep=lockstep, **limits)
         self.source = node
         self.pacer = Pacer(wiring)
         self.expected = expected

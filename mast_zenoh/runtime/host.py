@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
@@ -19,19 +19,29 @@ from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.context import NodeContext, Outgoing
 from mast_zenoh.runtime.failures import Failure
+from mast_zenoh.runtime.limits import HELD, Room
+from mast_zenoh.timespan import Timespan
 from mast_zenoh.wiring import ANY, NO_WIRING, Input, Ports, Wiring
 
-MAX_HELD = 10_000  #: messages held back for a clock that has not come; more are dropped and counted
-_MAX_REASON = 200  # characters kept of why a message was rejected
+
+class _Held(NamedTuple):
+    """A message that waits for the clock of its step, and what it takes up of the room of a source, bytes."""
+
+    key: str
+    hears: Input
+    received: Received
+    counted: bool
+    source: str
+    size: int
 
 
 class Host(NodeContext):
     """One node with its ports connected; see the module's docstring, and `NodeContext` for the parameters.
 
+    timespan: the frames and times that messages can have; None: any
     observe: called with the key and header of every sound message;
     on_failure: called with every failure of a handler, when it has been counted;
-    handled: messages by key; rejected: malformed messages by (key, kind); first_rejected: by key the frame in
-    which a message was rejected first, and why; failures: by handler.
+    handled: messages by key; failures: by handler.
     """
 
     def __init__(
@@ -46,16 +56,19 @@ class Host(NodeContext):
         period_ns: int = Source.period_ns,
         now: Callable[[], int] | None = None,
         wiring: Wiring = NO_WIRING,
+        timespan: Timespan | None = None,
     ) -> None:
         super().__init__(name, node, ports, seed, encode=encode, emit=emit, period_ns=period_ns, now=now, wiring=wiring)
         self.handled: Counter[str] = Counter()
-        self.rejected: Counter[tuple[str, str]] = Counter()
-        self.first_rejected: dict[str, tuple[int, str]] = {}
         self.failures: dict[str, Failure] = {}
         self.on_failure: Callable[[Failure], None] = lambda failure: None
         self.observe: Callable[[str, Header], None] | None = None
-        self._held: dict[int, list[tuple[str, Input, Received, bool]]] = {}
-        self._n_held = 0
+        self._held: dict[int, list[_Held]] = {}
+        self._held_room = Room(HELD)
+        self._timespan = timespan
+        self._end = 1 << 62 if timespan is None else timespan.frames - 1
+        self._last_step = self._end  # in which a message can have been sent
+        self._awaited = timespan is not None and now is None and bool(ports.outputs) and _direct_clock(wiring)
         self._overhears = ANY in node.inputs.values()
         self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
         if self._overhears:
@@ -84,6 +97,9 @@ class Host(NodeContext):
     def rewired(self, wiring: Wiring) -> None:
         """From now on messages take the ways of another wiring."""
         self.wiring = wiring
+        self._publishers = None
+        if not _direct_clock(wiring):
+            self._awaited, self._last_step = False, self._end
         self._guard("rewired", self.node.rewired, self)
 
     def finish(self) -> dict[str, Any]:
@@ -110,6 +126,9 @@ class Host(NodeContext):
         if self._overhears:
             self._overhear(key, hears, payload, step, counted, flaw)
             return
+        if step > self._last_step:
+            self._reject(key, f"step: sent in frame {step}, expected at most {self._last_step}", counted)
+            return
         if hears.port in self.node.unopened:
             if flaw and isinstance(payload, Message):
                 payload = codec.encode(payload)  # as bytes, so that it is passed on as it is
@@ -120,8 +139,14 @@ class Host(NodeContext):
             if flaw:
                 raise MessageError(flaw)
             message = payload if isinstance(payload, Message) else codec.decode(payload, hears.message)
-            if message.header.source != hears.source:
-                raise MessageError(f"{hears.message}: source {message.header.source[:40]!r}, expected {hears.source!r}")
+            _, source, frame, time_ns, _ = message.header
+            if source != hears.source:
+                raise MessageError(f"{hears.message}: source {source[:40]!r}, expected {hears.source!r}")
+            if (time_ns != self.time_ns or frame != self.frame) and self._timespan is not None:
+                # Otherwise it is about the newest clock's frame, as nearly all messages are.
+                refusal = self._timespan.refusal(message.header, step if step >= 0 else self.frame)
+                if refusal:
+                    raise MessageError(refusal)
         except MessageError as error:
             self._reject(key, str(error), counted)
             return
@@ -133,6 +158,12 @@ class Host(NodeContext):
         else:
             self._take(key, hears, received, counted)
 
+    def drop(self, key: str, reason: str, *, count: int = 1, counted: int = 0) -> None:
+        """Messages on `key` were dropped before they could be delivered; for `counted` of them lock-step waits."""
+        if counted:
+            self.handled[key] += counted
+        self._count_rejected(key, reason, count)
+
     def hear(self, key: str, heard: Input) -> None:
         """From now on another key is heard."""
         self._hears[key] = heard
@@ -140,7 +171,7 @@ class Host(NodeContext):
     @property
     def waiting(self) -> int:
         """How many messages wait here: for the clock of their step, or to leave."""
-        return self._n_held + len(self._delayed)
+        return sum(map(len, self._held.values())) + len(self._delayed)
 
     @property
     def clocked(self) -> bool:
@@ -159,15 +190,17 @@ class Host(NodeContext):
             self._reject(key, f"clock: frame {received.frame} after frame {self.frame}", counted)
             return
         self.frame, self.time_ns, self._step = received.frame, received.time_ns, received.frame
+        if self._awaited:  # in lock-step the next clock does not come before this node has handled this one
+            self._last_step = min(self.frame + 1, self._end)
         if self._now is not None and self._began_ns is None:
             self._began_ns = self._now()
         self._handle(key, hears, received, counted)
         if self._now is None:
             self._let_go(self._step)
         for step in sorted(step for step in self._held if step <= self.frame):
-            for held_key, held_hears, held, held_counted in self._held.pop(step):
-                self._n_held -= 1
-                self._handle(held_key, held_hears, held, held_counted)
+            for each in self._held.pop(step):
+                self._held_room.free(each.source, each.size)
+                self._handle(each.key, each.hears, each.received, each.counted)
 
     def _overhear(self, key: str, hears: Input, content: bytes | Message, step: int, counted: bool, flaw: str) -> None:
         """Hand a message on at once, sound or not: a node that publishes nothing cannot act too early."""
@@ -175,7 +208,7 @@ class Host(NodeContext):
             self.handled[key] += 1
         if key in self._ignored:
             return
-        overheard = Overheard(key, hears, content, step, flaw)
+        overheard = Overheard(key, hears, content, step, flaw, self._timespan, self.frame)
         if hears.message == "clock":
             with suppress(MessageError):
                 overheard.check()
@@ -185,6 +218,7 @@ class Host(NodeContext):
         if self.observe:
             with suppress(MessageError):
                 self.observe(key, overheard.header)
+        self._handling = key
         self._guard(hears.port, self._handlers[hears.port], overheard, self)
 
     def _or_rejected(self, handler: Any) -> Any:
@@ -208,24 +242,23 @@ class Host(NodeContext):
         self._handle(key, hears, received, counted)
 
     def _hold(self, step: int, key: str, hears: Input, received: Received, counted: bool) -> None:
-        if self._n_held >= MAX_HELD:
-            self._reject(key, f"{hears.message}: more than {MAX_HELD} messages wait for their clock", counted)
+        source, size = self.publisher(key), _size(received)
+        if not self._held_room.take(source, size):
+            self._reject(key, f"held: more than {HELD} of {source} wait for their clock", counted)
             return
-        self._held.setdefault(step, []).append((key, hears, received, counted))
-        self._n_held += 1
+        self._held.setdefault(step, []).append(_Held(key, hears, received, counted, source, size))
 
     def _handle(self, key: str, hears: Input, received: Received, counted: bool) -> None:
+        self._handling = key
         self._guard(hears.port, self._handlers[hears.port], received, self)
+        self._handling = ""
         if counted:
             self.handled[key] += 1
 
     def _reject(self, key: str, reason: str, counted: bool) -> None:
         if counted:
             self.handled[key] += 1
-        if key not in self.first_rejected:
-            self.first_rejected[key] = self.frame, reason[:_MAX_REASON]
-            self.log.warning("rejected a message on %s: %s (further ones on this key are only counted)", key, reason)
-        self.rejected[key, reason.split(":", 1)[0]] += 1
+        self._count_rejected(key, reason)
 
     def _guard(self, what: str, call: Any, *arguments: Any) -> Any:
         """Call a handler; its error costs this one message, is counted, and logged once for each handler.
@@ -257,3 +290,14 @@ class Host(NodeContext):
         if isinstance(message, Received) and not self._clocked and message.step >= 0:
             return message.step
         return self.frame
+
+
+def _direct_clock(wiring: Wiring) -> bool:
+    """Whether no interposer can keep a clock from a node."""
+    return not any(wire.interposers for wire in wiring.wires if wire.message == "clock")
+
+
+def _size(received: Received) -> int:
+    """Bytes that a message takes up; where it was never bytes, its columns."""
+    payload = received.payload
+    return len(payload) if payload is not None else sum(column.nbytes for column in received.body.values())

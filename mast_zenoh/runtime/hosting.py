@@ -64,6 +64,7 @@ def host(
     lockstep = resolved.mode == "lockstep"
     common = (run, name, built, wiring, resolved.seed, session)
     more: dict[str, Any] = {"period_ns": resolved.period_ns, "lockstep": lockstep, "without": without}
+    more["timespan"] = resolved.timespan
     if isinstance(built, Source):
         roles = {other: spec.role for other, spec in resolved.nodes.items()}
         timetable = Timetable(resolved, lockstep=lockstep)

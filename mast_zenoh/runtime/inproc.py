@@ -129,6 +129,7 @@ class InProcess:
             period_ns=period_ns,
             emit=self._sent,
             wiring=self._wiring,
+            timespan=self._resolved.timespan,
         )
         self._made.append(host)
         return host

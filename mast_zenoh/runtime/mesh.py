@@ -38,7 +38,10 @@ from mast_zenoh.runtime import results
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.failures import Failure
 from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.inbox import Inbox
+from mast_zenoh.runtime.limits import EARLY, INBOX, Room
 from mast_zenoh.runtime.rewiring import Outlet, Rewiring, Told, counted
+from mast_zenoh.timespan import Timespan
 from mast_zenoh.wiring import Leg, Wire, Wiring
 
 #: What a message carries beside its payload: a mark of this testbed's nodes, the epoch, and the step that it was sent
@@ -62,6 +65,7 @@ class MeshNode:
     """One node on the mesh; `run_until_stopped` is its life. See the module's docstring.
 
     period_ns: of the scene's frames; lockstep: whether time goes by frames; without: nodes that are not up now
+    timespan: the frames and times that messages can have; None: any
     """
 
     def __init__(
@@ -76,6 +80,7 @@ class MeshNode:
         period_ns: int,
         lockstep: bool,
         without: Collection[str] = (),
+        timespan: Timespan | None = None,
     ) -> None:
         self.name = name
         self.wiring = wiring
@@ -83,10 +88,19 @@ class MeshNode:
         self.ports = wiring.ports(name)
         now = None if lockstep else time.monotonic_ns
         self.host = Host(
-            name, node, self.ports, seed, encode=True, period_ns=period_ns, now=now, emit=self._put, wiring=wiring
+            name,
+            node,
+            self.ports,
+            seed,
+            encode=True,
+            period_ns=period_ns,
+            now=now,
+            emit=self._put,
+            wiring=wiring,
+            timespan=timespan,
         )
         self.session = session
-        self.inbox: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
+        self.inbox = Inbox()
         self.members: dict[str, str] = {}
         self.epoch = 0
         self.stop_reason: str | None = None
@@ -99,6 +113,8 @@ class MeshNode:
         self._started = False
         self._cpu_begun = time.process_time()
         self._early: list[tuple[str, bytes, int, int]] = []
+        self._early_room = Room(EARLY)
+        self._early_dropped: Counter[str] = Counter()  # of the next epoch, by key
         self._in_frame = 0  # messages that have come in this frame
         self._in_frames = (0, 0)  # and in the two before
         self.lockstep = lockstep
@@ -171,6 +187,8 @@ class MeshNode:
             self._enter_epoch(*msgpack.unpackb(rest[0]))
         elif kind == "stop":
             self.stop_reason = rest[0]
+        elif kind == "dropped":
+            self._note_dropped()
         elif kind in ("drain", "drained"):
             self.rewiring.handle(event)
         self.rewiring.answer()
@@ -184,6 +202,7 @@ class MeshNode:
 
     def hand_in(self) -> None:
         """Finish the node and give its results to the launcher; keep trying until it says that it has them."""
+        self._note_dropped()
         cpu_s = time.process_time() - self._cpu_begun
         outcome = {
             "results": self.host.finish() if self._started else {},
@@ -236,24 +255,42 @@ class MeshNode:
         self.outlets[message.key].put(message.payload, attachment)
 
     def _sample(self, key: str, payload: bytes, attachment: bytes | None) -> None:
-        mark, epoch, step = (
-            ATTACHMENT.unpack(attachment) if attachment and len(attachment) == ATTACHMENT.size else (b"", 0, -1)
-        )
-        if mark != MARK:
+        epoch, step = _stamp(attachment)
+        if epoch < 0:
             self.foreign[key] += 1
             if self._started:
                 self.host.deliver(key, payload, -1, counted=False)
         elif epoch > self.epoch and not self.rewiring.leaving:
-            self._early.append((key, payload, epoch, step))
+            self._keep_early(key, payload, epoch, step)
         elif self._started:
             self.newest[key] = payload
             self.host.deliver(key, payload, step, counted=epoch == self.epoch)
+
+    def _keep_early(self, key: str, payload: bytes, epoch: int, step: int) -> None:
+        """Keep a message of an epoch that is still to come."""
+        source = self.host.publisher(key)
+        if self._early_room.take(source, len(payload)):
+            self._early.append((key, payload, epoch, step))
+            return
+        self.host.drop(key, f"early: more than {EARLY} of {source} are of an epoch to come")
+        if epoch == self.epoch + 1:
+            self._early_dropped[key] += 1  # the driver will wait for it
+
+    def _note_dropped(self) -> None:
+        """Count what found no room in the inbox: rejected, and dealt with as far as lock-step goes."""
+        for (key, epoch), count in self.inbox.take_dropped().items():
+            reason = f"queued: more than {INBOX} of {self.host.publisher(key)} wait in the inbox"
+            self.host.drop(key, reason, count=count, counted=count if epoch == self.epoch else 0)
+            if epoch == self.epoch + 1:
+                self._early_dropped[key] += count
 
     def _enter_epoch(self, epoch: int, members: dict[str, str], told: list[Any] | None = None) -> None:
         if epoch <= self.epoch or self.name not in members:
             return
         before, self.members, self.epoch = self.members, members, epoch
         self.host.reset_counts()
+        dropped, self._early_dropped = self._early_dropped, Counter()
+        self.host.handled.update(dropped)
         if not self._started:
             self._started = True
             self._cpu_begun = time.process_time()
@@ -268,7 +305,7 @@ class MeshNode:
             self.rewiring.follow(change)
             if change.speak and change.wiring != self.host.wiring:
                 self.host.rewired(change.wiring)
-        early, self._early = self._early, []
+        early, self._early, self._early_room = self._early, [], Room(EARLY)
         for key, payload, its_epoch, step in early:
             self._sample(key, payload, ATTACHMENT.pack(MARK, its_epoch, step))
         if told is not None:
@@ -316,14 +353,16 @@ class MeshNode:
         self._subscribers.append(self.subscribe(key, self._on_sample(key)))
 
     def _on_sample(self, key: str) -> Callable[[zenoh.Sample], None]:
-        put = self.inbox.put
+        put = self.inbox.put_sample
 
         def on_sample(sample: zenoh.Sample) -> None:
             attachment = sample.attachment
             came = (key, sample.payload.to_bytes(), attachment.to_bytes() if attachment else None)
-            if not (self._prompt and self._handled_at_once(*came)):
+            if self._prompt and self._handled_at_once(*came):
+                return
+            ahead = _stamp(came[2])[0] - self.epoch
+            if put(self.host.publisher(key), ("sample", *came), self.epoch + ahead if ahead in (0, 1) else -1):
                 self._queued += 1
-                put(("sample", *came))
 
         return on_sample
 
@@ -370,3 +409,11 @@ class MeshNode:
         """Whether it is a leg that this node speaks on and another that is up listens to."""
         hearers = {end.node for end in (*wire.hearers(leg), *self.wiring.overhearers)}
         return leg.publisher.node == self.name and bool(hearers - self.without)
+
+
+def _stamp(attachment: bytes | None) -> tuple[int, int]:
+    """Epoch and step of an attachment; (-1, -1) for one that is none of this testbed's nodes."""
+    if attachment is None or len(attachment) != ATTACHMENT.size:
+        return -1, -1
+    mark, epoch, step = ATTACHMENT.unpack(attachment)
+    return (epoch, step) if mark == MARK else (-1, -1)

@@ -53,6 +53,7 @@ def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
         emit=lambda out: None,
         period_ns=period_ns,
         wiring=wiring,
+        timespan=resolved.timespan,
     )
     present = {}
     while changes and changes[0].what == JOINED and changes[0].frame < 0:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mast_zenoh import bundle, endpoints, keyexpr, loading, registry, scenes
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
+from mast_zenoh.node import Node
 from mast_zenoh.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.scenario.nodes import nodes_of
 from mast_zenoh.scenario.reading import choose_scene
 from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, spelt
 from mast_zenoh.scenario.timeline import REWRITE, timeline_of
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.timespan import LEEWAY_S
 from mast_zenoh.wiring import ANY, Wiring
 
 
@@ -48,8 +53,7 @@ def resolve(
     nodes = nodes_of(path, scenario, recording, played, record and options["record"])
     timeline = timeline_of(path, scenario, nodes, recording, played, seed=options["seed"], mode=options["mode"])
     nodes |= timeline.links
-    for name, spec in nodes.items():
-        build_node(spec, name, str(path))
+    built = [build_node(spec, name, str(path)) for name, spec in nodes.items()]
     wiring = _wiring(path, scenario, nodes, [REWRITE] if timeline.links else [])
     return Resolved(
         name=checked_name(scenario.get("name", name_of_file(path.stem)), f"{path}: name"),
@@ -65,8 +69,17 @@ def resolve(
         steps=timeline.plan.steps,
         timeline=timeline.bands,
         network=timeline.network,
+        leeway_ns=_leeway_ns(built, recording, played),
         recording=recording,
     )
+
+
+def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:
+    """By how much the times of messages may be off those of evenly spaced frames."""
+    times_ns = recording.times_ns[:frames] - recording.times_ns[0]
+    uneven = np.abs(times_ns - np.arange(frames) * recording.period_ns).max(initial=0)
+    duration_s = float(times_ns[-1]) * 1e-9 if frames else 0.0
+    return int(uneven) + round((LEEWAY_S + sum(node.restamps_s(duration_s) for node in nodes)) * 1e9)
 
 
 def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec], rewrites: list[str]) -> Wiring:

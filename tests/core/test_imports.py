@@ -39,6 +39,7 @@ LAYERS = (
         "messages",
         "bundle",
         "tables",
+        "timespan",
     ),
     ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics", "links", "faults"),
     ("geometry", "matching", "states", "steps", "streams", "kernels", "errors", "release", "stop_signals", "__init__"),

@@ -96,7 +96,7 @@ def test_a_run_report_says_the_result_and_how_every_node_ended(run_folder: RunFo
         "Two of four roadside sensors compromised: 6.2 false objects a frame in the common picture are due" in page.text
     )
     assert [row for kind, row in page.rows if kind == "bad"] == [
-        "infra_2agent77killed by signal 9-92213 malformed messages refused\n"
+        "infra_2agent77killed by signal 9-92213 messages rejected\n"
     ]
     assert "mast run scenarios/uncoordinated.py --set 'name=two words'" in page.text
     hostile = [row for kind, row in page.rows if kind == "hostile"]

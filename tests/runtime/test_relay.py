@@ -17,6 +17,7 @@ from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime import context as context_module
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.limits import Limit
 from mast_zenoh.wiring import Input, Ports
 
 PERIOD_NS = 10**8
@@ -328,11 +329,12 @@ def test_a_node_that_hears_no_clock_cannot_delay() -> None:
 
 
 def test_not_more_than_so_many_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(context_module, "MAX_DELAYED", 3)
+    monkeypatch.setattr(context_module, "DELAYED", Limit(3, 10**6))
     host, outbox = hosting(relaying(after_s=0.1))
     clock(host, 0)
     for seq in range(5):
         send(host, status(0, seq=seq))
-    assert host.failures["on_status"].count == 2
+    assert host.rejected == {("in", "delayed"): 2}
+    assert not host.failures, "what a node gets is not its own fault"
     clock(host, 1)
     assert said(outbox) == [(1, 0), (1, 1), (1, 2)]

@@ -1,0 +1,64 @@
+"""A flood of large messages costs the nodes of a run a bounded amount of memory."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+from launched import Launched, Observer, eventually
+
+from mast_zenoh import codec
+from mast_zenoh.messages import Header
+from mast_zenoh.runtime.mesh import ATTACHMENT, MARK
+from mast_zenoh.states import ObjectStates
+
+pytestmark = pytest.mark.mesh
+MESSAGES, LAST = 30, 149
+LIMIT_MB = 400
+
+
+def peak_mb(pid: int) -> float:
+    """The most memory that a process has ever had, MB."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1000
+
+
+def tracks_of(source: str) -> bytes:
+    """Sound tracks of 15 MB about the last frame of the run."""
+    n = 20_000
+    states = ObjectStates.of(np.zeros((n, 3)), id=np.arange(n), covariance=np.tile(np.eye(9), (n, 1, 1)))
+    reference = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+    header = Header("tracks", source, LAST, LAST * 10**8, 0)
+    return codec.encode(codec.conform(header, states.columns() | reference))
+
+
+def test_messages_that_wait_for_a_clock_or_an_epoch_do_not_fill_the_memory(launch) -> None:
+    run: Launched = launch("baseline", "--mode", "realtime", "--no-record", "--rate", "0.3")
+    record = run.started()
+    observer = Observer(record, "clock")
+    try:
+        eventually(lambda: observer.frame() > 3, "the run is on its way")
+        flood = observer.session.declare_publisher(
+            observer.prefix + "agent/infra_1/tracks", congestion_control=zenoh.CongestionControl.BLOCK
+        )
+        payload = tracks_of("infra_1")
+        for number in range(MESSAGES):
+            flood.put(payload, attachment=ATTACHMENT.pack(MARK, 1 + number % 2, LAST))
+        after = observer.frame()
+        eventually(lambda: observer.frame() > after + 5, "what was sent has come")
+        peaks = {name: peak_mb(node["pid"]) for name, node in run.record()["nodes"].items()}
+    finally:
+        observer.close()
+    run.process.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == 130, output
+    assert {name: mb for name, mb in peaks.items() if mb > LIMIT_MB} == {}
+    nodes = run.record()["nodes"]
+    assert all(node["ended"] == "ok" and not node["failures"] for node in nodes.values())
+    dropped = {place.rpartition(": ")[2]: n for place, n in nodes["broker"]["rejected"].items()}
+    assert sum(dropped.values()) >= MESSAGES - 10
+    assert dropped.keys() <= {"held", "early", "queued"}
+    assert "rejected: " in output

@@ -1,0 +1,247 @@
+"""What waits in a node's process is limited by source, in messages and in bytes; legitimate runs stay far below."""
+
+import logging
+import queue
+from collections.abc import Callable
+from contextlib import suppress
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tiny_world import tracks
+
+from mast_zenoh import codec
+from mast_zenoh.messages import SCHEMAS, Header, Message, text
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.driver import SETTLE_EVERY
+from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.inbox import Inbox
+from mast_zenoh.runtime.limits import DELAYED, EARLY, HELD, INBOX, Limit, Room
+from mast_zenoh.runtime.mesh import ATTACHMENT, MARK, MeshNode
+from mast_zenoh.states import ObjectStates
+from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+
+MIB = 1 << 20
+LATER = 5
+
+
+class Relay(Node):
+    """Passes on the tracks of two agents, later if it is told so."""
+
+    inputs = {"clock": "clock", "tracks": "tracks"}
+    outputs = {"tracks_out": "tracks"}
+
+    def __init__(self, after_s: float = 0.0) -> None:
+        self.after_s = after_s
+        self.got: list[tuple[str, int]] = []
+
+    def on_clock(self, received: Received, context: Context) -> None: ...
+
+    def on_tracks(self, received: Received, context: Context) -> None:
+        self.got.append((received.subject, received.message.header.seq))
+        context.relay("tracks_out", received, after_s=self.after_s)
+
+
+#: Two agents' tracks reach the relay; `mallory` is on the way of the second one's.
+WIRING = Wiring(
+    (
+        Wire("clock", "", "clock", (Leg("clock", Endpoint("simulator", "clock"), (Endpoint("relay", "clock"),)),)),
+        Wire(
+            "agent/a/tracks",
+            "a",
+            "tracks",
+            (
+                Leg("agent/a/tracks/@tap/0", Endpoint("a", "tracks"), (Endpoint("relay", "tracks"),)),
+                Leg("agent/a/tracks", Endpoint("relay", "tracks_out"), (Endpoint("broker", "tracks"),)),
+            ),
+        ),
+        Wire(
+            "agent/b/tracks",
+            "b",
+            "tracks",
+            (
+                Leg("agent/b/tracks/@tap/0", Endpoint("b", "tracks"), (Endpoint("mallory", "tracks"),)),
+                Leg("agent/b/tracks/@tap/1", Endpoint("mallory", "tracks_out"), (Endpoint("relay", "tracks"),)),
+                Leg("agent/b/tracks", Endpoint("relay", "tracks_out"), (Endpoint("broker", "tracks"),)),
+            ),
+        ),
+    )
+)
+KEY_A, KEY_B = "agent/a/tracks/@tap/0", "agent/b/tracks/@tap/1"
+
+
+def hosting(node: Node, *, encode: bool = True) -> tuple[Host, list[Outgoing]]:
+    outbox: list[Outgoing] = []
+    ports = WIRING.ports("relay")
+    return Host("relay", node, ports, 0, encode=encode, emit=outbox.append, wiring=WIRING), outbox
+
+
+def said(name: str, seq: int = 0, n: int = 1, frame: int = 0) -> Message:
+    states = ObjectStates.of(np.zeros((n, 3)), covariance=np.tile(np.eye(9), (n, 1, 1)))
+    body = tracks() | states.columns() | {"id": np.arange(n)}
+    return codec.conform(Header("tracks", name, frame, frame * 10**8, seq), body)
+
+
+def clock(frame: int) -> bytes:
+    return codec.encode(codec.conform(Header("clock", "simulator", frame, frame * 10**8, frame), {}))
+
+
+def test_what_a_flood_leaves_waiting_for_a_clock_is_bounded_and_costs_no_other_source_its_room() -> None:
+    host, _ = hosting(Relay())
+    big = codec.encode(said("b", n=20_000))
+    assert 14 * MIB < len(big) < 16 * MIB
+    for _ in range(20):
+        host.deliver(KEY_B, big, LATER)
+    host.deliver(KEY_A, codec.encode(said("a")), LATER)
+    assert host.waiting == 3, "two of 15 MB from one source, and that of the other"
+    assert host.rejected == {(KEY_B, "held"): 18}
+    assert host.handled[KEY_B] == 18, "lock-step does not wait for what was dropped"
+    frame, reason = host.first_rejected[KEY_B]
+    assert (frame, reason) == (-1, "held: more than 10000 messages or 32 MiB of mallory wait for their clock")
+    host.deliver("clock", clock(LATER), LATER)
+    assert host.node.got == [("b", 0), ("b", 0), ("a", 0)]
+    host.deliver(KEY_B, big, LATER + 1)
+    assert host.waiting == 1, "there is room again"
+
+
+@pytest.mark.parametrize("encode", [True, False])
+def test_a_flood_through_a_delaying_link_costs_its_own_messages_alone(
+    encode: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = len(codec.encode(said("b", n=10)))
+    monkeypatch.setattr("mast_zenoh.runtime.context.DELAYED", Limit(100, 3 * one))
+    host, outbox = hosting(Relay(after_s=0.1), encode=encode)
+    host.deliver("clock", clock(0), 0)
+    for seq in range(5):
+        content = said("b", seq, n=10)
+        host.deliver(KEY_B, codec.encode(content) if encode else content, 0)
+    content = said("a")
+    host.deliver(KEY_A, codec.encode(content) if encode else content, 0)
+    assert host.rejected == {(KEY_B, "delayed"): 2}
+    assert not host.failures, "what a node gets is not its own fault"
+    host.deliver("clock", clock(1), 1)
+    assert [out.key for out in outbox] == ["agent/b/tracks"] * 3 + ["agent/a/tracks"]
+    host.deliver(KEY_B, codec.encode(said("b", 9, n=30)) if encode else said("b", 9, n=28), 1)
+    assert host.rejected == {(KEY_B, "delayed"): 2}, "there is room again"
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 40), st.booleans())))
+@settings(max_examples=100)
+def test_no_source_has_more_than_its_room_and_none_gets_less(steps: list[tuple[str, int, bool]]) -> None:
+    room = Room(Limit(5, 100))
+    waiting: dict[str, list[int]] = {source: [] for source in "abc"}
+    for source, size, leaves in steps:
+        mine = waiting[source]
+        if leaves and mine:
+            room.free(source, mine.pop(0))
+            continue
+        fits = len(mine) < 5 and sum(mine) + size <= 100
+        assert room.take(source, size) == fits
+        if fits:
+            mine.append(size)
+
+
+def test_the_inbox_drops_and_counts_what_one_source_sends_too_much_of() -> None:
+    inbox = Inbox(Limit(3, 1000))
+    for number in range(5):
+        assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), number), 7) == (number < 2)
+    assert inbox.put_sample("a", ("sample", "good", b"x", None), 7)
+    inbox.put(("stop", "end"))
+    assert [inbox.get()[0] for _ in range(5)] == ["sample", "sample", "dropped", "sample", "stop"]
+    assert inbox.take_dropped() == {("bad", 7): 3}
+    assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), None), 7), "there is room again"
+
+
+class Session:
+    """A session on no mesh: what is declared does nothing."""
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        return lambda *arguments, **more: SimpleNamespace(put=lambda *a, **k: None)
+
+
+def on_no_mesh(node: Node) -> MeshNode:
+    mesh = MeshNode("run", "relay", node, WIRING, 0, Session(), period_ns=10**8, lockstep=True)
+    mesh._enter_epoch(1, {"relay": "link", "a": "agent"})
+    return mesh
+
+
+def arrives(mesh: MeshNode, key: str, payload: bytes, epoch: int, step: int = -1) -> None:
+    """A sample comes in the way in which Zenoh brings it."""
+    stamp = ATTACHMENT.pack(MARK, epoch, step)
+    sample = {"payload": lambda: payload, "attachment": lambda: stamp}
+    mesh._on_sample(key)(SimpleNamespace(**{name: SimpleNamespace(to_bytes=get) for name, get in sample.items()}))
+
+
+def handle_all(mesh: MeshNode) -> None:
+    with suppress(queue.Empty):
+        while True:
+            mesh.handle(mesh.inbox.get_nowait())
+
+
+def test_messages_of_an_epoch_to_come_are_bounded_by_source(caplog: pytest.LogCaptureFixture) -> None:
+    mesh = on_no_mesh(Relay())
+    big = codec.encode(said("b", n=20_000))
+    with caplog.at_level(logging.WARNING):
+        for epoch in (2, 2, 2, 2, 9, 2**32 - 1):
+            arrives(mesh, KEY_B, big, epoch)
+            handle_all(mesh)
+    arrives(mesh, KEY_A, codec.encode(said("a")), 2)
+    handle_all(mesh)
+    assert mesh.host.rejected == {(KEY_B, "early"): 4}
+    assert len(caplog.records) == 1
+    mesh._enter_epoch(2, {"relay": "link", "a": "agent"})
+    assert mesh.host.node.got == [("b", 0), ("b", 0), ("a", 0)]
+    assert mesh.host.handled[KEY_B] == 4, "the driver does not wait for what was dropped of this epoch"
+
+
+def test_a_node_that_is_slow_keeps_no_more_of_a_flood_than_its_source_may_have() -> None:
+    mesh = on_no_mesh(Relay())
+    big = codec.encode(said("b", n=20_000))
+    for _ in range(30):
+        arrives(mesh, KEY_B, big, 1)
+    arrives(mesh, KEY_A, codec.encode(said("a")), 1)
+    handle_all(mesh)
+    fits = INBOX.bytes // len(big)
+    assert fits < 10
+    assert mesh.host.node.got == [("b", 0)] * fits + [("a", 0)]
+    assert mesh.host.rejected == {(KEY_B, "queued"): 30 - fits}
+    assert mesh.host.handled[KEY_B] == 30
+
+
+def test_forty_agents_in_a_large_scene_stay_far_below_every_limit() -> None:
+    """60 tracks of each of 40 agents, 300 road users, 10 Hz; listeners are as far behind as lock-step lets them."""
+    agents, objects, seen = 40, 300, 60
+    rows = {"collated": agents * seen, "picture": objects, "tracks": seen, "detections": seen, "truth": objects}
+    size = {schema: _encoded(schema, n, agents) for schema, n in rows.items()} | {"pose": 300, "status": 300}
+    by_source = {
+        "simulator": (1 + 2 * agents + 1, agents * (size["pose"] + size["detections"]) + size["truth"]),
+        "agent": (3, 2 * size["tracks"] + size["status"]),
+        "broker": (1, size["collated"]),
+        "command_center": (1, size["picture"]),
+    }
+    for messages, n_bytes in by_source.values():
+        for limit, frames in ((HELD, 3), (EARLY, 3), (INBOX, SETTLE_EVERY)):
+            assert messages * frames <= limit.messages / 2
+            assert n_bytes * frames <= limit.bytes * 3 / 4
+    half_a_minute = 300  # frames by which a link delays messages
+    assert 3 * half_a_minute <= DELAYED.messages / 2
+    assert max(size["tracks"], size["picture"]) * half_a_minute <= DELAYED.bytes * 3 / 4
+
+
+def _encoded(schema: str, n: int, agents: int) -> int:
+    """Bytes of a message with n objects."""
+    sizes = {"n": n, "a": agents}
+    body = {}
+    for column in SCHEMAS[schema].columns:
+        shape = tuple(sizes[size] if isinstance(size, str) else size for size in column.shape)
+        body[column.name] = text(["infra_10"] * shape[0]) if column.dtype == "str" else np.zeros(shape, column.dtype)
+    return len(codec.encode(codec.conform(Header(schema, "broker", 200, 20 * 10**9, 200), body)))
+
+
+def test_all_that_one_source_may_leave_waiting_fits_into_a_process() -> None:
+    assert HELD.bytes + EARLY.bytes + INBOX.bytes + DELAYED.bytes <= 320 * MIB
+    assert all(limit.bytes >= 2 * codec.MAX_BYTES for limit in (HELD, EARLY, INBOX, DELAYED))
