@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from mast_zenoh.control import fields
+from mast_zenoh.control import CONTROLS, fields
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import SCHEMAS
 from mast_zenoh.steps import ACTIONS
 from mast_zenoh.wiring import Wiring
 
 MAX_EPOCH = 1 << 32  #: as in the attachment of data messages
+_MAX_COUNTS = CONTROLS["counts"].max_bytes
 
 
 class Counts(NamedTuple):
@@ -63,7 +64,7 @@ def encode_counts(epoch: int, sent: Mapping[str, int], handled: Mapping[str, int
 
 def decode_counts(payload: bytes) -> Counts:
     """See Counts; raises MessageError."""
-    epoch, sent, handled = fields.items(fields.unpack(payload, "counts"), 3, "counts")
+    epoch, sent, handled = fields.items(fields.unpack(payload, "counts", _MAX_COUNTS), 3, "counts")
     fields.whole(epoch, "counts: epoch", 1, MAX_EPOCH)
     return Counts(epoch, fields.counters(sent, "counts: sent"), fields.counters(handled, "counts: handled"))
 

@@ -63,9 +63,9 @@ class Pacer:
         """
         if epoch != self.epoch or node not in self.members:
             return ""
-        if not sent.keys() <= self._speaks[node]:
+        if not self._speaks[node].issuperset(sent):
             return f"{node} reports messages sent on {_first(sent, self._speaks[node])}, on which it does not speak"
-        if not handled.keys() <= self._hears[node]:
+        if not self._hears[node].issuperset(handled):
             return f"{node} reports messages handled on {_first(handled, self._hears[node])}, which it does not hear"
         self._reports[node] = (sent, handled)
         return ""
