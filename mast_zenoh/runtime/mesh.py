@@ -16,6 +16,8 @@ under mast/{run}/@control/, a verbatim chunk, where no wildcard sees it:
     file/{node}      node → launcher   another: see mast_zenoh.runtime.elsewhere
     launcher         launcher          its liveliness token
     drain/{node}     node → node       see mast_zenoh.runtime.rewiring
+
+mast_zenoh.control has their schemas. What is none of these messages is counted, logged once for each key, and dropped.
 """
 
 from __future__ import annotations
