@@ -20,6 +20,8 @@
         ├── DiskFull             28   there is no room for what a run writes
         ├── VersionMismatch      29   a node elsewhere runs another version
         ├── HandlerFailed        30   a handler of a node raised an exception: the numbers may be wrong
+        ├── ImplausibleCounts    31   a node reports messages that it cannot have sent or handled
+        ├── ServiceDied          32   a part of the launcher that serves the nodes has ended
         └── Interrupted         130   Ctrl-C, SIGTERM or SIGHUP
 
 A usage error on the command line exits with 2, as everywhere.
@@ -150,6 +152,18 @@ class HandlerFailed(RunError):
     """A node's handler raised an exception, so the numbers may be wrong: names node, frames, exception and line."""
 
     exit_code = 30
+
+
+class ImplausibleCounts(RunError):
+    """A node reports messages that it cannot have sent or handled, so lock-step cannot go by it: names the node."""
+
+    exit_code = 31
+
+
+class ServiceDied(RunError):
+    """A part of the launcher that serves the nodes has ended, so what they ask for or hand in is lost: names it."""
+
+    exit_code = 32
 
 
 class Interrupted(RunError):

@@ -4,7 +4,7 @@ local        one run and its folder: on a mesh, or in this process
 twin         the same run without its adversaries
 launching    the run on a mesh, from the first process to the last
 supervisor   who starts, watches and ends nodes;  processes: as processes of this machine
-steps        what the scenario does to them
+steps        what the scenario does to them;  depot: files of nodes elsewhere
 latency      what was measured on the wall clock
 reports      what its nodes report: failures of handlers, results
 conclusion   what is written at the end;  notices: what deserves attention

@@ -14,15 +14,14 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import msgpack
-import zenoh
-
-from mast_zenoh import bundle, errors, keyexpr, loading
-from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, NotRunning, WiringError, nearest
+from mast_zenoh import bundle, keyexpr, loading
+from mast_zenoh.control.files import decode_refusal
+from mast_zenoh.control.interception import answer_of, place_json
+from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, WiringError, nearest
 from mast_zenoh.interposition import Place, insert
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import liveness
-from mast_zenoh.launch.interception import SECRET_FILE, place_json, seal
+from mast_zenoh.launch.interception import SECRET_FILE, seal
 from mast_zenoh.node import Node
 from mast_zenoh.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.runtime.mesh import prefix
@@ -200,22 +199,11 @@ def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[
         replies = session.get(f"{prefix(record['id'])}/@control/intercept", payload=sealed, timeout=_TIMEOUT_S)
         for reply in replies:
             if reply.ok is not None:
-                answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
-                return answer
+                return answer_of(reply.ok.payload.to_bytes())
             if reply.err is not None:
-                raise _error(reply.err, run)
+                late = NotRunning(f"{run}: the launcher did not answer in time")
+                raise decode_refusal(reply.err.payload.to_bytes()) or late
     raise NotRunning(f"{run}: the launcher does not answer")
-
-
-def _error(reply: zenoh.ReplyError, run: Path) -> MastError:
-    try:
-        kind, message = msgpack.unpackb(reply.payload.to_bytes())
-    except (ValueError, TypeError, msgpack.UnpackException):
-        return NotRunning(f"{run}: the launcher did not answer in time")
-    known = getattr(errors, str(kind), None)
-    return (
-        known(message) if isinstance(known, type) and issubclass(known, MastError) else MastError(f"{kind}: {message}")
-    )
 
 
 def _reachable(endpoint: str) -> bool:

@@ -12,20 +12,28 @@ import json
 import queue
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import msgpack
 import zenoh
 
 from mast_zenoh import release
+from mast_zenoh.control import files
+from mast_zenoh.control.files import PIECE_BYTES
+from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
 from mast_zenoh.resolved import RECORDING, Resolved
-from mast_zenoh.runtime.elsewhere import PIECE_BYTES, refused, written_by
+from mast_zenoh.runtime.elsewhere import written_by
+from mast_zenoh.runtime.failures import described
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.scenes.recording import Recording
+
+#: Questions of one node that may wait; it asks one at a time, and again after five seconds.
+MAX_WAITING = 16
 
 
 class Depot:
@@ -33,6 +41,7 @@ class Depot:
 
     resolved: what is run now; without: nodes that are not up now, by whom it matters to
     mismatch: told of a node of another version, which has been refused
+    invalid: counts what is refused
     taken_at: when the last piece of a file was taken, on the monotonic clock
     """
 
@@ -44,80 +53,126 @@ class Depot:
         resolved: Callable[[], Resolved],
         without: Callable[[str], list[str]],
         mismatch: Callable[[VersionMismatch], None],
+        invalid: InvalidMessages,
     ) -> None:
         self.taken_at = float("-inf")
         self._folder = folder
         self._resolved = resolved
         self._without = without
         self._mismatch = mismatch
+        self._invalid = invalid
+        self._waiting: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._closed = False
+        self.death = ""  # what its thread has ended of, when nobody had closed it
         self._kept: dict[str, dict[str, bytes | Path]] = {}
         self._asked: queue.SimpleQueue[tuple[zenoh.Query, int] | None] = queue.SimpleQueue()
-        handler: Any = zenoh.handlers.Callback(lambda query: self._asked.put((query, time.time_ns())), indirect=False)
+        handler: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         base = f"{prefix(run)}/@control"
         self._declared = [session.declare_queryable(f"{base}/{what}/*", handler) for what in ("fetch", "file")]
-        self._thread = threading.Thread(target=self._serve, name="depot")
+        self._thread = threading.Thread(target=self._live, name="depot")
         self._thread.start()
+
+    @property
+    def died(self) -> bool:
+        """Whether its thread has ended, though nobody has closed it."""
+        return not self._closed and not self._thread.is_alive()
 
     def close(self) -> None:
         """Serve nobody any more."""
+        self._closed = True
         for queryable in self._declared:
             queryable.undeclare()
         self._asked.put(None)
         self._thread.join()
 
+    def _live(self) -> None:
+        try:
+            self._serve()
+        except BaseException as error:  # the run is told, see `died`
+            self.death = described(error)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        node = _sender(query)
+        known = node in self._resolved().nodes
+        with self._lock:
+            full = self._waiting[node] >= MAX_WAITING if known else True
+            if not full:
+                self._waiting[node] += 1
+        if full:
+            why = f"more than {MAX_WAITING} wait" if known else f"there is no node {node!r:.80} in this run"
+            self._refuse(query, "fetch", node, MessageError(why))
+        else:
+            self._asked.put((query, time.time_ns()))
+
     def _serve(self) -> None:
         while (asked := self._asked.get()) is not None:
             query, came_ns = asked
-            what, _, node = str(query.key_expr).rpartition("/@control/")[2].partition("/")
+            what, node = str(query.key_expr).rpartition("/@control/")[2].partition("/")[0], _sender(query)
+            with self._lock:
+                self._waiting[node] -= 1
             try:
-                request = msgpack.unpackb(query.payload.to_bytes()) if query.payload else {}
-                answer = self._take(node, request) if what == "file" else self._give(node, request, came_ns)
-            except (MastError, OSError, KeyError, TypeError, ValueError, msgpack.UnpackException) as error:
-                told = error if isinstance(error, MastError) else MessageError(f"{type(error).__name__}: {error}")
-                query.reply_err(refused(told))
-            else:
-                query.reply(query.key_expr, msgpack.packb(answer))
-            query.drop()
+                payload = query.payload.to_bytes() if query.payload else b""
+                answer = self._take(node, payload) if what == "file" else self._give(node, payload, came_ns)
+                query.reply(query.key_expr, files.encode(answer))
+                query.drop()
+            except Exception as error:  # whatever a node asks, the others are served
+                self._refuse(query, what, node, error)
             del query
 
-    def _give(self, node: str, request: dict[str, Any], came_ns: int) -> dict[str, Any]:
-        if request["do"] == "clock":
+    def _refuse(self, query: zenoh.Query, what: str, node: str, error: Exception) -> None:
+        """Answer with an error; count it, unless it says what a sound node has to know."""
+        if not isinstance(error, VersionMismatch):
+            self._invalid.note(f"{what}/{node if node in self._resolved().nodes else '*'}", described(error))
+        told = error if isinstance(error, MastError) else MessageError(described(error))
+        with suppress(Exception):  # whoever asked may have gone
+            query.reply_err(files.encode_refusal(told))
+            query.drop()
+
+    def _give(self, node: str, payload: bytes, came_ns: int) -> dict[str, Any]:
+        request = files.decode_fetch(payload)
+        if isinstance(request, files.Clock):
             return {"now_ns": came_ns}
-        if request["do"] == "join":
+        if isinstance(request, files.Join):
             return self._let_in(node, request)
-        content, offset = self._kept[node][request["path"]], int(request["offset"])
+        content = self._kept.get(node, {}).get(request.path)
+        if content is None:
+            raise MessageError(f"{node} has no file {request.path!r:.80} to get")
         if isinstance(content, bytes):
-            return {"piece": content[offset : offset + PIECE_BYTES]}
+            return {"piece": content[request.offset : request.offset + PIECE_BYTES]}
         with content.open("rb") as file:
-            file.seek(offset)
+            file.seek(request.offset)
             return {"piece": file.read(PIECE_BYTES)}
 
-    def _let_in(self, node: str, request: dict[str, Any]) -> dict[str, Any]:
-        ours, theirs = release.named(), str(request.get("version"))
+    def _let_in(self, node: str, request: files.Join) -> dict[str, Any]:
+        ours, theirs = release.named(), request.version
         if theirs != ours:
             error = VersionMismatch(f"{node} runs mast-zenoh {theirs}, the launcher {ours}: install the same on both")
             self._mismatch(error)
             raise error
         resolved = self._resolved()
-        if node not in resolved.nodes:
-            raise MessageError(f"there is no node {node!r} in this run")
         self._kept[node] = kept = dict(belongings(resolved, node, self._folder))
         sizes = {path: len(c) if isinstance(c, bytes) else c.stat().st_size for path, c in kept.items()}
         written = [path for path in written_by(resolved, node) if (self._folder / path).exists()]
         return {"files": sizes, "without": self._without(node), "written": written}
 
-    def _take(self, node: str, request: dict[str, Any]) -> dict[str, Any]:
-        path, offset = request["path"], int(request["offset"])
+    def _take(self, node: str, payload: bytes) -> dict[str, Any]:
+        path, offset, piece = files.decode_file(payload)
         if path not in written_by(self._resolved(), node):
-            raise MessageError(f"{node} has no file {path!r} to give")
+            raise MessageError(f"{node} has no file {path!r:.80} to give")
         target = self._folder / path
         with target.open("r+b" if target.exists() else "xb") as file:
             if offset > file.seek(0, 2):
                 raise MessageError(f"{path}: there are {file.tell()} bytes, found a piece that begins at {offset}")
             file.seek(offset)
-            file.write(request["piece"])
+            file.write(piece)
         self.taken_at = time.monotonic()
         return {}
+
+
+def _sender(query: zenoh.Query) -> str:
+    """Who asks: the last chunk of the key."""
+    return str(query.key_expr).rpartition("/")[2]
 
 
 def belongings(resolved: Resolved, node: str, folder: Path) -> Iterator[tuple[str, bytes | Path]]:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,14 @@ import numpy as np
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
-from mast_zenoh.runtime.results import EVALUATOR
+from mast_zenoh.resolved import NodeSpec
+from mast_zenoh.runtime.results import EVALUATOR, TABLES, counts_of
 
 #: Takes up room until the final run.json is written: a run that filled the disk can still say so.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+MAX_TABLES = 100  #: that one node may write
 _EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
 
 
@@ -122,15 +125,15 @@ def versions() -> dict[str, str]:
 def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> list[str]:
     """Write what nodes returned from `finish`; returns a sentence for each part that was refused.
 
-    The `metrics` and `tables` of the evaluator become metrics.json and Parquet files at the top of the run folder.
-    Everything else goes to results/<node>/: `tables` as <table>.parquet, the rest as results.json.
+    The evaluator's `metrics`, and those of its `tables` that are in `results.TABLES`, become metrics.json and Parquet
+    files at the top of the run folder. Everything else goes to results/<node>/: `tables` as <table>.parquet, the rest
+    as results.json.
 
     measured: what goes into metrics.json beside the evaluator's metrics, or, being of the wall clock, in their place
     """
     refused: list[str] = []
     for node, result in results.items():
         own, rest = folder / "results" / node, dict(result)
-        top = folder if node == EVALUATOR else own
         tables = rest.pop("tables", {})
         if not _NAME.fullmatch(node):
             refused.append(f"{node!r:.80}: {_EXPECTED_NAME}")
@@ -140,8 +143,11 @@ def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measur
         if not isinstance(tables, Mapping):
             refused.append(f"{node}: tables: found a {type(tables).__name__}, expected a dict of tables")
             tables = {}
-        for name, table in tables.items():
-            if problem := _write_named(top, name, table):
+        if len(tables) > MAX_TABLES:
+            refused.append(f"{node}: tables: found {len(tables)}, expected at most {MAX_TABLES}; the first are written")
+        for name, table in islice(tables.items(), MAX_TABLES):
+            place = folder if node == EVALUATOR and name in TABLES else own
+            if problem := _write_named(place, name, table):
                 refused.append(f"{node}: table {name!r:.80}: {problem}")
         if rest:
             own.mkdir(parents=True, exist_ok=True)
@@ -160,7 +166,9 @@ def _write_named(folder: Path, name: object, table: object) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         write_table(folder / f"{name}.parquet", table)
-    except (ValueError, TypeError, RuntimeError) as error:  # Arrow's own are among them
+    except OSError:
+        raise
+    except Exception as error:  # Arrow has many, and a table may come from anywhere
         return " ".join(str(error).split())[:200]
     return ""
 
@@ -178,12 +186,14 @@ def finite(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def note_recording(record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]]) -> None:
-    """How many messages were recorded goes to run.json, and a note if some could not be."""
-    for outcome in handed_in.values():
-        if "recorded" in outcome:
-            record["recorded"] = outcome["recorded"]
-            if lost := outcome["recorded"]["lost"]:
+def note_recording(
+    record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]
+) -> None:
+    """How many messages were recorded goes to run.json, and a note if some could not be; recorders alone tell it."""
+    for node, outcome in handed_in.items():
+        if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
+            record["recorded"] = recorded
+            if lost := recorded.get("lost", 0):
                 said = [record["message"]] if record["message"] else []
                 record["message"] = "; ".join([*said, f"{lost} messages could not be recorded"])
 

@@ -14,6 +14,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,11 +22,14 @@ import msgpack
 import zenoh
 
 from mast_zenoh import interposition
+from mast_zenoh.control import fields, files, flow
+from mast_zenoh.control import interception as control
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NotRunning, RunError, StartError
 from mast_zenoh.interposition import Place
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import NodeSpec, Resolved
+from mast_zenoh.runtime.failures import described
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.wiring import Wiring
 
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
     from mast_zenoh.launch.launching import Launch
 
 SECRET_FILE = "control.key"
+MAX_WAITING = 64  #: requests that wait for the one before
 _DRIVER_TIMEOUT_S = 60.0
 _START_TIMEOUT_S = 60.0
 _LEAVE_GRACE_S = 5.0
@@ -43,19 +48,15 @@ Work = Generator[None, None, dict[str, Any]]
 
 def seal(request: dict[str, Any], secret: bytes) -> bytes:
     """A request as it is sent; a number drawn at random makes it one of its kind."""
-    body: bytes = msgpack.packb(request | {"number": secrets.token_hex(8)})
+    body: bytes = msgpack.packb(request | {"number": secrets.token_hex(8)})  # of one who may read the secret
     return bytes(msgpack.packb([body, hmac.digest(secret, body, hashlib.sha256)]))
 
 
 def unseal(payload: bytes, secret: bytes) -> dict[str, Any]:
     """The request in what was sent; raises MessageError for one of somebody who does not know the secret."""
-    try:
-        body, digest = msgpack.unpackb(payload)
-        if hmac.compare_digest(digest, hmac.digest(secret, body, hashlib.sha256)):
-            request: dict[str, Any] = msgpack.unpackb(body)
-            return request
-    except (ValueError, TypeError, msgpack.UnpackException):
-        pass
+    body, digest = control.sealed_parts(payload)
+    if hmac.compare_digest(digest, hmac.digest(secret, body, hashlib.sha256)):
+        return fields.mapping(fields.unpack(body, "intercept"), "intercept")
     raise MessageError("a request that was not made with this run's secret")
 
 
@@ -71,13 +72,13 @@ class Interceptions:
         self._file = launch.folder / SECRET_FILE
         self._file.touch(mode=0o600)
         self._file.write_bytes(self._secret)
-        self._requests: queue.SimpleQueue[zenoh.Query] = queue.SimpleQueue()
+        self._requests: queue.Queue[zenoh.Query] = queue.Queue(MAX_WAITING)
         self._served: set[str] = set()
         self._work: Generator[None] | None = None
         self._inserted: set[str] = set()
         self._alive: set[str] = set()
         self._done: list[dict[str, Any]] = launch.record.setdefault("interceptions", [])
-        asked: Any = zenoh.handlers.Callback(self._requests.put, indirect=False)
+        asked: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         presence: Any = zenoh.handlers.Callback(self._note, indirect=False)
         self._declared: list[Any] = [
             session.declare_queryable(f"{self._base}/@control/intercept", asked),
@@ -102,6 +103,13 @@ class Interceptions:
             entity.undeclare()
         self._file.unlink(missing_ok=True)
 
+    def _on_query(self, query: zenoh.Query) -> None:
+        try:
+            self._requests.put_nowait(query)
+        except queue.Full:
+            self._launch.invalid.note("intercept", f"more than {MAX_WAITING} requests wait")
+            query.drop()
+
     def _note(self, token: zenoh.Sample) -> None:
         name = str(token.key_expr).rpartition("/")[2]
         (self._alive.add if token.kind == zenoh.SampleKind.PUT else self._alive.discard)(name)
@@ -116,20 +124,26 @@ class Interceptions:
     def _serve(self, query: zenoh.Query) -> Generator[None]:
         try:
             request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
-            if request["number"] in self._served:
+            number, what = fields.text(request.get("number"), "intercept: number", 64), control.request_of(request)
+            if number in self._served:
                 raise MessageError("a request that was made before")
-            self._served.add(request["number"])
+            self._served.add(number)
             self._check_running()
-            answer = yield from self._intercept(request) if request["do"] == "intercept" else self._release(request)
-        except (MastError, KeyError, TypeError) as error:
-            query.reply_err(msgpack.packb([type(error).__name__, str(error)]))
+            if isinstance(what, control.Intercept):
+                answer = yield from self._intercept(*what)
+            else:
+                answer = yield from self._release(*what)
+        except Exception as error:  # whatever is asked, the run goes on
+            if not isinstance(error, MastError) or isinstance(error, MessageError):
+                self._launch.invalid.note("intercept", described(error))
+            with suppress(zenoh.ZError):
+                query.reply_err(files.encode_refusal(error))
         else:
             query.reply(query.key_expr, msgpack.packb(answer))
         query.drop()
 
-    def _intercept(self, request: dict[str, Any]) -> Work:
+    def _intercept(self, name: str, spec: NodeSpec, place: Place) -> Work:
         """Start a node, and put it on its wire when it is there."""
-        name, spec, place = request["name"], NodeSpec(**request["spec"]), place_of(request["place"])
         before = self._launch.resolved
         if name in before.nodes or any(child.name == name for child in self._supervisor.running()):
             raise ConfigurationError(f"there is a node {name!r} already: give another --name")
@@ -153,10 +167,10 @@ class Interceptions:
         self._inserted.add(name)
         return self._noted("intercept", name, [place.wire], answer)
 
-    def _release(self, request: dict[str, Any]) -> Work:
+    def _release(self, named: str | None, wire: str | None) -> Work:
         """Take a node off its wires, and have it leave when all that it got is passed on."""
         wiring = Wiring.from_json(self._launch.resolved.wiring)
-        name = request["name"] or interposition.interposer_of(wiring, request["wire"])
+        name = named or interposition.interposer_of(wiring, wire or "")
         yield from self._until(lambda: self._launch.frame >= 0)
         answer = yield from self._take_off(name)
         self._inserted.discard(name)
@@ -199,13 +213,13 @@ class Interceptions:
         self._session.get(
             f"{self._base}/@control/rewire",
             handler,
-            payload=msgpack.packb({"wiring": wiring.to_json(), "join": join, "leave": leave}),
+            payload=flow.encode_rewire(wiring, join, leave),
             timeout=_DRIVER_TIMEOUT_S,
         )
         yield from self._until(over.is_set)
         for reply in replies:
             if reply.ok is not None:
-                answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
+                answer = flow.decode_rewired(reply.ok.payload.to_bytes())
                 if "error" in answer:
                     raise RunError(f"nothing was changed: {answer['error']}")
                 return answer
@@ -253,14 +267,3 @@ class Interceptions:
         self._launch.record["nodes"] = self._supervisor.to_json({})
         run_folder.write_json(self._launch.folder / "run.json", self._launch.record)
         return did
-
-
-def place_of(told: dict[str, Any]) -> Place:
-    """The place that `place_json` told of."""
-    return Place(**{**told, "says": Wiring.from_json({"wires": told["says"]}).wires})
-
-
-def place_json(place: Place) -> dict[str, Any]:
-    """A place as plain values."""
-    told = {"wire": place.wire, "input": place.input, "output": place.output, "hears": dict(place.hears)}
-    return told | {"says": Wiring(place.says).to_json()["wires"]}

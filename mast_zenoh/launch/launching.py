@@ -13,10 +13,14 @@ from typing import Any
 import zenoh
 from rich.markup import escape
 
+from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import (
     BackendError,
+    ImplausibleCounts,
+    MessageError,
     NodeDied,
     RunError,
+    ServiceDied,
     StallError,
     StartError,
     VersionMismatch,
@@ -34,7 +38,7 @@ from mast_zenoh.launch.steps import Steps
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import failures
-from mast_zenoh.runtime.mesh import ATTACHMENT, prefix
+from mast_zenoh.runtime.mesh import ATTACHMENT, MARK, prefix
 from mast_zenoh.runtime.results import EVALUATOR
 from mast_zenoh.runtime.session import open_client, open_router
 from mast_zenoh.runtime.timetable import Timetable
@@ -43,8 +47,10 @@ from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring import Wiring
 
 _POLL_S = 0.05
+_IMPLAUSIBLE = "implausible: "
 _LEAVE_GRACE_S = 20.0  # from the end of the scene to the last node's results
 _INTERRUPT_GRACE_S = 5.0
+_MAX_ASKED = 1000  # of what the driver asks for and is not done yet
 _END_GRACE_S = 1.0  # between closing inputs, SIGTERM and SIGKILL
 
 
@@ -71,8 +77,13 @@ class Launch:
     session: zenoh.Session | None = None
     depot: Depot | None = None
     # Not a SimpleQueue: its `get` never returns if a signal is still being handled when the timeout is over.
-    _asked: queue.Queue[bytes] = field(default_factory=queue.Queue)
+    _asked: queue.Queue[bytes] = field(default_factory=lambda: queue.Queue(_MAX_ASKED))
     reports: Reports = field(init=False)
+    invalid: InvalidMessages = field(init=False)
+    _to_say: queue.SimpleQueue[str] = field(default_factory=queue.SimpleQueue)  # by threads that are not the main one
+
+    def __post_init__(self) -> None:
+        self.invalid = InvalidMessages(self._to_say.put)
 
     def run(self) -> None:
         """Start the nodes, watch them to the end, write the results. Raises RunError for a run that failed."""
@@ -85,13 +96,14 @@ class Launch:
         with ExitStack() as stack:
             session, supervisor = self._join(stack)
             self.session = session
-            self.reports = Reports(session, f"{prefix(self.record['id'])}/@control", supervisor.children)
+            control = f"{prefix(self.record['id'])}/@control"
+            self.reports = Reports(session, control, supervisor.children, self.invalid)
             declared = self._declare(session)
             if self.engine is not None:
                 declared.append(self._keep_depot(session, supervisor, stack))
             interceptions = Interceptions(self, session, supervisor)
             try:
-                steps = Steps(supervisor, self.resolved.nodes, timetable.absent, leave)
+                steps = Steps(supervisor, self.resolved.nodes, timetable.absent, leave, self.resolved.steps)
                 self.record["steps"] = steps.done
                 steps.start_all()
                 self.record["nodes"] = supervisor.to_json({})
@@ -152,12 +164,18 @@ class Launch:
         def on_clock(sample: zenoh.Sample) -> None:
             attachment = sample.attachment
             if attachment and len(attachment) == ATTACHMENT.size:
-                self.frame = ATTACHMENT.unpack(attachment.to_bytes())[2]
+                mark, _, frame = ATTACHMENT.unpack(attachment.to_bytes())
+                if mark != MARK or not 0 <= frame < max(1, self.resolved.frames):
+                    return
+                self.frame = frame
                 if self.hosts is not None:
                     self.hosts.begin()
 
         def on_ask(sample: zenoh.Sample) -> None:
-            self._asked.put(sample.payload.to_bytes())
+            try:
+                self._asked.put_nowait(sample.payload.to_bytes())
+            except queue.Full:
+                self.invalid.note("act", f"more than {_MAX_ASKED} wait")
 
         direct = zenoh.handlers.Callback
         return [
@@ -178,6 +196,7 @@ class Launch:
             lambda: self.resolved,
             lambda node: supervisor.without.get(node, []),
             mismatch,
+            self.invalid,
         )
         stack.callback(self.depot.close)
         return session.liveliness().declare_token(f"{prefix(self.record['id'])}/@control/launcher")
@@ -189,6 +208,8 @@ class Launch:
         interrupted = 0
         while supervisor.running():
             self._act(steps)
+            self._check_depot()
+            self._say()
             interceptions.turn()
             self._take_reports()
             for child in supervisor.newly_ended():
@@ -217,7 +238,23 @@ class Launch:
         with suppress(queue.Empty):
             asked = self._asked.get(timeout=_POLL_S)
             if self.stopping_since is None:
-                steps.carry_out(asked)
+                try:
+                    steps.carry_out(asked)
+                except MessageError as error:
+                    self.invalid.note("act", error)
+
+    def _check_depot(self) -> None:
+        """Without a depot nodes elsewhere get nothing and hand in nothing: the run ends, and says why."""
+        if self.depot is not None and self.depot.died and self.stopping_since is None:
+            self.problem = self.problem or ServiceDied(
+                f"the depot, which serves the nodes' files, has ended: {self.depot.death}"
+            )
+            self._stop("a service has ended")
+
+    def _say(self) -> None:
+        """Show what other threads have to say."""
+        while not self._to_say.empty():
+            self.display.say(f"[yellow]{escape(self._to_say.get())}")
 
     def _mind(self, hosts: Hosts) -> None:
         """A network that has failed ends the run. When all is to end it is healed: all are to hear it, and hand in."""
@@ -272,6 +309,8 @@ class Launch:
                     self.problem = self.problem or StallError(reason)
                 elif reason.startswith("start"):
                     self.problem = self.problem or StartError(reason)
+                elif reason.startswith(_IMPLAUSIBLE):
+                    self.problem = self.problem or ImplausibleCounts(reason.removeprefix(_IMPLAUSIBLE))
 
     def _show_failure(self, report: Report) -> None:
         """Show the first failure of a handler; one of `start` ends the run."""
@@ -304,6 +343,7 @@ class Launch:
             self.record["timings"]["start_s"] = round(time.monotonic() - begun - driver["wall_s"], 3)
         gone = [child for child in supervisor.children.values() if not child.handed_in and not child.meant]
         self.record["message"] = "; ".join(f"{child.name} {child.ended}" for child in gone)
+        self.record["invalid_control"] = self.invalid.entry()
         handed_in = {name: outcome["results"] for name, outcome in outcomes.items()}
         measured: dict[str, Any] = {}
         if self.resolved.mode == "realtime":

@@ -179,6 +179,7 @@ def _nodes_inproc(
             "rejected": {f"{key}: {reason}": n for (key, reason), n in host.rejected.items()},
             "first_rejected": host.first_rejected,
             "foreign": {},
+            "invalid_control": {},
             "failures": failed.get(name, []),
         }
     return nodes

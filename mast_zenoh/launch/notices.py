@@ -1,4 +1,4 @@
-"""What deserves attention at the end of a run though it failed nothing: late, rejected and foreign messages."""
+"""What deserves attention at the end of a run though it failed nothing, such as late, rejected or foreign messages."""
 
 from __future__ import annotations
 
@@ -38,10 +38,11 @@ def of_run(
         *(_left_out(name, collations) for name in _LEFT_OUT),
         _rejected(nodes),
         _foreign(nodes),
+        _control(record),
         _behind(resolved, record, measured),
         (len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
-    kinds = ("late", *_LEFT_OUT, "rejected", "foreign", "behind", "results")
+    kinds = ("late", *_LEFT_OUT, "rejected", "foreign", "control", "behind", "results")
     return [
         {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, parts, strict=True) if count
     ]
@@ -98,6 +99,21 @@ def _foreign(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
     more = f" and {len(keys) - _KEYS_NAMED} more" if len(keys) > _KEYS_NAMED else ""
     where = f"{', '.join(keys[:_KEYS_NAMED])}{more}"
     return by_key.total(), f"{_number(by_key.total(), 'message')} that no node of this run sent, on {where}"
+
+
+def _control(record: Mapping[str, Any]) -> tuple[int, str]:
+    """Control messages that were refused. Of each key the launcher or the node that refused most counts."""
+    by_key: dict[str, int] = {}
+    reasons: dict[str, str] = {}
+    for part in (record.get("invalid_control"), *(node.get("invalid_control") for node in record["nodes"].values())):
+        for key, (count, reason) in (part or {}).items():
+            by_key[key] = max(count, by_key.get(key, 0))
+            reasons.setdefault(key, reason)
+    if not by_key:
+        return 0, ""
+    count, key = sum(by_key.values()), max(sorted(by_key), key=lambda key: by_key[key])
+    what = f"{_number(count, 'invalid control message')} refused on {_number(len(by_key), 'key')}"
+    return count, f"{what} (most: {key}, {by_key[key]}, the first: {reasons[key]})"
 
 
 def _behind(resolved: Resolved, record: Mapping[str, Any], measured: Mapping[str, Any]) -> tuple[int, str]:

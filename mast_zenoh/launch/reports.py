@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
 import queue
+import threading
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-import msgpack
 import zenoh
 
+from mast_zenoh.control import files
+from mast_zenoh.control import reports as control
+from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.supervisor import Child
-from mast_zenoh.runtime import results
-from mast_zenoh.runtime.failures import Entry, checked, merged
+from mast_zenoh.runtime.failures import Entry, merged
+
+#: Reports of one node that may wait to be looked at; a node of ours sends results one at a time.
+MAX_WAITING = {"result": 2, "failed": 1000}
+
+#: Processes that may have been one node, one after the other, and have reported failures.
+MAX_PROCESSES = 64
+
+_DRIVER = "simulator"  # role of the node that drives the scene
 
 
 class Report(NamedTuple):
@@ -26,18 +38,25 @@ class Reports:
     """Collects the reports of all nodes, from when it is made until it is closed.
 
     control:  where the control keys of the run begin
-    children: the nodes of the run by name; reports in other names are strangers', and ignored
+    children: the nodes of the run by name; reports in other names are strangers', and refused
+    invalid:  counts what is refused: malformed, too long, too many, of strangers, results given twice
     outcomes: what each node has handed in last
     """
 
-    def __init__(self, session: zenoh.Session, control: str, children: Mapping[str, Child]) -> None:
+    def __init__(
+        self, session: zenoh.Session, control: str, children: Mapping[str, Child], invalid: InvalidMessages
+    ) -> None:
         self.outcomes: dict[str, dict[str, Any]] = {}
         self._children = children
+        self._invalid = invalid
         self._failures: dict[str, dict[str, dict[str, Entry]]] = {}  # by node, process and handler
+        self._taken: dict[str, bytes] = {}  # by node the digest of what it has handed in
         self._came: queue.SimpleQueue[tuple[str, str, bytes]] = queue.SimpleQueue()
+        self._waiting: Counter[tuple[str, str]] = Counter()
+        self._lock = threading.Lock()
         direct = zenoh.handlers.Callback
         result: Any = direct(self._on_result, indirect=False)
-        failed: Any = direct(lambda s: self._put("failed", s.key_expr, s.payload), indirect=False)
+        failed: Any = direct(self._on_failed, indirect=False)
         self._declared: list[Any] = [
             session.declare_queryable(f"{control}/result/*", result),
             session.declare_subscriber(f"{control}/failed/*", failed),
@@ -52,12 +71,12 @@ class Reports:
         """The reports that have come since the last call, in their order."""
         while not self._came.empty():
             what, node, payload = self._came.get()
-            if node not in self._children:
-                continue
+            with self._lock:
+                self._waiting[what, node] -= 1
             try:
                 yield from self._take_failure(node, payload) if what == "failed" else self._take_result(node, payload)
-            except (MessageError, ValueError, TypeError, KeyError, msgpack.UnpackException):
-                continue  # malformed: not sent by a node of this package
+            except MessageError as error:
+                self._invalid.note(f"{what}/{node}", error)
 
     def by_node(self) -> dict[str, dict[str, Any]]:
         """What each node has handed in last, with the failures in all processes that have been this node."""
@@ -69,25 +88,64 @@ class Reports:
 
     def _on_result(self, query: zenoh.Query) -> None:
         with query:
-            self._put("result", query.key_expr, query.payload)
-            query.reply(query.key_expr, b"taken")
+            node = str(query.key_expr).rpartition("/")[2]
+            payload = query.payload.to_bytes() if query.payload else b""
+            try:
+                if len(payload) > (most := control.max_result(node)):
+                    raise MessageError(f"result: found {len(payload)} bytes, expected at most {most}")
+                self._put("result", node, payload)
+            except MessageError as error:
+                self._refuse("result", node, error)
+                query.reply_err(files.encode_refusal(error))
+            else:
+                query.reply(query.key_expr, b"taken")
 
-    def _put(self, what: str, key: zenoh.KeyExpr, payload: zenoh.ZBytes | None) -> None:
-        self._came.put((what, str(key).rpartition("/")[2], payload.to_bytes() if payload else b""))
+    def _on_failed(self, sample: zenoh.Sample) -> None:
+        node = str(sample.key_expr).rpartition("/")[2]
+        try:
+            self._put("failed", node, sample.payload.to_bytes())
+        except MessageError as error:
+            self._refuse("failed", node, error)
+
+    def _put(self, what: str, node: str, payload: bytes) -> None:
+        """Keep a report until the launcher's loop takes it."""
+        if node not in self._children:
+            raise MessageError(f"{what}: there is no node {node!r:.80} in this run")
+        with self._lock:
+            if self._waiting[what, node] >= MAX_WAITING[what]:
+                raise MessageError(f"{what}: more than {MAX_WAITING[what]} wait to be looked at")
+            self._waiting[what, node] += 1
+        self._came.put((what, node, payload))
+
+    def _refuse(self, what: str, node: str, error: MessageError) -> None:
+        self._invalid.note(f"{what}/{node if node in self._children else '*'}", error)
 
     def _take_failure(self, node: str, payload: bytes) -> Iterator[Report]:
-        process, entry = msgpack.unpackb(payload)
-        of_process = self._failures.setdefault(node, {}).setdefault(str(process), {})
-        first = checked(entry)["handler"] not in of_process
+        process, entry = control.decode_failure(payload)
+        of_process = self._of_process(node, process)
+        first = entry["handler"] not in of_process
+        if first and len(of_process) >= control.MAX_HANDLERS:
+            raise MessageError(f"failed: more than {control.MAX_HANDLERS} handlers of one process")
         of_process[entry["handler"]] = entry
         if first:
             yield Report(node, entry)
 
     def _take_result(self, node: str, payload: bytes) -> Iterator[Report]:
-        outcome = results.unpack(payload)
-        results.checked(outcome["results"])
-        entries = {checked(entry)["handler"]: entry for entry in outcome["failures"]}
-        self.outcomes[node] = outcome
-        self._children[node].handed_in = True
-        self._failures.setdefault(node, {})[str(outcome["process"])] = entries
+        """The results of a node: one per life of it. The same again is a question whose answer got lost."""
+        child, digest = self._children[node], hashlib.sha256(payload).digest()
+        if child.handed_in:
+            if self._taken.get(node) != digest:
+                raise MessageError("result: it has handed in its results before")
+            return
+        outcome = control.decode_result(payload, node, drives=child.spec.role == _DRIVER)
+        self._of_process(node, outcome["process"]).update({entry["handler"]: entry for entry in outcome["failures"]})
+        self.outcomes[node], self._taken[node] = outcome, digest
+        child.handed_in = True
         yield Report(node)
+
+    def _of_process(self, node: str, process: str) -> dict[str, Entry]:
+        """The failures in one of the processes that have been a node, by handler."""
+        processes = self._failures.setdefault(node, {})
+        if process not in processes and len(processes) >= MAX_PROCESSES:
+            raise MessageError(f"failed: more than {MAX_PROCESSES} processes of one node")
+        return processes.setdefault(process, {})

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-import msgpack
-
-from mast_zenoh.errors import BackendError
+from mast_zenoh.control import flow
+from mast_zenoh.errors import BackendError, MessageError
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import NodeSpec, Resolved
+from mast_zenoh.steps import ProcessStep
 
 _LEAVE_GRACE_S = 5.0  # for a node that was asked to leave, before it is started again
 
@@ -31,6 +32,7 @@ def check(resolved: Resolved, where: str, *, unplugs: bool) -> None:
 class Steps:
     """Carries out process steps. Who runs already is not started, who does not run is not killed.
 
+    planned: the steps of the scenario: nothing else is carried out, and each only once
     leave: asks a node to leave; done: what has been done so far: frame, action, node;
     cut: whether a node has been taken off its networks
     """
@@ -41,11 +43,13 @@ class Steps:
         nodes: Mapping[str, NodeSpec],
         absent: frozenset[str],
         leave: Callable[[str], None],
+        planned: Iterable[ProcessStep],
     ) -> None:
         self._supervisor = supervisor
         self._nodes = nodes
         self._absent = absent
         self._leave = leave
+        self._planned = Counter((max(0, step.frame), step.action, step.node) for step in planned)
         self.done: list[dict[str, Any]] = []
         self.cut = False
 
@@ -55,8 +59,13 @@ class Steps:
         self._supervisor.start_all(there, self._absent)
 
     def carry_out(self, asked: bytes) -> None:
-        """What the driver asks for: (frame, [(action, node), …])."""
-        frame, group = msgpack.unpackb(asked)
+        """What the driver asks for; raises MessageError for what the scenario does not say."""
+        frame, group = flow.decode_act(asked)
+        wanted = Counter((frame, action, node) for action, node in group)
+        if beyond := wanted - self._planned:
+            _, action, node = min(beyond)
+            raise MessageError(f"act: {action} {node} before frame {frame}: the scenario does not say so (again)")
+        self._planned -= wanted
         coming = {node for action, node in group if action == "start"}
         for action, node in group:
             if self._do(action, node, coming):

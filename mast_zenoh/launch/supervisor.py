@@ -165,6 +165,7 @@ class Supervisor(ABC, Generic[C]):
                 "restarts": child.restarts,
                 "log": f"logs/{name}.log",
                 **{key: reports.get(name, {}).get(key) for key in reported},
+                "invalid_control": reports.get(name, {}).get("invalid"),
                 **{key: reports[name][key] for key in ("clock", "versions") if key in reports.get(name, {})},
             }
             for name, child in self.children.items()

@@ -12,14 +12,16 @@ from collections import Counter
 from collections.abc import Collection
 from typing import Any
 
-import msgpack
 import zenoh
 
+from mast_zenoh.control import flow
+from mast_zenoh.control.flow import WiringUpdate
+from mast_zenoh.errors import MessageError
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.mesh import NOTED_FRAMES, MeshNode
 from mast_zenoh.runtime.pacer import Pacer
-from mast_zenoh.runtime.rewiring import Rewirer, Told, counted, packed
+from mast_zenoh.runtime.rewiring import Rewirer, counted
 from mast_zenoh.runtime.timetable import Timetable
 from mast_zenoh.steps import ProcessStep
 from mast_zenoh.timespan import Timespan
@@ -27,6 +29,11 @@ from mast_zenoh.wiring import Wiring
 
 #: How long the last messages of a real-time run may be under way before everyone is told to stop.
 REALTIME_GRACE_S = 0.5
+
+#: After so long without a report in lock-step, seconds, it is asked whether the reports can be true.
+SUSPECT_S = 3.0
+
+MAX_REASON = 2000  #: characters of why a run stops
 
 #: How many frames those who only listen may fall behind in lock-step.
 SETTLE_EVERY = 50
@@ -73,6 +80,7 @@ class Driver(MeshNode):
         self.frames = 0
         self.wall_s = 0.0
         self.sent_ns: dict[int, int] = {}
+        self.complaint = ""  # why the run cannot go on: a node's counters cannot be true
         self._ready: list[Outgoing] | None = None
         self._sent: Counter[str] = Counter()
         # A queue of their own: in that of the data they would wait for one whom nothing reaches any more.
@@ -107,8 +115,8 @@ class Driver(MeshNode):
         alive = self.session.liveliness().declare_token(f"{self._prefix}/alive/{self.name}")
         reason = self._gather() or self._play()
         if self.stop_reason is None:
-            self.stop_reason = reason
-            self._stop.put(reason)
+            self.stop_reason = reason[:MAX_REASON]
+            self._stop.put(self.stop_reason)
         self.hand_in()
         alive.undeclare()
 
@@ -157,7 +165,7 @@ class Driver(MeshNode):
                     if self._membership_changed():
                         self._begin_epoch()
                     self.rewirer.turn()
-            if reason := self.stop_reason or self._carry_out():
+            if reason := self._over or self._carry_out():
                 return reason
             if not self._send_frame():
                 return "end"
@@ -181,7 +189,7 @@ class Driver(MeshNode):
         if ahead and (reason := self._await_quiet(everyone=True)):
             return reason
         for group in self.timetable.before(self.frames, self.alive if self.lockstep else None):
-            self._act.put(msgpack.packb([self.frames, [[step.action, step.node] for step in group]]))
+            self._act.put(flow.encode_act(self.frames, [(step.action, step.node) for step in group]))
             if self.lockstep and (reason := self._await_done(group)):
                 return reason
         return ""
@@ -228,19 +236,27 @@ class Driver(MeshNode):
     def _await_quiet(self, *, everyone: bool = False) -> str:
         deadline = time.monotonic() + self.stall_timeout_s
         while not self.pacer.quiet(everyone=everyone):
-            if not self._wait(deadline):
-                return self._or_stopped(f"stall: {'; '.join(list(self.pacer.owing())[:5])}")
+            if not self._wait(min(deadline, time.monotonic() + SUSPECT_S)):
+                if who := self.pacer.implausible():
+                    return self._or_stopped(f"implausible: {who}")
+                if self._over or time.monotonic() >= deadline:
+                    return self._or_stopped(f"stall: {'; '.join(list(self.pacer.owing())[:5])}")
             self.pacer.drop(self.pacer.members.keys() - self.alive)
         return ""
 
     # -- inside --------------------------------------------------------------------------------------------------
 
+    @property
+    def _over(self) -> str:
+        """Why there are no further frames; "" while there are."""
+        return self.stop_reason or (f"implausible: {self.complaint}" if self.complaint else "")
+
     def _or_stopped(self, reason: str) -> str:
-        return self.stop_reason or reason
+        return self._over or reason
 
     def _wait(self, deadline: float) -> bool:
         """Handle one event; False when the deadline has passed or it is time to stop."""
-        if self.stop_reason is not None:
+        if self._over:
             return False
         try:
             event = self.inbox.get(timeout=max(0.0, deadline - time.monotonic()))
@@ -248,7 +264,7 @@ class Driver(MeshNode):
             return False
         kind, *rest = event
         if kind == "counts":
-            self.pacer.report(rest[0], *msgpack.unpackb(rest[1]))
+            self._take_counts(*rest)
         elif kind == "alive":
             name, there = rest
             if there or name == self.name:  # our own token may be late; we are here
@@ -260,6 +276,14 @@ class Driver(MeshNode):
             self._report_self()
         return True
 
+    def _take_counts(self, node: str, payload: bytes) -> None:
+        try:
+            counts = flow.decode_counts(payload)
+        except MessageError as error:
+            self.invalid.note(f"counts/{node if node in self.expected else '*'}", error)
+        else:
+            self.complaint = self.complaint or self.pacer.report(node, *counts)
+
     def _membership_changed(self) -> bool:
         return (self.alive & self.expected.keys()) != self.members.keys()
 
@@ -270,12 +294,12 @@ class Driver(MeshNode):
             self.host.log.info("frame %d: gone: %s; come: %s", self.frames, sorted(gone), sorted(come))
         epoch = self.pacer.begin_epoch(members)
         self._sent.clear()
-        told = packed(self.rewirer.told)
-        self._epoch.put(msgpack.packb([epoch, members, told]))
+        told = self.rewirer.told
+        self._epoch.put(flow.encode_epoch(epoch, members, told))
         self._enter_epoch(epoch, members, told)
         self._report_self()
 
-    def begin_epoch_of(self, told: Told) -> None:
+    def begin_epoch_of(self, told: WiringUpdate) -> None:
         """A new epoch, in which the wiring changes."""
         self.pacer.rewire(told.wiring)
         self._begin_epoch()

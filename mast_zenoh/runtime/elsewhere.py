@@ -29,22 +29,20 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-import msgpack
 import zenoh
 
-from mast_zenoh import errors, release
-from mast_zenoh.errors import MastError, RunError, StartError
+from mast_zenoh import release
+from mast_zenoh.control import files
+from mast_zenoh.control.files import PIECE_BYTES
+from mast_zenoh.errors import MastError, MessageError, RunError, StartError
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import hosting
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_router
 from mast_zenoh.security.credentials import Credentials
-
-#: Below which no query or reply of a file becomes too large.
-PIECE_BYTES = 4 << 20
 
 #: Seconds for which a node goes on without a launcher, unless told otherwise.
 PATIENCE_S = 30.0
@@ -151,6 +149,9 @@ def written_by(resolved: Resolved, name: str, built: Any = None) -> tuple[str, .
     return tuple(dict.fromkeys(str(value.path) for value in values if isinstance(value, MessageLog)))
 
 
+A = TypeVar("A")
+
+
 class Launcher:
     """Watches whether the launcher is there: a context.
 
@@ -215,36 +216,41 @@ class Depot:
     def fetch(self, folder: Path, patience_s: float) -> list[str]:
         """All files of this node into a folder; returns who is not up now. Raises what the launcher refuses it for."""
         asked = {"do": "join", "version": release.named(), "versions": release.versions()}
-        told = self.ask("fetch", asked, patience_s)
-        for path, size in told["files"].items():
+        told = self.ask("fetch", asked, patience_s, files.decode_belongings)
+        for path, size in told.files.items():
             target = _below(folder, path)
             target.parent.mkdir(parents=True, exist_ok=True)
             with target.open("wb") as file:
                 while file.tell() < size:
-                    piece = self.ask("fetch", {"do": "piece", "path": path, "offset": file.tell()}, patience_s)["piece"]
+                    wanted = {"do": "piece", "path": path, "offset": file.tell()}
+                    piece = self.ask("fetch", wanted, patience_s, files.decode_piece)
                     if not piece:
                         raise RunError(f"{path}: the launcher has {file.tell()} bytes of it, expected {size}")
                     file.write(piece)
-        for path in told["written"]:
+        for path in told.written:
             _below(folder, path).touch()  # who is started again must not begin anew what it has written before
         self._compare_clocks(patience_s)
-        without: list[str] = told["without"]
-        return without
+        return told.without
 
     def hand_in(self, path: str, offset: int, piece: bytes, seconds: float) -> None:
         """Append to a file of the run folder."""
-        self.ask("file", {"path": path, "offset": offset, "piece": piece}, seconds)
+        self.ask("file", {"path": path, "offset": offset, "piece": piece}, seconds, files.decode_nothing)
 
-    def ask(self, what: str, request: dict[str, Any], seconds: float) -> dict[str, Any]:
-        """The launcher's answer; asks again while nobody answers. Raises what it refuses it with, RunError for time."""
+    def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], A]) -> A:
+        """The launcher's answer; asks again while nobody answers. Raises what it refuses it with, RunError for time.
+
+        decode: of the answer; one that it raises MessageError for is none
+        """
         deadline = time.monotonic() + seconds
-        payload = msgpack.packb(request)
+        payload = files.encode(request)
         while True:
             for reply in self._session.get(f"{self._base}/{what}/{self._name}", payload=payload, timeout=5.0):
                 if reply.ok is not None:
-                    answer: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
-                    return answer
-                if reply.err is not None and (refusal := _refusal(reply.err.payload.to_bytes())):
+                    try:
+                        return decode(reply.ok.payload.to_bytes())
+                    except MessageError as error:
+                        log.warning("no answer of the launcher (%s): %s", what, error)
+                if reply.err is not None and (refusal := files.decode_refusal(reply.err.payload.to_bytes())):
                     raise refusal
             if time.monotonic() > deadline:
                 raise RunError(f"{self._name}: the launcher has not answered ({what}) within {seconds:.0f} s")
@@ -255,7 +261,7 @@ class Depot:
         measured = []
         for _ in range(_PROBES):
             sent = time.time_ns()
-            theirs = self.ask("fetch", {"do": "clock"}, seconds)["now_ns"]
+            theirs = self.ask("fetch", {"do": "clock"}, seconds, files.decode_clock)
             came = time.time_ns()
             measured.append((came - sent, (sent + came) // 2 - theirs))
         round_trip, offset = min(measured)
@@ -286,8 +292,10 @@ class HandIn:
 
     def _follow(self) -> None:
         while not self._over.wait(_HAND_IN_EVERY_S):
-            with contextlib.suppress(MastError):  # the end tries again, and says so
+            try:
                 self._send()
+            except Exception as error:  # the end tries again, and says so
+                log.warning("what is written could not be handed in yet: %s", error)
 
     def _send(self) -> None:
         for path in self._offsets:
@@ -296,22 +304,6 @@ class HandIn:
                 while piece := file.read(PIECE_BYTES):
                     self._depot.hand_in(path, self._offsets[path], piece, _HAND_IN_TIMEOUT_S)
                     self._offsets[path] += len(piece)
-
-
-def refused(error: MastError) -> bytes:
-    """An error as the launcher answers it."""
-    packed: bytes = msgpack.packb([type(error).__name__, str(error)])
-    return packed
-
-
-def _refusal(payload: bytes) -> MastError | None:
-    """The error in an answer; None for Zenoh's own, when nobody has answered in time."""
-    try:
-        kind, message = msgpack.unpackb(payload)
-    except (ValueError, TypeError, msgpack.UnpackException):
-        return None
-    known = getattr(errors, str(kind), None)
-    return known(message) if isinstance(known, type) and issubclass(known, MastError) else RunError(str(message))
 
 
 def _below(folder: Path, path: str) -> Path:

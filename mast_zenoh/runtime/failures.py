@@ -15,20 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import mast_zenoh
-from mast_zenoh.errors import HandlerFailed, MessageError
+from mast_zenoh.errors import HandlerFailed
 
 Entry = dict[str, Any]
 
 _MAX_TEXT = 300
-_TYPES = {
-    "handler": str,
-    "count": int,
-    "frames": int,
-    "first_frame": int,
-    "last_frame": int,
-    "exception": str,
-    "where": str,
-}
 _PACKAGE = Path(mast_zenoh.__file__).parent
 _PYTHON = sysconfig.get_path("stdlib")
 _INSTALLED = {"site-packages", "dist-packages"}
@@ -94,16 +85,6 @@ def _is_of_a_node(file: str) -> bool:
     if path.is_relative_to(_PACKAGE):
         return path.relative_to(_PACKAGE).parts[0] not in _PLUMBING
     return path.is_absolute() and not path.is_relative_to(_PYTHON) and not _INSTALLED & set(path.parts)
-
-
-def checked(entry: object) -> Entry:
-    """An entry that came over the mesh; raises MessageError for anything else."""
-    if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
-        raise MessageError(f"a handler failure: expected a map of {', '.join(_TYPES)}")
-    for name, kind in _TYPES.items():
-        if type(entry[name]) is not kind:
-            raise MessageError(f"a handler failure: {name}: found {entry[name]!r:.40}, expected {kind.__name__}")
-    return entry
 
 
 def merged(parts: Iterable[Sequence[Entry]]) -> list[Entry]:

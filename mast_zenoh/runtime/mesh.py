@@ -16,6 +16,8 @@ under mast/{run}/@control/, a verbatim chunk, where no wildcard sees it:
     file/{node}      node → launcher   another: see mast_zenoh.runtime.elsewhere
     launcher         launcher          its liveliness token
     drain/{node}     node → node       see mast_zenoh.runtime.rewiring
+
+mast_zenoh.control has their schemas. What is none of these messages is counted, logged once for each key, and dropped.
 """
 
 from __future__ import annotations
@@ -29,9 +31,12 @@ from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
-import msgpack
 import zenoh
 
+from mast_zenoh.control import files, flow, reports
+from mast_zenoh.control.flow import WiringUpdate
+from mast_zenoh.control.invalid import InvalidMessages
+from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.node import Node
 from mast_zenoh.runtime import results
@@ -40,7 +45,7 @@ from mast_zenoh.runtime.failures import Failure
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.inbox import Inbox
 from mast_zenoh.runtime.limits import EARLY, INBOX, Room
-from mast_zenoh.runtime.rewiring import Outlet, Rewiring, Told, counted
+from mast_zenoh.runtime.rewiring import Outlet, Rewiring, counted
 from mast_zenoh.timespan import Timespan
 from mast_zenoh.wiring import Leg, Wire, Wiring
 
@@ -105,6 +110,7 @@ class MeshNode:
         self.epoch = 0
         self.stop_reason: str | None = None
         self.foreign: Counter[str] = Counter()  # by key, messages that no node of this run has sent
+        self.invalid = InvalidMessages(self.host.log.warning)  # control messages, by key
         self.arrived_ns: dict[str, dict[int, int]] = {}
         self.of_host: dict[str, Any] = {}  # what is known of where it runs, for run.json
         self._prefix = prefix(run)
@@ -184,11 +190,13 @@ class MeshNode:
                 self._in_frame = 0
             self._in_frame += 1
         elif kind == "epoch":
-            self._enter_epoch(*msgpack.unpackb(rest[0]))
+            self._take_epoch(*rest)
         elif kind == "stop":
             self.stop_reason = rest[0]
         elif kind == "dropped":
             self._note_dropped()
+        elif kind == "asked_to_stop":
+            self._take_stop(*rest)
         elif kind in ("drain", "drained"):
             self.rewiring.handle(event)
         self.rewiring.answer()
@@ -198,7 +206,7 @@ class MeshNode:
         with self._inside:
             if self.epoch and not self.rewiring.busy:
                 sent = counted(self.host.sent, self.outlets)
-                self._counts.put(msgpack.packb([self.epoch, sent, dict(self.host.handled)]))
+                self._counts.put(flow.encode_counts(self.epoch, sent, self.host.handled))
 
     def hand_in(self) -> None:
         """Finish the node and give its results to the launcher; keep trying until it says that it has them."""
@@ -209,6 +217,7 @@ class MeshNode:
             "rejected": {f"{key}: {reason}": n for (key, reason), n in self.host.rejected.items()},
             "first_rejected": self.host.first_rejected,
             "foreign": dict(self.foreign),
+            "invalid": self.invalid.entry(),
             "process": self._process,
             "failures": [failure.entry() for failure in self.host.failures.values()],
             "last_frame": self.host.frame,
@@ -219,14 +228,17 @@ class MeshNode:
         payload = results.pack(outcome)
         deadline = time.monotonic() + _RESULT_TIMEOUT_S
         while time.monotonic() < deadline:
-            replies = self.session.get(f"{self._prefix}/@control/result/{self.name}", payload=payload, timeout=5.0)
-            if any(reply.ok is not None for reply in replies):
-                return
+            for reply in self.session.get(f"{self._prefix}/@control/result/{self.name}", payload=payload, timeout=5.0):
+                if reply.ok is not None:
+                    return
+                if reply.err is not None and (refusal := files.decode_refusal(reply.err.payload.to_bytes())):
+                    self.host.log.error("the launcher refuses the results: %s", refusal)
+                    return
         self.host.log.error("nobody took the results within %.0f s", _RESULT_TIMEOUT_S)
 
     def _report_failure(self, failure: Failure) -> None:
         """Tell the launcher at once, ahead of the counts: a process that is killed hands in nothing."""
-        self._failed.put(msgpack.packb([self._process, failure.entry()]))
+        self._failed.put(reports.encode_failure(self._process, failure.entry()))
 
     def extra_results(self) -> dict[str, Any]:
         """What a special process adds to its results."""
@@ -284,7 +296,21 @@ class MeshNode:
             if epoch == self.epoch + 1:
                 self._early_dropped[key] += count
 
-    def _enter_epoch(self, epoch: int, members: dict[str, str], told: list[Any] | None = None) -> None:
+    def _take_epoch(self, payload: bytes) -> None:
+        try:
+            epoch = flow.decode_epoch(payload)
+        except MessageError as error:
+            self.invalid.note("epoch", error)
+        else:
+            self._enter_epoch(*epoch)
+
+    def _take_stop(self, key: str, payload: bytes) -> None:
+        try:
+            self.stop_reason = flow.decode_stop(payload)
+        except MessageError as error:
+            self.invalid.note(key, error)
+
+    def _enter_epoch(self, epoch: int, members: dict[str, str], told: WiringUpdate | None = None) -> None:
         if epoch <= self.epoch or self.name not in members:
             return
         before, self.members, self.epoch = self.members, members, epoch
@@ -301,10 +327,9 @@ class MeshNode:
             for name in sorted(members.keys() - before.keys()):
                 self.host.joined(name, members[name])
         if told is not None:
-            change = Told.of(told)
-            self.rewiring.follow(change)
-            if change.speak and change.wiring != self.host.wiring:
-                self.host.rewired(change.wiring)
+            self.rewiring.follow(told)
+            if told.speak and told.wiring != self.host.wiring:
+                self.host.rewired(told.wiring)
         early, self._early, self._early_room = self._early, [], Room(EARLY)
         for key, payload, its_epoch, step in early:
             self._sample(key, payload, ATTACHMENT.pack(MARK, its_epoch, step))
@@ -320,8 +345,8 @@ class MeshNode:
         drain: Any = zenoh.handlers.Callback(lambda query: put(("drain", query)), indirect=False)
         self._subscribers.append(self.session.declare_queryable(f"{self._prefix}/@control/drain/{self.name}", drain))
         self._subscribers.append(self.subscribe("@control/epoch", lambda s: put(("epoch", s.payload.to_bytes()))))
-        for key in ("@control/stop", f"@control/leave/{self.name}"):
-            self._subscribers.append(self.subscribe(key, lambda s: put(("stop", s.payload.to_string()))))
+        for key in ("stop", f"leave/{self.name}"):
+            self._subscribers.append(self.subscribe(f"@control/{key}", self._on_stop(key)))
         for wire, leg in self.wiring.legs():
             if leg.publisher.node == self.name:
                 self.outlets[leg.key] = Outlet(leg.key, self.declare_publisher(leg.key, wire.message))
@@ -351,6 +376,9 @@ class MeshNode:
     def hear(self, key: str) -> None:
         """Have what comes on a wire's key come to the inbox."""
         self._subscribers.append(self.subscribe(key, self._on_sample(key)))
+
+    def _on_stop(self, key: str) -> Callable[[zenoh.Sample], None]:
+        return lambda sample: self.inbox.put(("asked_to_stop", key, sample.payload.to_bytes()))
 
     def _on_sample(self, key: str) -> Callable[[zenoh.Sample], None]:
         put = self.inbox.put_sample

@@ -14,7 +14,8 @@ counts only in the epoch in which it was sent.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping
 
 from mast_zenoh.wiring import Wiring
 
@@ -29,6 +30,8 @@ class Pacer:
         self.epoch = 0
         self.members: dict[str, str] = {}
         self._reports: dict[str, tuple[Mapping[str, int], Mapping[str, int]]] = {}
+        self._speaks: defaultdict[str, set[str]] = defaultdict(set)
+        self._hears: defaultdict[str, set[str]] = defaultdict(set)
         self.rewire(wiring)
 
     def rewire(self, wiring: Wiring) -> None:
@@ -36,6 +39,15 @@ class Pacer:
         self._flows = list(wiring.flows())
         self._publishers = {leg.publisher.node for _, leg in wiring.legs()}
         self._causes = [flow for flow in self._flows if flow[2] in self._publishers]
+        for (
+            key,
+            publisher,
+            subscriber,
+        ) in self._flows:  # those of wirings before stay: what they did counts
+            self._hears[subscriber].add(key)
+            self._speaks[publisher].add(key)
+        for _, leg in wiring.legs():
+            self._speaks[leg.publisher.node].add(leg.key)
 
     def begin_epoch(self, members: Mapping[str, str]) -> int:
         """A new epoch with these members; nobody has reported in it yet. Returns its number."""
@@ -44,10 +56,19 @@ class Pacer:
         self._reports.clear()
         return self.epoch
 
-    def report(self, node: str, epoch: int, sent: Mapping[str, int], handled: Mapping[str, int]) -> None:
-        """A node's counters by key. Those of another epoch or of a stranger say nothing."""
-        if epoch == self.epoch and node in self.members:
-            self._reports[node] = (sent, handled)
+    def report(self, node: str, epoch: int, sent: Mapping[str, int], handled: Mapping[str, int]) -> str:
+        """A node's counters by key. Those of another epoch or of a stranger say nothing.
+
+        Returns why they cannot be true, if they name a key on which the node does not speak, or that it does not hear.
+        """
+        if epoch != self.epoch or node not in self.members:
+            return ""
+        if not self._speaks[node].issuperset(sent):
+            return f"{node} reports messages sent on {_first(sent, self._speaks[node])}, on which it does not speak"
+        if not self._hears[node].issuperset(handled):
+            return f"{node} reports messages handled on {_first(handled, self._hears[node])}, which it does not hear"
+        self._reports[node] = (sent, handled)
+        return ""
 
     def drop(self, nodes: Iterable[str]) -> None:
         """These members are gone: the rest of the epoch goes on without waiting for them."""
@@ -72,6 +93,35 @@ class Pacer:
                 return False
         return True
 
+    def implausible(self) -> str:
+        """Who has reported what cannot be, in words; to be asked when no report has come for a while.
+
+        A report is late only while its node is busy. A publisher that has handled all that was sent to it is not: its
+        count of messages sent is final, and nobody can have handled more. Where all who hear a key have, and these are
+        several, it is the publisher that does not tell the truth.
+        """
+        reports = self._reports
+        owing, over, agree = set[str](), dict[str, list[tuple[str, str, int, int]]](), defaultdict[str, int](int)
+        for key, publisher, subscriber in self._flows:
+            if publisher not in reports or subscriber not in reports:
+                continue
+            sent, handled = reports[publisher][0].get(key, 0), reports[subscriber][1].get(key, 0)
+            if handled < sent:
+                owing.add(subscriber)
+            if handled > sent:
+                over.setdefault(key, []).append((publisher, subscriber, sent, handled))
+            else:
+                agree[key] += 1
+        for key, lies in over.items():
+            publisher, subscriber, sent, handled = lies[0]
+            if publisher in owing:
+                continue
+            if len(lies) > 1 and not agree[key]:
+                heard = ", ".join(f"{name} {n}" for _, name, _, n in lies[:3])
+                return f"{publisher} reports {sent} messages sent on {key}, of which more have been handled ({heard})"
+            return f"{subscriber} reports {handled} messages of {publisher} handled on {key}, of which {sent} were sent"
+        return ""
+
     def owing(self) -> Iterable[str]:
         """Why the mesh is not quiet, in words: for the error when it stays so."""
         for node in sorted(self.silent):
@@ -82,3 +132,8 @@ class Pacer:
                 handled = self._reports[subscriber][1].get(key, 0)
                 if sent != handled:
                     yield f"{subscriber} has handled {handled} of {sent} messages of {publisher} on {key}"
+
+
+def _first(counters: Mapping[str, int], known: Collection[str]) -> str:
+    """The first key that is not known, cut off."""
+    return repr(min(counters.keys() - set(known))[:80])

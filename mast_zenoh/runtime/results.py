@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgpack
 import numpy as np
 
+from mast_zenoh.errors import MessageError
 from mast_zenoh.resolved import NodeSpec
 
 #: The node whose metrics and tables are those of the run: every scenario has one of this name.
 EVALUATOR = "evaluator"
+
+#: Of those that are returned under `tables`, the ones that the evaluator alone writes, to the top of the run folder.
+TABLES = ("metrics", "objects", "attacks", "targets", "driving")
+
+MAX_VALUES = 1 << 20  #: items of lists and maps in a result; arrays count as one
+MAX_DEPTH = 32  #: of lists and maps in each other
+_MAX_EMPTY = 1 << 24  # rows and columns of an array without elements
+_MAX_DIMENSIONS = 8
 
 _ARRAY = 1
 _TEXTS = 2
@@ -25,8 +35,30 @@ def pack(value: Any) -> bytes:
 
 
 def unpack(payload: bytes) -> Any:
-    """What `pack` packed."""
-    return msgpack.unpackb(payload, ext_hook=_decode, strict_map_key=False)
+    """What `pack` packed; raises MessageError for anything else, and for more values than a result may have."""
+    left = MAX_VALUES
+
+    def counted(container: Any) -> Any:
+        nonlocal left
+        left -= len(container)
+        if left < 0:
+            raise MessageError(f"a result holds more than {MAX_VALUES} plain values; expected arrays")
+        return container
+
+    try:
+        return msgpack.unpackb(
+            payload,
+            ext_hook=_decode,
+            object_hook=counted,
+            list_hook=counted,
+            strict_map_key=False,
+            max_array_len=MAX_VALUES,
+            max_map_len=MAX_VALUES,
+        )
+    except MessageError:
+        raise
+    except Exception as error:  # msgpack has several, and NumPy too
+        raise MessageError(f"a result: not as it was packed: {type(error).__name__}: {str(error)[:100]}") from None
 
 
 def checked(value: Any) -> dict[str, Any]:
@@ -46,7 +78,7 @@ def collations(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, Nod
     """
     brokers = [result for name, result in results.items() if name in nodes and nodes[name].role == "broker"]
     returned = [result["collation"] for result in brokers if isinstance(result.get("collation"), Mapping)]
-    return [_counts(collation) | {"late": _counts(collation.get("late"))} for collation in returned]
+    return [counts_of(collation) | {"late": counts_of(collation.get("late"))} for collation in returned]
 
 
 def late(collations: Sequence[Mapping[str, Any]]) -> dict[str, int]:
@@ -55,19 +87,22 @@ def late(collations: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     return {agent: sum(count.get(agent, 0) for count in counts) for agent in sorted(set().union(*counts))}
 
 
-def _counts(value: object) -> dict[str, int]:
+def counts_of(value: object) -> dict[str, int]:
+    """The whole numbers in what a node has returned, by name; nothing of anything else."""
     return {str(name): n for name, n in value.items() if type(n) is int} if isinstance(value, Mapping) else {}
 
 
-def _check(value: Any, path: str) -> None:
+def _check(value: Any, path: str, depth: int = 0) -> None:
+    if depth > MAX_DEPTH:
+        raise TypeError(f"{path[:200]}: found more than {MAX_DEPTH} dicts and lists in each other")
     if isinstance(value, dict):
         for key, item in value.items():
-            if not isinstance(key, (str, int, float)):
-                raise TypeError(f"{path}: found the key {key!r}, expected a string or a number")
-            _check(item, f"{path}.{key}")
+            if not isinstance(key, (str, int, float)) or (isinstance(key, float) and not math.isfinite(key)):
+                raise TypeError(f"{path}: found the key {key!r:.80}, expected a string or a finite number")
+            _check(item, f"{path}.{key}", depth + 1)
     elif isinstance(value, (list, tuple)):
         for index, item in enumerate(value):
-            _check(item, f"{path}[{index}]")
+            _check(item, f"{path}[{index}]", depth + 1)
     elif not isinstance(value, _PLAIN):
         raise TypeError(f"{path}: found a {type(value).__name__}, expected plain values and arrays")
     elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 64:
@@ -91,6 +126,20 @@ def _encode(value: Any) -> Any:
 
 def _decode(code: int, data: bytes) -> Any:
     if code == _TEXTS:
-        return np.array(msgpack.unpackb(data), dtype=object)
+        texts = msgpack.unpackb(data)
+        if not {*map(type, texts)} <= {str}:
+            raise MessageError("a result: found a column of text that holds something else")
+        column = np.empty(len(texts), dtype=object)
+        column[:] = texts
+        return column
+    if code != _ARRAY:
+        raise MessageError(f"a result: found extension {code}, expected an array")
     dtype, shape, raw = msgpack.unpackb(data)
-    return np.frombuffer(raw, dtype=dtype).reshape(shape)
+    if type(shape) is not list or len(shape) > _MAX_DIMENSIONS or any(type(n) is not int or n < 0 for n in shape):
+        raise MessageError("a result: found an array without a shape")
+    if math.prod(n for n in shape if n) > max(_MAX_EMPTY, len(raw)):
+        raise MessageError(f"a result: found an array of {len(raw)} bytes whose shape is larger")
+    array = np.frombuffer(raw, dtype=dtype).reshape(shape)
+    if array.dtype.kind not in "biuf":
+        raise MessageError(f"a result: found an array of {array.dtype}, expected numbers")
+    return array

@@ -19,10 +19,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import msgpack
 import zenoh
 
 from mast_zenoh import codec
+from mast_zenoh.control import flow
+from mast_zenoh.control.flow import WiringUpdate
 from mast_zenoh.errors import MessageError
 from mast_zenoh.interposition import taps_into
 from mast_zenoh.wiring import Wiring
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from mast_zenoh.runtime.mesh import MeshNode
 
 DRAIN_TIMEOUT_S = 2.0  #: how long a publisher holds back its messages for a node that does not answer
+MAX_ASKED = 64  #: questions whether all is passed on that wait for an answer at one node
 CHANGE_TIMEOUT_S = 20.0  #: how long everybody may take to learn of a change
 
 
@@ -69,25 +71,6 @@ class Outlet:
         return len(kept)
 
 
-@dataclass(frozen=True, slots=True)
-class Told:
-    """What an epoch says of the wiring: as it will be or is (`speak`), and which nodes are about to leave it."""
-
-    wiring: Wiring
-    speak: bool
-    leaving: tuple[str, ...] = ()
-
-    def packed(self) -> list[Any]:
-        """For the epoch's message."""
-        return [self.wiring.to_json(), self.speak, list(self.leaving)]
-
-    @classmethod
-    def of(cls, packed: list[Any]) -> Told:
-        """What `packed` packed."""
-        wiring, speak, leaving = packed
-        return cls(Wiring.from_json(wiring), speak, tuple(leaving))
-
-
 class Rewiring:
     """One node's part in a change of the wiring.
 
@@ -100,7 +83,7 @@ class Rewiring:
         self.leaving = False
         self._next: dict[str, tuple[str, zenoh.Publisher]] = {}  # by outlet: its next key and publisher
         self._draining: dict[str, float] = {}  # outlets that hold back, since when
-        self._asked: list[tuple[zenoh.Query, int]] = []  # with the frame in which it came
+        self._asked: list[tuple[zenoh.Query, str, int]] = []  # with the key, and the frame in which it came
 
     @property
     def busy(self) -> bool:
@@ -112,7 +95,7 @@ class Rewiring:
         """Whether somebody waits to hear that all is passed on."""
         return bool(self._asked)
 
-    def follow(self, told: Told) -> None:
+    def follow(self, told: WiringUpdate) -> None:
         """Do what an epoch says."""
         self._prepare(told.wiring)
         self.leaving = self._node.name in told.leaving
@@ -126,22 +109,35 @@ class Rewiring:
         kind, *rest = event
         if kind == "drain":
             self._node.host.flush()
-            self._asked.append((rest[0], self._node.host.frame))
+            self._take_question(rest[0])
         elif kind == "drained":
             self._go_on(*rest)
+
+    def _take_question(self, query: zenoh.Query) -> None:
+        """Somebody asks whether all is passed on; nobody is answered who asks for what this node does not hear."""
+        try:
+            key = flow.decode_drain(query.payload.to_bytes() if query.payload else b"")
+            if key not in self._node.host.hears:
+                raise MessageError(f"drain: found {key!r:.80}, which {self._node.name} does not hear")
+            if len(self._asked) >= MAX_ASKED:
+                raise MessageError(f"drain: more than {MAX_ASKED} questions wait")
+        except MessageError as error:
+            self._node.invalid.note(f"drain/{self._node.name}", error)
+            query.drop()
+        else:
+            self._asked.append((query, key, self._node.host.frame))
 
     def answer(self) -> None:
         """Tell those who have asked whether all is passed on, as soon as it is."""
         if not self._asked:
             return
         still = []
-        for query, frame in self._asked:
-            key = query.payload.to_string() if query.payload else ""
+        for query, key, frame in self._asked:
             if self._passed_on(key, frame):
                 query.reply(query.key_expr, b"")
                 query.drop()
             else:
-                still.append((query, frame))
+                still.append((query, key, frame))
         self._asked = still
 
     def _prepare(self, wiring: Wiring) -> None:
@@ -166,7 +162,7 @@ class Rewiring:
         if new:
             node.await_listeners(new)
 
-    def _switch(self, told: Told) -> None:
+    def _switch(self, told: WiringUpdate) -> None:
         """Publish on the new keys: at once, or when the node in between has passed on what it got."""
         node = self._node
         taps = {} if node.lockstep else taps_into(node.wiring, told.leaving)
@@ -252,15 +248,9 @@ class Change:
     begun: float = 0.0
     frame: int = 0
 
-    @classmethod
-    def of(cls, query: zenoh.Query) -> Change:
-        """What the launcher asks for. Raises ValueError, KeyError or TypeError for what is no change."""
-        told = msgpack.unpackb(query.payload.to_bytes() if query.payload else b"")
-        return cls(Wiring.from_json(told["wiring"]), dict(told["join"]), tuple(told["leave"]), query)
-
     def reply(self, **answer: Any) -> None:
         """Say what has become of it."""
-        self.query.reply(self.query.key_expr, msgpack.packb(answer))
+        self.query.reply(self.query.key_expr, flow.encode_rewired(**answer))
         self.query.drop()
 
 
@@ -272,15 +262,19 @@ class Rewirer:
         self._asked: deque[Change] = deque()
         self._change: Change | None = None
         self._since = 0.0  # when the current epoch of the change began
-        self.told: Told | None = None  # what every epoch says since the first change
+        self.told: WiringUpdate | None = None  # what every epoch says since the first change
 
     def ask(self, query: zenoh.Query) -> None:
         """Take up a change as soon as those before it are done."""
         try:
-            self._asked.append(Change.of(query))
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            self._driver.host.log.warning("not a change of the wiring: %r", error)
+            told = flow.decode_rewire(query.payload.to_bytes() if query.payload else b"")
+            if len(self._asked) >= MAX_ASKED:
+                raise MessageError(f"rewire: more than {MAX_ASKED} changes wait")
+        except MessageError as error:
+            self._driver.invalid.note("rewire", error)
             query.drop()
+        else:
+            self._asked.append(Change(*told, query))
 
     def turn(self) -> bool:
         """Go on with the change as far as it goes; whether it waits for what everybody says."""
@@ -301,9 +295,9 @@ class Rewirer:
             for name in change.leave:
                 driver.expected.pop(name, None)
             change.frame = driver.frames  # in real time the next may begin before all have said that they have switched
-            self._epoch(Told(change.wiring, True, change.leave))
+            self._epoch(WiringUpdate(change.wiring, True, change.leave))
             return True
-        self.told = Told(change.wiring, True)
+        self.told = WiringUpdate(change.wiring, True)
         self._change = None
         change.reply(frame=change.frame, took_ms=round((time.monotonic() - change.begun) * 1e3, 3))
         return self._begin()
@@ -320,7 +314,7 @@ class Rewirer:
         self._change = self._asked.popleft()
         change.begun = time.monotonic()
         self._driver.expected |= change.join
-        self._epoch(Told(change.wiring, False, change.leave))
+        self._epoch(WiringUpdate(change.wiring, False, change.leave))
         return True
 
     def _call_off(self, change: Change, why: str) -> bool:
@@ -328,22 +322,17 @@ class Rewirer:
         for name in change.join:
             self._driver.expected.pop(name, None)
         self._change = None
-        self._epoch(Told(self._driver.wiring, True))
+        self._epoch(WiringUpdate(self._driver.wiring, True))
         change.reply(error=why)
         return False
 
-    def _epoch(self, told: Told) -> None:
+    def _epoch(self, told: WiringUpdate) -> None:
         self.told = told
         self._since = time.monotonic()
         self._driver.begin_epoch_of(told)
 
     def _missing(self) -> str:
         return ", ".join(sorted(self._driver.pacer.silent)) or self._driver.name
-
-
-def packed(told: Told | None) -> list[Any] | None:
-    """For the epoch's message."""
-    return None if told is None else told.packed()
 
 
 def counted(sent: Mapping[str, int], outlets: Mapping[str, Outlet]) -> dict[str, int]:

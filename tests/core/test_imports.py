@@ -16,7 +16,7 @@ LAYERS = (
     ("deploy",),
     ("launch",),
     ("checks",),
-    ("runtime",),
+    ("runtime", "control"),
     ("scenario",),
     ("resolved",),
     ("loading",),

@@ -1,5 +1,7 @@
 """The next frame begins when nothing is under way, and not before."""
 
+import itertools
+
 from mast_zenoh.runtime.pacer import Pacer
 from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
 
@@ -73,3 +75,64 @@ def test_who_only_listens_is_waited_for_only_when_everyone_is() -> None:
     assert not made.quiet(everyone=True)
     made.report("evaluator", 1, {}, {"clock": 1, "collated": 1})
     assert made.quiet(everyone=True)
+
+
+def test_a_key_on_which_a_node_does_not_speak_or_that_it_does_not_hear_is_refused_and_named() -> None:
+    made = pacer()
+    assert made.report("agent", 1, {"tracks": 1}, {"clock": 1}) == ""
+    said = made.report("agent", 1, {"collated": 1}, {})
+    assert said == "agent reports messages sent on 'collated', on which it does not speak"
+    said = made.report("agent", 1, {}, {"tracks": 1})
+    assert said == "agent reports messages handled on 'tracks', which it does not hear"
+    assert made.report("stranger", 1, {"tracks": 1}, {}) == "", "who is no member says nothing"
+    made.report("simulator", 1, {"clock": 1}, {})
+    made.report("broker", 1, {}, {"clock": 1, "tracks": 1})
+    assert made.quiet(), "what was refused changes nothing"
+
+
+def test_what_was_heard_in_the_wiring_before_may_still_be_reported() -> None:
+    made = pacer()
+    made.rewire(Wiring(WIRING.wires[:1]))
+    made.begin_epoch(MEMBERS)
+    assert made.report("agent", 2, {"tracks": 1}, {}) == ""
+    assert made.report("broker", 2, {}, {"tracks": 1}) == ""
+
+
+def test_who_has_handled_more_than_was_sent_is_named() -> None:
+    made = pacer()
+    made.report("simulator", 1, {"clock": 3}, {})
+    made.report("agent", 1, {"tracks": 3}, {"clock": 3})
+    made.report("broker", 1, {"collated": 3}, {"clock": 3, "tracks": 10**9})
+    assert not made.quiet()
+    assert made.implausible() == "broker reports 1000000000 messages of agent handled on tracks, of which 3 were sent"
+
+
+def test_a_publisher_that_is_still_busy_has_not_reported_what_it_sent_and_nobody_is_accused() -> None:
+    made = pacer()
+    made.report("simulator", 1, {"clock": 1}, {})
+    made.report("agent", 1, {}, {})
+    made.report("broker", 1, {}, {"clock": 1, "tracks": 1})
+    assert not made.quiet()
+    assert made.implausible() == ""
+
+
+def test_a_publisher_that_reports_too_little_is_named_by_all_who_hear_it() -> None:
+    made = Pacer(WIRING)
+    made.begin_epoch({**MEMBERS, "evaluator": "evaluator"})
+    made.report("simulator", 1, {"clock": 0}, {})
+    for name in ("agent", "broker", "evaluator"):
+        made.report(name, 1, {}, {"clock": 2})
+    assert made.implausible().startswith("simulator reports 0 messages sent on clock, of which more have been handled")
+    made.report("evaluator", 1, {}, {"clock": 0})
+    assert made.implausible().startswith("agent reports 2 messages of simulator handled on clock, of which 0 were sent")
+
+
+def test_whatever_reports_of_a_sound_mesh_are_still_missing_nobody_is_accused() -> None:
+    """Of three frames, each node's newest report that has come is of any; the driver's own count is that of now."""
+    made = pacer()
+    made.report("simulator", 1, {"clock": 3}, {})
+    for of_agent, of_broker in itertools.product(range(4), repeat=2):
+        made.report("agent", 1, {"tracks": of_agent}, {"clock": of_agent})
+        made.report("broker", 1, {}, {"clock": of_broker, "tracks": of_broker})
+        assert made.implausible() == ""
+        assert made.quiet() == ((of_agent, of_broker) == (3, 3))

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from tiny_world import TinyScene  # noqa: F401
 
 from mast_zenoh import scenario
+from mast_zenoh.control.interception import place_json, place_of
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
 from mast_zenoh.launch.asking import intercept, plan, release
-from mast_zenoh.launch.interception import place_json, place_of, seal, unseal
+from mast_zenoh.launch.interception import seal, unseal
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.scenario.nodes import inform
 from mast_zenoh.settings import nested

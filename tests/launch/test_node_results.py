@@ -13,6 +13,7 @@ import pytest
 from mast_zenoh import scenario
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import local
+from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.tables import read_table
 
 METRICS = {"frames": 3, "agents": {}}
@@ -134,3 +135,33 @@ def test_an_attack_without_targets_or_places_says_so(
         assert counts == {"selected": 0, "placed": 0, "wanted": 0}
     else:
         assert counts["placed"] < counts["wanted"]
+
+
+def test_tables_of_the_evaluator_that_are_none_of_the_run_are_its_own(tmp_path: Path) -> None:
+    refused, files = written({"evaluator": {"tables": {"mine": TABLE, "objects": TABLE}}}, tmp_path / "run")
+    assert refused == []
+    assert files == {"results/evaluator/mine.parquet", "objects.parquet"}
+
+
+def test_a_node_writes_no_more_tables_than_a_hundred(tmp_path: Path) -> None:
+    refused, files = written({"node": {"tables": {f"t{i}": {"a": [i]} for i in range(103)}}}, tmp_path / "run")
+    assert refused == ["node: tables: found 103, expected at most 100; the first are written"]
+    assert len(files) == 100
+
+
+@pytest.mark.parametrize("recorded", [{"messages": 7, "lost": 0}, [1], "none", {"messages": "many"}, None])
+def test_only_a_recorder_says_what_was_recorded_and_only_in_numbers(recorded: Any) -> None:
+    specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("ego", "agent"))}
+    record: dict[str, Any] = {"message": ""}
+    run_folder.note_recording(record, {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}, specs)
+    assert record == {"message": ""}
+    run_folder.note_recording(record, {"rec": {"recorded": recorded}}, specs)
+    sound = recorded == {"messages": 7, "lost": 0}
+    assert record == {"message": ""} | ({"recorded": recorded} if sound else {})
+
+
+def test_lost_messages_are_told_of(tmp_path: Path) -> None:
+    specs = {"rec": NodeSpec("recorder", "", "", {}, "continue")}
+    record: dict[str, Any] = {"message": "so far"}
+    run_folder.note_recording(record, {"rec": {"recorded": {"messages": 7, "lost": 2}}}, specs)
+    assert record["message"] == "so far; 2 messages could not be recorded"

@@ -23,7 +23,11 @@ def world() -> Resolved:
 
 def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) -> dict[str, str]:
     """The notices of a made-up run: kind to text."""
-    record = {"nodes": nodes or {}, "timings": {"frames_per_second": more.get("speed", 10.0)}}
+    record = {
+        "nodes": nodes or {},
+        "invalid_control": more.get("invalid_control", {}),
+        "timings": {"frames_per_second": more.get("speed", 10.0)},
+    }
     measured = {"late": more.get("late", {})} | more.get("measured", {})
     collations, refused = more.get("collations", []), more.get("refused", [])
     found = notices.of_run(resolved, record, collations, measured, refused)
@@ -77,6 +81,20 @@ def test_foreign_messages_name_their_keys(world: Resolved) -> None:
     said = texts(world, nodes)["foreign"]
     where = "agent/a/tracks, agent/b/tracks, agent/c/tracks and 2 more"
     assert said == f"11 messages that no node of this run sent, on {where}"
+
+
+def test_refused_control_messages_name_the_key_with_most_and_why(world: Resolved) -> None:
+    """What goes to all is counted by each: the node that refused most counts."""
+    nodes = {
+        "ego": node(invalid_control={"epoch": [3, "epoch: not MessagePack"]}),
+        "broker": node(invalid_control={"epoch": [2, "epoch: not MessagePack"]}),
+        "dead": node(invalid_control=None),
+    }
+    said = texts(world, nodes, invalid_control={"result/ego": [4, "result: it has handed in its results before"]})
+    assert said["control"] == (
+        "7 invalid control messages refused on 2 keys "
+        "(most: result/ego, 4, the first: result: it has handed in its results before)"
+    )
 
 
 def test_a_run_in_real_time_that_keeps_up_says_nothing_of_it(world: Resolved) -> None:

@@ -68,7 +68,7 @@ def lost(run: Launched, observer: Observer) -> list[tuple[str, str, list[tuple[i
     for key, sample in observer.samples:
         header = codec.decode_header(sample.payload.to_bytes(), types[key])
         seen.append((key, (header.seq, header.frame)))
-    table = read_table(run.out / "heard.parquet")
+    table = read_table(run.out / "results" / "evaluator" / "heard.parquet")
     heard = list(zip(table["wire"], zip(table["seq"].tolist(), table["frame"].tolist(), strict=True), strict=True))
     found = [
         (who, wire, gaps([number for key, number in messages if key == wire]))
@@ -156,7 +156,7 @@ def test_an_attack_that_begins_while_the_run_goes_on_deceives_and_is_reported(go
     on = asking.intercept(run.out, DETECTIONS, "adversary.py", name="mallory", settings=settings)
     eventually(lambda: any(key == "attack/mallory/report" for key, _ in observer.samples), "it attacks")
     stop(run)
-    heard = read_table(run.out / "heard.parquet")
+    heard = read_table(run.out / "results" / "evaluator" / "heard.parquet")
     reports = heard["frame"][heard["wire"] == "attack/mallory/report"]
     assert len(reports) > 0
     assert min(reports) >= on["frame"]

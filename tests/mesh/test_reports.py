@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import msgpack
 import pytest
 import zenoh
 from launched import eventually
 
+from mast_zenoh.control.files import decode_refusal
+from mast_zenoh.control.invalid import InvalidMessages
+from mast_zenoh.control.reports import MAX_HANDLERS, MAX_RESULT
 from mast_zenoh.launch.reports import Report, Reports
 from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.resolved import NodeSpec
@@ -26,7 +30,18 @@ ENTRY = {
     "exception": "KeyError: 'x'",
     "where": "/a/node.py:3",
 }
-OUTCOME = {"results": {"n": 1}, "failures": [], "process": "b"}
+OUTCOME = {
+    "results": {"n": 1},
+    "rejected": {},
+    "first_rejected": {},
+    "foreign": {},
+    "invalid": {},
+    "process": "b",
+    "failures": [],
+    "last_frame": 3,
+    "cpu_s": 0.5,
+    "arrived_ns": {},
+}
 
 
 class Quiet(Child):
@@ -38,45 +53,110 @@ class Quiet(Child):
         return {}
 
 
+class Mesh(NamedTuple):
+    """A launcher that collects reports, and a stranger: `ask` hands in results in the name of a node."""
+
+    children: dict[str, Child]
+    invalid: InvalidMessages
+    reports: Reports
+    stranger: zenoh.Session
+
+    def ask(self, node: str, payload: bytes) -> list[bool]:
+        """Whether each answer is one that takes it."""
+        replies = self.stranger.get(f"{CONTROL}/result/{node}", payload=payload, timeout=5.0)
+        return [reply.ok is not None for reply in replies]
+
+
 @pytest.fixture
-def mesh() -> Iterator[tuple[dict[str, Child], Reports, zenoh.Session]]:
-    """(the nodes of a run, their reports, the session of a stranger)."""
+def mesh() -> Iterator[Mesh]:
     router, endpoint = open_router()
     with router, open_client(endpoint) as stranger:
-        children: dict[str, Child] = {"ego": Quiet("ego", NodeSpec("agent", "", "", {}, "continue"))}
-        reports = Reports(router, CONTROL, children)
-        yield children, reports, stranger
+        roles = {"ego": "agent", "sim": "simulator"}
+        specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in roles.items()}
+        children: dict[str, Child] = {name: Quiet(name, spec) for name, spec in specs.items()}
+        invalid = InvalidMessages(lambda line: None)
+        reports = Reports(router, CONTROL, children, invalid)
+        yield Mesh(children, invalid, reports, stranger)
         reports.close()
 
 
-def test_malformed_reports_and_those_of_nobody_are_ignored(mesh) -> None:
-    children, reports, stranger = mesh
+def test_malformed_reports_and_those_of_nobody_are_counted_and_ignored(mesh: Mesh) -> None:
     sound = msgpack.packb(["a", ENTRY])
     for payload in (b"", b"\xc1", b"\x93", msgpack.packb(7), msgpack.packb(["a", {}]), msgpack.packb(["a", [1]])):
-        stranger.put(f"{CONTROL}/failed/ego", payload)
-    stranger.put(f"{CONTROL}/failed/nobody", sound)
-    stranger.put(f"{CONTROL}/failed/ego", sound)
+        mesh.stranger.put(f"{CONTROL}/failed/ego", payload)
+    mesh.stranger.put(f"{CONTROL}/failed/nobody", sound)
+    mesh.stranger.put(f"{CONTROL}/failed/ego", sound)
     taken: list[Report] = []
-    eventually(lambda: taken.extend(reports.take()) or taken, "the sound one")
+    eventually(lambda: taken.extend(mesh.reports.take()) or taken, "the sound one")
     assert taken == [Report("ego", ENTRY)]
-    assert children["ego"].ended == "exit code 0, but it handed in no results"
-    forged = [b"", b"\xc1", results.pack([1]), results.pack(OUTCOME | {"results": [1]}), results.pack({"results": {}})]
-    for node, payload in [*(("ego", payload) for payload in forged), ("..", results.pack(OUTCOME))]:
-        list(stranger.get(f"{CONTROL}/result/{node}", payload=payload, timeout=5.0))
-    assert list(reports.take()) == []
-    assert reports.outcomes == {}
-    list(stranger.get(f"{CONTROL}/result/ego", payload=results.pack(OUTCOME), timeout=5.0))
-    assert list(reports.take()) == [Report("ego")]
-    assert children["ego"].ended == "ok"
-    assert reports.by_node()["ego"]["failures"] == [ENTRY], "of the process before"
+    assert mesh.children["ego"].ended == "exit code 0, but it handed in no results"
+    forged = [
+        b"",
+        b"\xc1",
+        results.pack([1]),
+        results.pack(OUTCOME | {"results": [1]}),
+        results.pack({"results": {}}),
+        results.pack({"sent_ns": {}}),
+        results.pack(OUTCOME | {"stop_reason": "end"}),
+        results.pack(OUTCOME | {"stop_reason": 7}),
+        results.pack(OUTCOME | {"frames": 7, "wall_s": 0.1, "stop_reason": "stall", "sent_ns": {}}),
+    ]
+    for payload in forged:
+        mesh.ask("ego", payload)
+        assert list(mesh.reports.take()) == []
+    assert mesh.ask("..", results.pack(OUTCOME)) == [False]
+    assert mesh.reports.outcomes == {}
+    assert mesh.invalid.counts == {"failed/ego": 6, "failed/*": 1, "result/ego": len(forged), "result/*": 1}
+    assert mesh.ask("ego", results.pack(OUTCOME)) == [True]
+    assert list(mesh.reports.take()) == [Report("ego")]
+    assert mesh.children["ego"].ended == "ok"
+    assert mesh.reports.by_node()["ego"]["failures"] == [ENTRY], "of the process before"
 
 
-def test_what_a_process_hands_in_stands_for_what_it_has_reported_before(mesh) -> None:
-    _, reports, stranger = mesh
+def test_what_a_process_hands_in_stands_for_what_it_has_reported_before(mesh: Mesh) -> None:
     for count in (1, 2):
-        stranger.put(f"{CONTROL}/failed/ego", msgpack.packb(["b", ENTRY | {"count": count}]))
-    outcome = results.pack(OUTCOME | {"failures": [ENTRY | {"count": 5, "frames": 4}]})
-    list(stranger.get(f"{CONTROL}/result/ego", payload=outcome, timeout=5.0))
+        mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb(["b", ENTRY | {"count": count}]))
+    mesh.ask("ego", results.pack(OUTCOME | {"failures": [ENTRY | {"count": 5, "frames": 4}]}))
     taken: list[Report] = []
-    eventually(lambda: taken.extend(reports.take()) or len(taken) >= 2, "both")
-    assert reports.by_node()["ego"]["failures"][0]["count"] == 5
+    eventually(lambda: taken.extend(mesh.reports.take()) or len(taken) >= 2, "both")
+    assert mesh.reports.by_node()["ego"]["failures"][0]["count"] == 5
+
+
+def test_a_node_hands_in_results_once_in_its_life(mesh: Mesh) -> None:
+    first, second = (results.pack(OUTCOME | {"results": {"n": n}}) for n in (1, 2))
+    for payload in (first, first, second):
+        mesh.ask("ego", payload)
+        list(mesh.reports.take())
+    assert mesh.reports.outcomes["ego"]["results"] == {"n": 1}
+    assert mesh.invalid.counts == {"result/ego": 1}, "the same again is a question whose answer got lost"
+    mesh.children["ego"].handed_in = False  # as the supervisor does when it starts the node again
+    mesh.ask("ego", second)
+    list(mesh.reports.take())
+    assert mesh.reports.outcomes["ego"]["results"] == {"n": 2}
+
+
+def test_results_that_are_too_long_are_refused_with_the_reason(mesh: Mesh) -> None:
+    payload = bytes(MAX_RESULT + 1)
+    (reply,) = mesh.stranger.get(f"{CONTROL}/result/ego", payload=payload, timeout=20.0)
+    assert reply.err is not None
+    refusal = decode_refusal(reply.err.payload.to_bytes())
+    assert "expected at most" in str(refusal)
+    assert list(mesh.reports.take()) == []
+
+
+def test_only_the_node_that_drives_the_scene_says_why_the_run_stops(mesh: Mesh) -> None:
+    driven = OUTCOME | {"frames": 7, "wall_s": 0.1, "stop_reason": "end", "sent_ns": {}}
+    mesh.ask("sim", results.pack(driven))
+    assert list(mesh.reports.take()) == [Report("sim")]
+    assert mesh.reports.outcomes["sim"]["stop_reason"] == "end"
+
+
+def test_a_node_whose_handlers_and_processes_never_end_is_stopped_counting(mesh: Mesh) -> None:
+    for i in range(300):
+        mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb(["b", ENTRY | {"handler": f"on_{i}"}]))
+    taken: list[Report] = []
+    refused = 300 - MAX_HANDLERS
+    eventually(
+        lambda: taken.extend(mesh.reports.take()) or mesh.invalid.counts["failed/ego"] == refused, "all have come"
+    )
+    assert len(taken) == MAX_HANDLERS

@@ -15,6 +15,7 @@ import pytest
 from tiny_world import tiny
 
 from mast_zenoh import scenario
+from mast_zenoh.control.reports import failure
 from mast_zenoh.errors import MessageError, NodeDied, StartError
 from mast_zenoh.messages import Header, Message
 from mast_zenoh.node import Context, Node, Overheard, Received
@@ -171,9 +172,9 @@ def test_failures_of_one_node_in_several_processes_are_one_entry() -> None:
     [None, [], {}, ENTRY | {"more": 1}, ENTRY | {"count": "3"}, ENTRY | {"count": True}, {"handler": "x"}],
 )
 def test_what_is_no_failure_is_refused(entry: object) -> None:
-    assert failures.checked(dict(ENTRY)) == ENTRY
+    assert failure(dict(ENTRY)) == ENTRY
     with pytest.raises(MessageError, match="a handler failure: "):
-        failures.checked(entry)
+        failure(entry)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,55 @@
+"""Schemas of the control messages of a run: pure functions, bytes in, typed values out.
+
+A decoder returns a value or raises MessageError, whatever bytes it is given: types, ranges and sizes are checked, and
+nothing more than expected is accepted. Each encoder stands beside its decoder.
+
+fields         strict readers of parts: numbers, names, keys, texts
+flow           counts, epoch, act, stop, leave, drain, rewire: how frames, members and the wiring change
+files          fetch, file: what a node on another host gets from the launcher and gives to it
+interception   intercept, release: what a user asks of a run
+reports        failed, result: what a node tells the launcher of itself
+invalid        counts what was refused
+
+CONTROLS is the table of all keys below mast/{run}/@control/. security/access.py gives nobody more rights than it says.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+NODE, DRIVER, LAUNCHER, USER = "node", "driver", "launcher", "user"
+
+
+class Control(NamedTuple):
+    """One kind of control message.
+
+    senders:   who may send it; with `own`, each on a key that ends with its own name
+    receivers: which of them take it
+    """
+
+    name: str
+    senders: tuple[str, ...]
+    receivers: tuple[str, ...]
+    own: bool
+    max_bytes: int
+
+
+_KIB, _MIB = 1 << 10, 1 << 20
+
+CONTROLS = {
+    control.name: control
+    for control in (
+        Control("epoch", (DRIVER,), (NODE,), False, 16 * _MIB),
+        Control("counts", (NODE,), (DRIVER,), True, _MIB),
+        Control("failed", (NODE,), (LAUNCHER,), True, 64 * _KIB),
+        Control("stop", (DRIVER, LAUNCHER), (NODE,), False, 4 * _KIB),
+        Control("leave", (LAUNCHER,), (NODE,), False, 4 * _KIB),
+        Control("act", (DRIVER,), (LAUNCHER,), False, _MIB),
+        Control("result", (NODE,), (LAUNCHER,), True, 32 * _MIB),
+        Control("fetch", (NODE,), (LAUNCHER,), True, 64 * _KIB),
+        Control("file", (NODE,), (LAUNCHER,), True, 5 * _MIB),
+        Control("drain", (NODE,), (NODE,), False, 4 * _KIB),
+        Control("rewire", (LAUNCHER,), (DRIVER,), False, 16 * _MIB),
+        Control("intercept", (USER,), (LAUNCHER,), False, 4 * _MIB),
+    )
+}

@@ -1,0 +1,369 @@
+"""One control message ends, stalls or kills nothing: each is refused, counted and said once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest.mock import MagicMock
+
+import msgpack
+import pytest
+from rich.console import Console
+
+from mast_zenoh.control import CONTROLS, flow
+from mast_zenoh.control.files import encode
+from mast_zenoh.control.invalid import MAX_KEYS, OTHERS, InvalidMessages
+from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, ServiceDied
+from mast_zenoh.launch.depot import Depot
+from mast_zenoh.launch.display import Display
+from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.steps import Steps
+from mast_zenoh.node import Node, Source
+from mast_zenoh.resolved import NodeSpec, Resolved
+from mast_zenoh.runtime.driver import Driver
+from mast_zenoh.runtime.mesh import MeshNode
+from mast_zenoh.runtime.timetable import Timetable
+from mast_zenoh.security.access import rights
+from mast_zenoh.security.credentials import LAUNCHER
+from mast_zenoh.steps import ProcessStep
+from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+
+RUBBISH = [b"", b"\xc1", b"\xff\xfe", msgpack.packb(7), msgpack.packb([]), msgpack.packb([1, 2]), msgpack.packb({})]
+WIRING = Wiring(
+    (
+        Wire("clock", "", "clock", (Leg("clock", Endpoint("sim", "clock"), (Endpoint("ego", "clock"),)),)),
+        Wire(
+            "agent/ego/status",
+            "ego",
+            "status",
+            (Leg("agent/ego/status", Endpoint("ego", "status"), (Endpoint("watch", "status"),)),),
+        ),
+    )
+)
+ROLES = {"sim": "simulator", "ego": "agent", "watch": "broker"}
+RESOLVED = Resolved(
+    name="small",
+    seed=1,
+    mode="lockstep",
+    rate=1.0,
+    frames=10,
+    period_ns=100_000_000,
+    nodes={name: NodeSpec(role, f"/nowhere/{name}.py", "Any", {}, "continue") for name, role in ROLES.items()},
+    wiring=WIRING.to_json(),
+    scene={},
+    steps=(ProcessStep(3, "kill", "ego"), ProcessStep(5, "start", "ego")),
+)
+
+
+class Ego(Node):
+    """A node that hears the clock and says nothing."""
+
+    role = "agent"
+    inputs = {"clock": "clock"}
+    outputs = {"status": "status"}
+
+    def on_clock(self, received: Any, context: Any) -> None:
+        """Do nothing."""
+
+
+class Sim(Source):
+    """A node that drives a scene that never ends."""
+
+    role = "simulator"
+    outputs = {"clock": "clock"}
+
+    def advance(self, context: Any) -> bool:
+        """Publish nothing but the clock."""
+        return True
+
+
+class Query:
+    """A query as Zenoh gives it, that remembers what was answered."""
+
+    def __init__(self, key: str, payload: bytes) -> None:
+        self.key_expr = f"mast/x/@control/{key}"
+        self.payload = MagicMock(to_bytes=lambda: payload, to_string=payload.decode)
+        self.answers: list[tuple[str, bytes]] = []
+        self.dropped = False
+
+    def reply(self, key: str, payload: bytes) -> None:
+        self.answers.append(("ok", payload))
+
+    def reply_err(self, payload: bytes) -> None:
+        self.answers.append(("error", payload))
+
+    def drop(self) -> None:
+        self.dropped = True
+
+
+@pytest.fixture
+def ego() -> MeshNode:
+    return MeshNode("x", "ego", Ego(), WIRING, 1, MagicMock(), period_ns=1, lockstep=True)
+
+
+@pytest.fixture
+def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
+    made = Driver(
+        *("x", "sim", Sim(), WIRING, 1, MagicMock()),
+        expected=dict(ROLES),
+        period_ns=1,
+        lockstep=True,
+        rate=1.0,
+        timetable=Timetable(RESOLVED, lockstep=True),
+        stall_timeout_s=2.0,
+    )
+    monkeypatch.setattr("mast_zenoh.runtime.driver.SUSPECT_S", 0.01)
+    made.alive |= {"ego", "watch"}
+    made._begin_epoch()
+    return made
+
+
+@pytest.fixture
+def launch(tmp_path: Path) -> Launch:
+    display = Display(Console(quiet=True), "small", 10)
+    return Launch(RESOLVED, tmp_path, {"id": "x"}, display, None, "tcp/127.0.0.1:0")
+
+
+# -- nodes -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("payload", RUBBISH)
+def test_a_malformed_epoch_costs_a_node_one_message(ego: MeshNode, payload: bytes) -> None:
+    ego.handle(("epoch", payload))
+    assert (ego.epoch, ego.invalid.counts) == (0, {"epoch": 1})
+    ego.handle(("epoch", flow.encode_epoch(1, {"ego": "agent"}, None)))
+    assert (ego.epoch, ego.stop_reason) == (1, None)
+
+
+@pytest.mark.parametrize("key", ["stop", "leave/ego"])
+def test_a_stop_that_is_no_text_costs_a_node_one_message(ego: MeshNode, key: str) -> None:
+    sample = MagicMock(payload=MagicMock(to_bytes=lambda: b"\xff\xfe", to_string=b"\xff\xfe".decode))
+    ego._on_stop(key)(sample)
+    ego.handle(ego.inbox.get_nowait())
+    assert (ego.stop_reason, ego.invalid.counts) == (None, {key: 1})
+    ego._on_stop(key)(MagicMock(payload=MagicMock(to_bytes=lambda: b"end")))
+    ego.handle(ego.inbox.get_nowait())
+    assert ego.stop_reason == "end"
+
+
+@pytest.mark.parametrize("payload", [b"\xff\xfe", b"", b"a//b", b"**", b"agent/other/status", b"x" * 5000])
+def test_a_drain_for_no_key_of_the_node_is_refused_at_once(ego: MeshNode, payload: bytes) -> None:
+    query = Query("drain/ego", payload)
+    ego.handle(("drain", query))
+    assert query.dropped
+    assert query.answers == []
+    assert not ego.rewiring.asked
+    assert ego.invalid.counts == {"drain/ego": 1}
+
+
+def test_a_drain_for_a_key_that_the_node_hears_is_answered(ego: MeshNode) -> None:
+    query = Query("drain/ego", b"clock")
+    ego.handle(("drain", query))
+    assert query.answers == [("ok", b"")]
+
+
+# -- the driver ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("payload", RUBBISH)
+@pytest.mark.parametrize(("node", "key"), [("ego", "counts/ego"), ("nobody", "counts/*")])
+def test_malformed_counts_cost_the_driver_one_message(driver: Driver, node: str, key: str, payload: bytes) -> None:
+    driver.inbox.put(("counts", node, payload))
+    assert driver._wait(time.monotonic() + 1.0)
+    assert driver.invalid.counts == {key: 1}
+    assert driver.stop_reason is None
+
+
+@pytest.mark.parametrize("payload", [*RUBBISH, msgpack.packb({"wiring": {"wires": [[]]}, "join": {}, "leave": []})])
+def test_a_malformed_change_of_the_wiring_costs_the_driver_one_message(driver: Driver, payload: bytes) -> None:
+    query = Query("rewire", payload)
+    driver.handle(("rewire", query))
+    assert query.dropped
+    assert driver.invalid.counts == {"rewire": 1}
+
+
+def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_named(driver: Driver) -> None:
+    driver._sent["clock"] = 3
+    driver._report_self()
+    driver.inbox.put(("counts", "watch", flow.encode_counts(1, {}, {})))
+    driver.inbox.put(("counts", "ego", flow.encode_counts(1, {}, {"clock": 10**9})))
+    begun = time.monotonic()
+    reason = driver._await_quiet(everyone=True)
+    assert reason == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
+    assert time.monotonic() - begun < driver.stall_timeout_s, "at once, and not when the run is found to stall"
+
+
+def test_a_node_that_reports_a_key_that_is_not_its_own_ends_the_run_and_is_named(driver: Driver) -> None:
+    driver.inbox.put(("counts", "watch", flow.encode_counts(1, {"clock": 1}, {})))
+    reason = driver._await_quiet(everyone=True)
+    assert reason == "implausible: watch reports messages sent on 'clock', on which it does not speak"
+
+
+def test_a_node_that_reports_too_little_is_a_stall_as_before(driver: Driver) -> None:
+    driver.stall_timeout_s = 0.05
+    driver._sent["clock"] = 3
+    driver._report_self()
+    for name in ("ego", "watch"):
+        driver.inbox.put(("counts", name, flow.encode_counts(1, {}, {})))
+    assert driver._await_quiet(everyone=True) == "stall: ego has handled 0 of 3 messages of sim on clock"
+
+
+# -- the launcher ----------------------------------------------------------------------------------------------------
+
+
+def steps_of(launch: Launch) -> Steps:
+    supervisor = MagicMock(children={})
+    return Steps(supervisor, RESOLVED.nodes, frozenset(), lambda name: None, RESOLVED.steps)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        *RUBBISH,
+        flow.encode_act(3, [("start", "nobody")]),
+        flow.encode_act(3, [("start", "ego")]),
+        flow.encode_act(4, [("kill", "ego")]),
+        flow.encode_act(3, [("kill", "ego"), ("kill", "ego")]),
+        flow.encode_act(3, [("kill", "sim")]),
+    ],
+)
+def test_an_act_that_the_scenario_does_not_say_costs_the_launcher_one_message(launch: Launch, payload: bytes) -> None:
+    steps = steps_of(launch)
+    launch._asked.put(payload)
+    launch._act(steps)
+    assert launch.invalid.counts == {"act": 1}
+    assert steps.done == []
+    assert steps._supervisor.method_calls == []
+
+
+def test_what_the_scenario_says_is_done_once(launch: Launch) -> None:
+    steps = steps_of(launch)
+    for _ in range(2):
+        launch._asked.put(flow.encode_act(5, [("start", "ego")]))
+        launch._act(steps)
+    assert steps.done == [{"frame": 5, "action": "start", "node": "ego"}]
+    assert launch.invalid.counts == {"act": 1}
+
+
+def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(launch: Launch) -> None:
+    launch.reports = MagicMock(take=lambda: [MagicMock(node="sim", failure=None)])
+    launch.reports.outcomes = {"sim": {"stop_reason": "implausible: ego reports too much"}}
+    launch._take_reports()
+    assert isinstance(launch.problem, ImplausibleCounts)
+    assert str(launch.problem) == "ego reports too much"
+    assert launch.stopping_since is not None
+
+
+@pytest.fixture
+def depot(tmp_path: Path, launch: Launch) -> Any:
+    (tmp_path / "scenario.json").write_text("{}")
+    made = Depot(MagicMock(), "x", tmp_path, lambda: RESOLVED, lambda node: [], lambda error: None, launch.invalid)
+    made._kept["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
+    yield made
+    made.close()
+
+
+def answered(depot: Depot, what: str, node: str, payload: bytes) -> tuple[str, Any]:
+    query = Query(f"{what}/{node}", payload)
+    depot._on_query(query)  # type: ignore[arg-type]
+    deadline = time.monotonic() + 10.0
+    while not query.dropped and time.monotonic() < deadline:
+        assert not depot.died, "the depot's thread has ended"
+    kind, answer = query.answers[0]
+    return kind, msgpack.unpackb(answer)
+
+
+PIECES = [
+    {"do": "piece", "path": path, "offset": offset}
+    for path in ("mine", "file")
+    for offset in (float("inf"), float("nan"), -1, 1 << 63, "0", None, [])
+]
+
+
+@pytest.mark.parametrize(
+    "payload", [*RUBBISH, *map(encode, PIECES), encode({"do": "piece", "path": "../x", "offset": 0})]
+)
+def test_a_malformed_question_is_answered_with_an_error_and_the_depot_lives(
+    depot: Depot, launch: Launch, payload: bytes
+) -> None:
+    for what in ("fetch", "file"):
+        kind, (error, _) = answered(depot, what, "ego", payload)
+        assert (kind, error) == ("error", "MessageError")
+    assert launch.invalid.counts == {"fetch/ego": 1, "file/ego": 1}
+    assert answered(depot, "fetch", "ego", encode({"do": "piece", "path": "mine", "offset": 3})) == (
+        "ok",
+        {"piece": b"tent"},
+    )
+
+
+def test_an_error_that_nobody_thought_of_costs_one_question(
+    depot: Depot, launch: Launch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise OverflowError("no such number")
+
+    monkeypatch.setattr(depot, "_give", fail)
+    kind, (_, said) = answered(depot, "fetch", "ego", encode({"do": "clock"}))
+    assert (kind, said) == ("error", "OverflowError: no such number")
+    assert launch.invalid.counts == {"fetch/ego": 1}
+    monkeypatch.undo()
+    assert answered(depot, "fetch", "ego", encode({"do": "clock"}))[0] == "ok"
+
+
+def test_strangers_are_answered_nothing_and_counted_together(depot: Depot, launch: Launch) -> None:
+    for name in ("a", "b"):
+        assert answered(depot, "fetch", name, encode({"do": "clock"}))[0] == "error"
+    assert launch.invalid.counts == {"fetch/*": 2}
+
+
+def test_a_depot_that_has_died_ends_the_run_and_is_named(
+    depot: Depot, launch: Launch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    launch.depot = depot
+    launch._check_depot()
+    assert launch.problem is None
+    monkeypatch.setattr(depot, "_refuse", MagicMock(side_effect=SystemExit))
+    depot._asked.put((MagicMock(key_expr="mast/x/@control/file/ego"), 0))
+    depot._thread.join(10.0)
+    launch._check_depot()
+    assert isinstance(launch.problem, ServiceDied)
+    assert "the depot, which serves the nodes' files, has ended: SystemExit" in str(launch.problem)
+    assert launch.stopping_since is not None
+
+
+# -- counting, and the table of rights -------------------------------------------------------------------------------
+
+
+def test_the_first_of_each_key_is_said_and_strange_keys_never_fill_the_memory() -> None:
+    said: list[str] = []
+    invalid = InvalidMessages(said.append)
+    for i in range(MAX_KEYS + 50):
+        for _ in range(3):
+            invalid.note(f"key {i}", f"why\n{'x' * 1000}")
+    assert len(said) == MAX_KEYS + 1
+    assert invalid.counts["key 0"] == 3
+    assert invalid.counts[OTHERS] == 150
+    assert all("\n" not in line and len(line) < 400 for line in said)
+
+
+def test_an_error_of_every_kind_is_one_of_ours() -> None:
+    assert issubclass(MessageError, MastError)
+
+
+@pytest.mark.parametrize("name", sorted(set(CONTROLS) - {"rewire", "drain", "intercept"}))
+def test_the_rules_of_the_router_give_nobody_more_than_the_table_says(name: str) -> None:
+    def may(node: str, verbs: tuple[str, ...]) -> set[str]:
+        found = rights(WIRING, node, driver="sim")
+        keys = {right.key for right in found if (right.flow, right.message) in [("ingress", verb) for verb in verbs]}
+        return {key for key in keys if key.startswith(f"@control/{name}") and key.split("/")[1] == name}
+
+    sending: Callable[[str], set[str]] = lambda node: may(node, ("put", "query"))  # noqa: E731
+    control = CONTROLS[name]
+    own = f"@control/{name}/ego" if control.own else f"@control/{name}"
+    assert sending("ego") == ({own} if "node" in control.senders else set())
+    assert bool(sending("sim") - sending("ego") if not control.own else sending("sim")) == (
+        "driver" in control.senders or "node" in control.senders
+    )
+    assert bool(sending(LAUNCHER)) == ("launcher" in control.senders)

@@ -1,0 +1,70 @@
+"""What a node that has been taken over sends on its own control keys, with its own certificate."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import msgpack
+
+from mast_zenoh.runtime import results
+from mast_zenoh.runtime.mesh import MeshNode
+
+RUBBISH = (b"", b"\xc1", b"\x93", b"\xff" * 40, msgpack.packb([]), msgpack.packb({}), msgpack.packb([1, 2, 3]))
+
+
+def send(node: MeshNode) -> None:
+    """Everything of the table of findings that a node may send, results first."""
+    control = f"{node._prefix}/@control"
+    outcome = {
+        "results": {
+            "metrics": {"frames": 666},
+            "tables": {
+                name: {"a": [1]} for name in ("metrics", "/tmp/mast_escaped", "../../mast_escaped", "../metrics")
+            },
+        },
+        "sent_ns": {},
+        "stop_reason": "end",
+        "failures": [],
+        "process": "x",
+    }
+    payloads = [*RUBBISH, results.pack(outcome), results.pack({"sent_ns": {}}), results.pack([1])]
+    for payload in payloads:
+        list(node.session.get(f"{control}/result/{node.name}", payload=payload, timeout=5.0))
+    questions: list[Any] = [
+        {"do": "piece", "path": "scenario.json", "offset": offset} for offset in (float("inf"), -1, 1 << 63)
+    ]
+    for what, payload in itertools.product(("fetch", "file"), (*RUBBISH, *map(msgpack.packb, questions))):
+        list(node.session.get(f"{control}/{what}/{node.name}", payload=payload, timeout=5.0))
+    for payload in RUBBISH:
+        node.session.put(f"{control}/failed/{node.name}", payload)
+
+
+def speak_up() -> None:
+    """From now on the node of this process sends all that when its life begins, and is sound otherwise."""
+    life, report = MeshNode.run_until_stopped, MeshNode.report
+
+    def run(self: MeshNode) -> None:
+        send(self)
+        life(self)
+
+    def first_report(self: MeshNode) -> None:
+        if self.epoch:  # the driver listens
+            MeshNode.report = report  # type: ignore[method-assign]
+            for payload in RUBBISH:
+                self._counts.put(payload)
+        report(self)
+
+    MeshNode.run_until_stopped = run  # type: ignore[method-assign]
+    MeshNode.report = first_report  # type: ignore[method-assign]
+
+
+def exaggerate(key: str) -> None:
+    """From now on the node of this process reports a billion messages handled on a key."""
+    report = MeshNode.report
+
+    def lie(self: MeshNode) -> None:
+        self.host.handled[key] = 10**9
+        report(self)
+
+    MeshNode.report = lie  # type: ignore[method-assign]

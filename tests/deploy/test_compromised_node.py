@@ -1,0 +1,57 @@
+"""One node with its own certificate under `--secure` sends what it likes on its control keys."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import compromised
+import pytest
+from launched_apart import Beside
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import ImplausibleCounts
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.resolved import Resolved
+
+pytestmark = pytest.mark.mesh
+
+
+def small(frames: int = 5) -> Resolved:
+    path, loaded = scenario.load("baseline", ["n_infrastructure=2"])
+    return scenario.resolve(path, loaded, frames=frames, record=True)
+
+
+def taken_over(node: str, call: str) -> Beside:
+    folder = str(Path(compromised.__file__).parent)
+    return Beside({node: f"__import__('sys').path.append({folder!r}); __import__('compromised').{call}"})
+
+
+def test_all_that_a_node_can_send_changes_nothing_and_is_told(tmp_path: Path) -> None:
+    resolved = small()
+    sound = local.run(resolved, tmp_path / "sound", runtime="inproc")
+    ended = local.run(resolved, tmp_path / "run", engine=taken_over("infra_1", "speak_up()"), secure="acl")
+    assert ended.error is None
+    assert compare(sound.folder, ended.folder, taps=True).first is None
+    metrics = [json.loads((run.folder / "metrics.json").read_text()) for run in (sound, ended)]
+    assert metrics[0] == metrics[1]
+    written = {path.relative_to(ended.folder).as_posix() for path in ended.folder.rglob("*.parquet")}
+    assert written == {path.relative_to(sound.folder).as_posix() for path in sound.folder.rglob("*.parquet")}
+    assert {path.name for path in tmp_path.iterdir()} == {"sound", "run"}
+    assert not Path("/tmp/mast_escaped.parquet").exists()
+    record = json.loads((ended.folder / "run.json").read_text())
+    refused = {key: count for key, (count, _) in record["invalid_control"].items()}
+    assert refused == {"result/infra_1": 10, "fetch/infra_1": 10, "file/infra_1": 10, "failed/infra_1": 7}
+    assert record["nodes"]["simulator"]["invalid_control"]["counts/infra_1"][0] == len(compromised.RUBBISH)
+    (notice,) = (notice for notice in record["notices"] if notice["kind"] == "control")
+    assert notice["text"].startswith("44 invalid control messages refused on 5 keys (most: fetch/infra_1, 10")
+
+
+def test_a_node_that_reports_more_than_it_was_sent_ends_the_run_and_is_named(tmp_path: Path) -> None:
+    ended = local.run(small(), tmp_path / "run", engine=taken_over("infra_1", "exaggerate('clock')"), secure="acl")
+    assert isinstance(ended.error, ImplausibleCounts)
+    assert str(ended.error).startswith("infra_1 reports 1000000000 messages of simulator handled on clock, of which ")
+    record = json.loads((ended.folder / "run.json").read_text())
+    assert record["status"] == "failed"
+    assert "infra_1 reports 1000000000" in record["message"]
