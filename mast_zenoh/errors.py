@@ -20,6 +20,7 @@
         ├── DiskFull             28   there is no room for what a run writes
         ├── VersionMismatch      29   a node elsewhere runs another version
         ├── HandlerFailed        30   a handler of a node raised an exception: the numbers may be wrong
+        ├── NodeLost             31   a node was lost in lock-step though nothing in the scenario said so
         └── Interrupted         130   Ctrl-C or SIGTERM
 
 A usage error on the command line exits with 2, as everywhere.
@@ -149,6 +150,12 @@ class HandlerFailed(RunError):
     """A node's handler raised an exception, so the numbers may be wrong: names node, frames, exception and line."""
 
     exit_code = 30
+
+
+class NodeLost(RunError):
+    """A node was lost in lock-step though nothing in the scenario said so: names it and the frame."""
+
+    exit_code = 31
 
 
 class Interrupted(RunError):

@@ -53,6 +53,11 @@ class Resolved:
     network: dict[str, Any] = field(default_factory=dict)
     recording: Recording | None = field(default=None, compare=False)
 
+    @property
+    def patient(self) -> bool:
+        """Whether a node that says nothing for long is waited for: in lock-step, unless the scenario cuts networks."""
+        return self.mode == "lockstep" and not self.network
+
     def to_json(self) -> dict[str, Any]:
         """The form of scenario.json, without the wiring, which has a file of its own."""
         nodes = {

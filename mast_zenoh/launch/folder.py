@@ -18,6 +18,7 @@ import numpy as np
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.runtime import churn
 from mast_zenoh.runtime.results import EVALUATOR
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
@@ -150,7 +151,10 @@ def finite(value: Any) -> Any:
 
 
 def note_recording(record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]]) -> None:
-    """How many messages were recorded goes to run.json, and a note if some could not be."""
+    """How many messages were recorded goes to run.json, and whether they are all; a note if some could not be."""
+    recorder = next((name for name, node in record["nodes"].items() if node["role"] == "recorder"), None)
+    if recorder is not None:
+        record["recording"] = churn.recording(record.get("churn", ()), recorder)
     for outcome in handed_in.values():
         if "recorded" in outcome:
             record["recorded"] = outcome["recorded"]

@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 
 from mast_zenoh import checks
-from mast_zenoh.errors import BackendError, HandlerFailed, Interrupted, MastError
+from mast_zenoh.errors import BackendError, HandlerFailed, Interrupted, MastError, NodeLost
 from mast_zenoh.launch import conclusion, steps
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.display import Display
@@ -24,10 +24,14 @@ from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.nodelogs import NodeLogs
 from mast_zenoh.launch.signals import stop_signals
 from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import failures
+from mast_zenoh.runtime import churn, failures
 from mast_zenoh.runtime.inproc import InProcess
 
-_STATUS: dict[type[MastError], str] = {Interrupted: "interrupted", HandlerFailed: "handler_failures"}
+_STATUS: dict[type[MastError], str] = {
+    Interrupted: "interrupted",
+    HandlerFailed: "handler_failures",
+    NodeLost: "node_lost",
+}
 
 
 @dataclass
@@ -60,6 +64,7 @@ def run(
     secure: str = "open",
     engine: Engine | None = None,
     allow_failures: bool = False,
+    allow_churn: bool = False,
     prepare: Callable[[Launch], None] = lambda launch: None,
     console: Console | None = None,
 ) -> Run:
@@ -69,6 +74,7 @@ def run(
     secure:   one of `security.levels.LEVELS`; above "open", who takes part gets certificates for this run alone
     engine:   where the nodes live, if not here as processes: it brings its own router
     allow_failures: whether a run in which a handler failed is "ok" all the same; otherwise its error is HandlerFailed
+    allow_churn: whether a lock-step run in which a node was lost is "ok" all the same; otherwise its error is NodeLost
     prepare:  called with what will launch the run on its mesh, before it does
     Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
     """
@@ -95,6 +101,7 @@ def run(
         "versions": run_folder.versions(),
         "timings": {},
         "nodes": {},
+        "churn": [],
     }
     run_folder.write_json(folder / "run.json", record)
     begun = time.monotonic()
@@ -111,6 +118,8 @@ def run(
         error = caught
     record["timings"]["total_s"] = round(time.monotonic() - begun, 3)
     ended = Run(folder, record, error)
+    if record["churn"] and resolved.mode == "lockstep" and not ended.error and not allow_churn:
+        ended.error = churn.error(record["churn"])
     if ended.failures and not ended.error and not allow_failures:
         ended.error = failures.error(ended.failures, ended.logs)
     record["status"] = _STATUS.get(type(ended.error), "failed") if ended.error else "ok"

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mast_zenoh.resolved import Resolved
+from mast_zenoh.runtime import churn
 
 #: Other counters of a broker, and what they count.
 _LEFT_OUT = {
@@ -39,9 +40,11 @@ def of_run(
         _rejected(nodes),
         _foreign(nodes),
         _behind(resolved, record, measured),
+        _churned(resolved, record),
+        _first(of_recording(record)),
         (len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
-    kinds = ("late", *_LEFT_OUT, "rejected", "foreign", "behind", "results")
+    kinds = ("late", *_LEFT_OUT, "rejected", "foreign", "behind", "churn", "recording", "results")
     return [
         {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, parts, strict=True) if count
     ]
@@ -98,6 +101,22 @@ def _foreign(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
     more = f" and {len(keys) - _KEYS_NAMED} more" if len(keys) > _KEYS_NAMED else ""
     where = f"{', '.join(keys[:_KEYS_NAMED])}{more}"
     return by_key.total(), f"{_number(by_key.total(), 'message')} that no node of this run sent, on {where}"
+
+
+def _churned(resolved: Resolved, record: Mapping[str, Any]) -> tuple[int, str]:
+    """Nodes that were lost, where everybody is to be waited for; in real time they may be."""
+    found = record.get("churn", ()) if resolved.mode == "lockstep" else ()
+    return len(found), churn.sentence(found)
+
+
+def of_recording(record: Mapping[str, Any]) -> list[str]:
+    """A sentence if the recording lacks what its recorder did not hear; record: run.json."""
+    found = record.get("recording", {})
+    return [] if found.get("complete", True) else [f"the recording is incomplete from frame {found['from_frame']} on"]
+
+
+def _first(sentences: Sequence[str]) -> tuple[int, str]:
+    return len(sentences), next(iter(sentences), "")
 
 
 def _behind(resolved: Resolved, record: Mapping[str, Any], measured: Mapping[str, Any]) -> tuple[int, str]:
