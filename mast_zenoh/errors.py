@@ -20,7 +20,7 @@
         ├── DiskFull             28   there is no room for what a run writes
         ├── VersionMismatch      29   a node elsewhere runs another version
         ├── HandlerFailed        30   a handler of a node raised an exception: the numbers may be wrong
-        ├── NodeLost             31   a node was lost in lock-step though nothing in the scenario said so
+        ├── NodeLost             33   a node was lost in lock-step though nothing in the scenario said so
         └── Interrupted         130   Ctrl-C or SIGTERM
 
 A usage error on the command line exits with 2, as everywhere.
@@ -155,7 +155,7 @@ class HandlerFailed(RunError):
 class NodeLost(RunError):
     """A node was lost in lock-step though nothing in the scenario said so: names it and the frame."""
 
-    exit_code = 31
+    exit_code = 33
 
 
 class Interrupted(RunError):

@@ -53,7 +53,7 @@ def test_a_node_that_is_lost_in_lock_step_fails_the_run_by_name(launch, undistur
     run: Launched = launch("baseline", *FRAMES)
     os.kill(at_frame(run, 15)["nodes"]["infra_2"]["pid"], signal.SIGKILL)
     code, output = run.end()
-    assert code == 31, output
+    assert code == 33, output
     record = run.record()
     (lost,) = record["churn"]
     assert record["status"] == "node_lost"
