@@ -15,6 +15,7 @@ from mast_zenoh.errors import Interrupted, MastError
 from mast_zenoh.launch import ending
 from mast_zenoh.options import (
     Against,
+    AllowChurn,
     AllowFailures,
     Frames,
     Mode,
@@ -65,6 +66,7 @@ def run(
     report: Report = True,
     record: Record = True,
     allow_failures: AllowFailures = False,
+    allow_churn: AllowChurn = False,
     against: Against = None,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
@@ -83,7 +85,8 @@ def run(
         where = f"the router at {endpoint} is another's" if endpoint else "one process has no mesh"
         raise typer.BadParameter(f"a secure mesh has a router of its own: {where}", param_hint="--secure")
     place: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
-    ended = local.run(resolved, out, **place, allow_failures=allow_failures, console=_out)
+    allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
+    ended = local.run(resolved, out, **place, **allowed, console=_out)
     conclude(ended, report=report, against=against, allow_failures=allow_failures)
 
 
@@ -190,16 +193,21 @@ def diff(
     taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
 ) -> None:
     """Compare the messages of two runs: exit 0 when equal, 1 when they differ, 2 when they cannot be compared."""
+    from mast_zenoh.messagelog.churned import comparable
     from mast_zenoh.messagelog.difference import compare
     from mast_zenoh.messagelog.explain import explain
 
     try:
-        found = compare(run_a, run_b, ignore=ignore or (), taps=taps)
+        before, why = comparable(run_a, run_b)
+        found = compare(run_a, run_b, ignore=ignore or (), taps=taps, before=before)
     except MastError as error:
         _err.print(f"cannot compare: {error}", markup=False, highlight=False)
         raise typer.Exit(2) from None
     for line in explain(found):
         _out.print(line, markup=False, highlight=False)
+    if why and found.first is None:
+        _err.print(f"not comparable from frame {before} on: {why}", markup=False, highlight=False)
+        raise typer.Exit(2)
     raise typer.Exit(0 if found.first is None else 1)
 
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.options import (
+    AllowChurn,
     AllowFailures,
     Frames,
     Mode,
@@ -57,6 +58,7 @@ def up(
     report: Report = True,
     record: Record = True,
     allow_failures: AllowFailures = False,
+    allow_churn: AllowChurn = False,
 ) -> None:
     """Run a scenario elsewhere: start all, follow it, collect its results into a run folder, take all away again."""
     from mast_zenoh.deploy import engines, space
@@ -67,7 +69,8 @@ def up(
     told = {"image": image, "hosts": hosts, "place": _placed(place), "patience_s": patience}
     chosen = _made(engines.load(engine), {name: value for name, value in told.items() if value is not None})
     space.check(out or Path("runs"), space.needed(resolved))
-    ended = local.run(resolved, out, engine=chosen, secure=secure, allow_failures=allow_failures, console=_out)
+    allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
+    ended = local.run(resolved, out, engine=chosen, secure=secure, **allowed, console=_out)
     conclude(ended, report=report)
 
 

@@ -22,6 +22,7 @@
         ├── HandlerFailed        30   a handler of a node raised an exception: the numbers may be wrong
         ├── ImplausibleCounts    31   a node reports messages that it cannot have sent or handled
         ├── ServiceDied          32   a part of the launcher that serves the nodes has ended
+        ├── NodeLost             33   a node was lost in lock-step though nothing in the scenario said so
         └── Interrupted         130   Ctrl-C, SIGTERM or SIGHUP
 
 A usage error on the command line exits with 2, as everywhere.
@@ -164,6 +165,12 @@ class ServiceDied(RunError):
     """A part of the launcher that serves the nodes has ended, so what they ask for or hand in is lost: names it."""
 
     exit_code = 32
+
+
+class NodeLost(RunError):
+    """A node was lost in lock-step though nothing in the scenario said so: names it and the frame."""
+
+    exit_code = 33
 
 
 class Interrupted(RunError):

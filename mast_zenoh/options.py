@@ -45,6 +45,9 @@ Against = Annotated[
     typer.Option(metavar="RUN|twin", help="Compare with another run, or with the same run without its adversaries."),
 ]
 Report = Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")]
+AllowChurn = Annotated[
+    bool, typer.Option("--allow-churn", help="Only warn when a node was lost in lock-step that was to be there.")
+]
 AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn when a handler of a node has failed.")]
 Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
 

@@ -61,6 +61,11 @@ class Resolved:
         """The frames and times that messages can have; None where it is unknown."""
         return None if self.leeway_ns is None else Timespan(self.frames, self.period_ns, self.leeway_ns)
 
+    @property
+    def patient(self) -> bool:
+        """Whether a node that says nothing for long is waited for: in lock-step, unless the scenario cuts networks."""
+        return self.mode == "lockstep" and not self.network
+
     def to_json(self) -> dict[str, Any]:
         """The form of scenario.json, without the wiring, which has a file of its own."""
         nodes = {

@@ -31,7 +31,7 @@ _COMMON = (
     "cpu_s",
     "arrived_ns",
 )
-_OF_DRIVER = ("frames", "wall_s", "stop_reason", "sent_ns")
+_OF_DRIVER = ("frames", "wall_s", "stop_reason", "sent_ns", "churn")
 _OF_HOST = ("versions", "clock")
 
 
@@ -66,7 +66,7 @@ def failure(value: object) -> Entry:
 def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
     """What a node hands in, as `MeshNode.hand_in` makes it; raises MessageError.
 
-    drives: whether it is the node that drives the scene: only that has stop_reason, frames, wall_s and sent_ns
+    drives: whether it is the node that drives the scene: only that has stop_reason, frames, wall_s, sent_ns, churn
     """
     fields.fits(payload, "result", max_result(node))
     expected = (*_COMMON, *_OF_HOST, *(_OF_DRIVER if drives else ()))
@@ -104,7 +104,18 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
         fields.finite(found["wall_s"], "result: wall_s")
         fields.text(found["stop_reason"], "result: stop_reason")
         _times(found["sent_ns"], "result: sent_ns")
+        _churn(found["churn"])
     return found
+
+
+def _churn(value: object) -> None:
+    """Who was lost and who came back, see runtime.churn."""
+    for event in fields.listed(value, "result: churn"):
+        found = fields.fields(event, ("frame", "node", "what"), "result: churn")
+        fields.whole(found["frame"], "result: churn: frame")
+        fields.text(found["node"], "result: churn: node", fields.MAX_NAME)
+        if found["what"] not in ("lost", "back"):
+            raise MessageError(f"result: churn: found {fields.shown(found['what'])}, expected lost or back")
 
 
 def _few(value: object, what: str) -> dict[str, Any]:

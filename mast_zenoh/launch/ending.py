@@ -16,6 +16,7 @@ from mast_zenoh.errors import (
     HandlerFailed,
     Interrupted,
     MastError,
+    NodeLost,
     RunError,
     StartError,
     is_disk_full,
@@ -23,7 +24,11 @@ from mast_zenoh.errors import (
 
 RUNNING, KILLED, OK = "running", "killed", "ok"
 _NAMES = {"": "Ctrl-C", "SIGINT": "Ctrl-C", "SIGHUP": "SIGHUP: its terminal is gone"}
-_STATUS: dict[type[MastError], str] = {Interrupted: "interrupted", HandlerFailed: "handler_failures"}
+_STATUS: dict[type[MastError], str] = {
+    Interrupted: "interrupted",
+    HandlerFailed: "handler_failures",
+    NodeLost: "node_lost",
+}
 
 
 def status(error: MastError | None) -> str:

@@ -22,6 +22,7 @@ import numpy as np
 from mast_zenoh import kernels
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.resolved import NodeSpec
+from mast_zenoh.runtime import churn
 from mast_zenoh.runtime.results import EVALUATOR, TABLES, counts_of
 
 #: Takes up room until the final run.json is written: a run that filled the disk can still say so.
@@ -189,7 +190,13 @@ def finite(value: Any) -> Any:
 def note_recording(
     record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]
 ) -> None:
-    """How many messages were recorded goes to run.json, and a note if some could not be; recorders alone tell it."""
+    """How many messages were recorded goes to run.json, and whether they are all; a note if some could not be.
+
+    Recorders alone tell it.
+    """
+    recorder = next((name for name, spec in nodes.items() if spec.role == "recorder"), None)
+    if recorder is not None:
+        record["recording"] = churn.recording(record.get("churn", ()), recorder)
     for node, outcome in handed_in.items():
         if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
             record["recorded"] = recorded

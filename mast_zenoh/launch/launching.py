@@ -141,14 +141,17 @@ class Launch:
             return session, Processes(self.folder, run, self.hosts.inside, self.hosts.command)
         if self.endpoint:
             self.record["endpoint"] = self.endpoint
-            return stack.enter_context(open_client(self.endpoint)), Processes(self.folder, run, self.endpoint)
+            session = stack.enter_context(open_client(self.endpoint, patient=self.resolved.patient))
+            return session, Processes(self.folder, run, self.endpoint)
         nodes = self.resolved.nodes
         driver = next((name for name, spec in nodes.items() if spec.role == "simulator"), "")
         wiring, listen = Wiring.from_json(self.resolved.wiring), levels.endpoint(self.secure, self.listen)
         self.deployment = stack.enter_context(
             Deployment(self.secure, run, wiring, nodes, prefix=prefix(run), driver=driver, hosts=levels.hosts([listen]))
         )
-        session, self.record["endpoint"] = open_router(listen, security=self.deployment.router)
+        session, self.record["endpoint"] = open_router(
+            listen, security=self.deployment.router, patient=self.resolved.patient
+        )
         supervisor = Processes(self.folder, run, self.record["endpoint"], told=self._told)
         return stack.enter_context(session), supervisor
 
@@ -341,6 +344,7 @@ class Launch:
         if driver:
             self.record["timings"] |= run_folder.rates(driver["frames"], driver["wall_s"])
             self.record["timings"]["start_s"] = round(time.monotonic() - begun - driver["wall_s"], 3)
+            self.record["churn"] = driver["churn"]
         gone = [child for child in supervisor.children.values() if not child.handed_in and not child.meant]
         self.record["message"] = "; ".join(f"{child.name} {child.ended}" for child in gone)
         self.record["invalid_control"] = self.invalid.entry()

@@ -23,7 +23,7 @@ from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.nodelogs import NodeLogs
 from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import failures
+from mast_zenoh.runtime import churn, failures
 from mast_zenoh.runtime.inproc import InProcess
 
 
@@ -57,6 +57,7 @@ def run(
     secure: str = "open",
     engine: Engine | None = None,
     allow_failures: bool = False,
+    allow_churn: bool = False,
     prepare: Callable[[Launch], None] = lambda launch: None,
     console: Console | None = None,
 ) -> Run:
@@ -66,6 +67,7 @@ def run(
     secure:   one of `security.levels.LEVELS`; above "open", who takes part gets certificates for this run alone
     engine:   where the nodes live, if not here as processes: it brings its own router
     allow_failures: whether a run in which a handler failed is "ok" all the same; otherwise its error is HandlerFailed
+    allow_churn: whether a lock-step run in which a node was lost is "ok" all the same; otherwise its error is NodeLost
     prepare:  called with what will launch the run on its mesh, before it does
     Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
     """
@@ -93,6 +95,7 @@ def run(
             "versions": run_folder.versions(),
             "timings": {},
             "nodes": {},
+            "churn": [],
         }
         with run_folder.begun(folder):
             run_folder.write_json(folder / "run.json", record)
@@ -114,6 +117,8 @@ def run(
             caught = raised
         record["timings"]["total_s"] = round(time.monotonic() - begun, 3)
         ended = Run(folder, record, ending.of_run(caught, record, str(folder)))
+        if record["churn"] and resolved.mode == "lockstep" and not ended.error and not allow_churn:
+            ended.error = churn.error(record["churn"])
         if ended.failures and not ended.error and not allow_failures:
             ended.error = failures.error(ended.failures, ended.logs)
         record["status"] = ending.status(ended.error)

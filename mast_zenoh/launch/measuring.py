@@ -8,6 +8,7 @@ from pathlib import Path
 from mast_zenoh import bundle, loading
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import notices
 from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.resolved import NodeSpec, Resolved
 from mast_zenoh.runtime.replaying import replay
@@ -28,7 +29,8 @@ def measure(folder: Path) -> list[str]:
     """Write metrics.json and the evaluator's tables anew, from the recording in a run folder.
 
     The times on the wall clock are kept as they were measured in the run. Returns a sentence for each table that was
-    refused. Raises RunFolderError where something is missing or damaged, and HandlerFailed where the evaluator fails.
+    refused, and one if the recording is known to be incomplete. Raises RunFolderError where something is missing or
+    damaged, and HandlerFailed where the evaluator fails.
     """
     try:
         resolved = Resolved.read(folder)
@@ -42,7 +44,8 @@ def measure(folder: Path) -> list[str]:
     results = replay(replace(resolved, nodes={**resolved.nodes, EVALUATOR: evaluator}), EVALUATOR, folder)
     before = run_folder.json_or_empty(folder / METRICS)
     kept = {name: before[name] for name in _NOT_RECORDED if name in before}
-    return run_folder.write_results(folder, {EVALUATOR: results}, kept)
+    incomplete = notices.of_recording(run_folder.json_or_empty(folder / "run.json"))
+    return [*run_folder.write_results(folder, {EVALUATOR: results}, kept), *incomplete]
 
 
 def _found_here(spec: NodeSpec, folder: Path) -> NodeSpec:

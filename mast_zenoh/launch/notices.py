@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mast_zenoh.resolved import Resolved
+from mast_zenoh.runtime import churn
 
 #: Other counters of a broker, and what they count.
 _LEFT_OUT = {
@@ -40,9 +41,11 @@ def of_run(
         _foreign(nodes),
         _control(record),
         _behind(resolved, record, measured),
+        _churned(resolved, record),
+        _first(of_recording(record)),
         (len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
-    kinds = ("late", *_LEFT_OUT, "rejected", "foreign", "control", "behind", "results")
+    kinds = ("late", *_LEFT_OUT, "rejected", "foreign", "control", "behind", "churn", "recording", "results")
     return [
         {"kind": kind, "count": count, "text": text} for kind, (count, text) in zip(kinds, parts, strict=True) if count
     ]
@@ -114,6 +117,22 @@ def _control(record: Mapping[str, Any]) -> tuple[int, str]:
     count, key = sum(by_key.values()), max(sorted(by_key), key=lambda key: by_key[key])
     what = f"{_number(count, 'invalid control message')} refused on {_number(len(by_key), 'key')}"
     return count, f"{what} (most: {key}, {by_key[key]}, the first: {reasons[key]})"
+
+
+def _churned(resolved: Resolved, record: Mapping[str, Any]) -> tuple[int, str]:
+    """Nodes that were lost, where everybody is to be waited for; in real time they may be."""
+    found = record.get("churn", ()) if resolved.mode == "lockstep" else ()
+    return len(found), churn.sentence(found)
+
+
+def of_recording(record: Mapping[str, Any]) -> list[str]:
+    """A sentence if the recording lacks what its recorder did not hear; record: run.json."""
+    found = record.get("recording", {})
+    return [] if found.get("complete", True) else [f"the recording is incomplete from frame {found['from_frame']} on"]
+
+
+def _first(sentences: Sequence[str]) -> tuple[int, str]:
+    return len(sentences), next(iter(sentences), "")
 
 
 def _behind(resolved: Resolved, record: Mapping[str, Any], measured: Mapping[str, Any]) -> tuple[int, str]:

@@ -29,14 +29,17 @@ class Difference:
     only_b: Counter[str] = field(default_factory=Counter)
 
 
-def compare(a: Path, b: Path, *, ignore: Collection[str] = (), taps: bool = False) -> Difference:
+def compare(
+    a: Path, b: Path, *, ignore: Collection[str] = (), taps: bool = False, before: int | None = None
+) -> Difference:
     """Compare the bytes of the recordings of two runs, ordered by (frame, wire, publisher, sequence).
 
     ignore: globs of wires to leave out;  taps: compare tap legs too, which only runs of equal rewrites share
+    before: only frames before this one
     Raises RunFolderError where one cannot be read, and where there is nothing to compare.
     """
     found = Difference()
-    for left, right in _paired(_chosen(a, ignore, taps), _chosen(b, ignore, taps)):
+    for left, right in _paired(*(_chosen(path, ignore, taps, before) for path in (a, b))):
         if left and right:
             if left.payload == right.payload:
                 found.equal += 1
@@ -53,8 +56,10 @@ def compare(a: Path, b: Path, *, ignore: Collection[str] = (), taps: bool = Fals
     return found
 
 
-def _chosen(path: Path, ignore: Collection[str], taps: bool) -> Iterator[Recorded]:
+def _chosen(path: Path, ignore: Collection[str], taps: bool, before: int | None) -> Iterator[Recorded]:
     for message in read(path):
+        if before is not None and message.frame >= before:
+            continue
         if (taps or not message.tap) and not any(fnmatchcase(message.wire, glob) for glob in ignore):
             yield message
 

@@ -15,6 +15,7 @@ from matplotlib.textpath import TextPath
 
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, plain
+from mast_zenoh.runtime.churn import LOST
 
 #: Inches: a lane, and the gap between a band and the next one's name. Points: the size of names.
 LANE, _GAP, _POINTS = 0.2, 0.14, 8.5
@@ -59,9 +60,27 @@ def bands(runs: Iterable[RunFolder], *, timed: bool) -> list[Band]:
         for each in run.timeline:
             until = np.inf if each.get("until_s") is None else each["until_s"] / unit_s
             found[Band(str(each["label"]), each["kind"] == "attack", each["at_s"] / unit_s, until)] = None
+        for node, start, end in _absences(run):
+            found[Band(f"{node} lost", False, start * _frame(run, timed), end * _frame(run, timed))] = None
     if all(band.attack for band in found):
         return []
     return sorted(found, key=lambda band: (band.start, band.end, band.label))
+
+
+def _frame(run: RunFolder, timed: bool) -> float:
+    """How long a frame is on the axis."""
+    return float(run.scenario.get("period_ns", 100_000_000) * 1e-9) if timed else 1.0
+
+
+def _absences(run: RunFolder) -> list[tuple[str, float, float]]:
+    """(node, first frame, frame in which it came back) of nodes that were lost."""
+    found, gone = [], dict[str, float]()
+    for each in run.lost:
+        if each["what"] == LOST:
+            gone.setdefault(each["node"], each["frame"])
+        elif each["node"] in gone:
+            found.append((each["node"], gone.pop(each["node"]), float(each["frame"])))
+    return [*found, *((node, start, np.inf) for node, start in gone.items())]
 
 
 def placed(bands: Sequence[Band], low: float, high: float, width: float) -> tuple[list[Placed], int]:

@@ -8,6 +8,7 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.interposers import failures_of, interposers
 from mast_zenoh.report.phrases import count, listed
 from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.runtime import churn
 
 
 def compromised(run: RunFolder) -> str:
@@ -36,6 +37,8 @@ def status(run: RunFolder) -> str:
     if failed:
         names = [f"{name} failed in {_frames(entries)}" for name, entries in failed.items()]
         return f"Handlers of {listed(names)}: the numbers may be wrong"
+    if lost := run.lost:
+        return f"{churn.sentence(lost)}: from there on it is not the run that the scenario describes"
     state = run.run.get("status", "ok")
     if state == "killed":
         return "The run was cut off: its launcher did not live to write down how it ended"

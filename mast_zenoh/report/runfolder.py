@@ -162,6 +162,11 @@ class RunFolder:
         return any(sentence.startswith("metrics.json cannot be read") for sentence in self.missing)
 
     @property
+    def lost(self) -> list[dict[str, Any]]:
+        """Nodes lost in lock-step though nothing in the scenario said so, and those of them that came back."""
+        return list(self.run.get("churn") or ()) if self.run.get("mode") == "lockstep" else []
+
+    @property
     def faulted(self) -> bool:
         """Whether links or faults are part of the run."""
         return with_faults(self.scenario, self.checks)

@@ -18,11 +18,12 @@ from mast_zenoh.control import flow
 from mast_zenoh.control.flow import WiringUpdate
 from mast_zenoh.errors import MessageError
 from mast_zenoh.node import Source
+from mast_zenoh.runtime.churn import BACK, LOST
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.mesh import NOTED_FRAMES, MeshNode
 from mast_zenoh.runtime.pacer import Pacer
 from mast_zenoh.runtime.rewiring import Rewirer, counted
-from mast_zenoh.runtime.timetable import Timetable
+from mast_zenoh.runtime.timetable import LEAVING, Timetable
 from mast_zenoh.steps import ProcessStep
 from mast_zenoh.timespan import Timespan
 from mast_zenoh.wiring import Wiring
@@ -81,6 +82,8 @@ class Driver(MeshNode):
         self.wall_s = 0.0
         self.sent_ns: dict[int, int] = {}
         self.complaint = ""  # why the run cannot go on: a node's counters cannot be true
+        self.churn: list[dict[str, Any]] = []  # see mast_zenoh.runtime.churn
+        self._leaving: set[str] = set()  # those whose end the scenario wants
         self._ready: list[Outgoing] | None = None
         self._sent: Counter[str] = Counter()
         # A queue of their own: in that of the data they would wait for one whom nothing reaches any more.
@@ -121,8 +124,9 @@ class Driver(MeshNode):
         alive.undeclare()
 
     def extra_results(self) -> dict[str, Any]:
-        """How fast it went, and when each frame was sent."""
-        return {"frames": self.frames, "wall_s": self.wall_s, "stop_reason": self.stop_reason, "sent_ns": self.sent_ns}
+        """How fast it went, when each frame was sent, and who was lost."""
+        told = ("frames", "wall_s", "stop_reason", "sent_ns", "churn")
+        return {name: getattr(self, name) for name in told}
 
     # -- phases: each returns why to stop, or "" -----------------------------------------------------------------
 
@@ -189,6 +193,7 @@ class Driver(MeshNode):
         if ahead and (reason := self._await_quiet(everyone=True)):
             return reason
         for group in self.timetable.before(self.frames, self.alive if self.lockstep else None):
+            self._leaving |= {step.node for step in group if step.action in LEAVING}
             self._act.put(flow.encode_act(self.frames, [(step.action, step.node) for step in group]))
             if self.lockstep and (reason := self._await_done(group)):
                 return reason
@@ -266,11 +271,7 @@ class Driver(MeshNode):
         if kind == "counts":
             self._take_counts(*rest)
         elif kind == "alive":
-            name, there = rest
-            if there or name == self.name:  # our own token may be late; we are here
-                self.alive.add(name)
-            else:
-                self.alive.discard(name)
+            self._note_presence(*rest)
         else:
             self.handle(event)
             self._report_self()
@@ -283,6 +284,18 @@ class Driver(MeshNode):
             self.invalid.note(f"counts/{node if node in self.expected else '*'}", error)
         else:
             self.complaint = self.complaint or self.pacer.report(node, *counts)
+
+    def _note_presence(self, name: str, there: bool) -> None:
+        """A node has come or gone: as the scenario wants it, by a change of the wiring, or of itself."""
+        if there or name == self.name:  # our own token may be late; we are here
+            self.alive.add(name)
+            self._leaving.discard(name)
+            if any(each["node"] == name for each in self.churn):
+                self.churn.append({"frame": self.frames, "node": name, "what": BACK})
+            return
+        self.alive.discard(name)
+        if name in self.members and name in self.expected and name not in self._leaving:
+            self.churn.append({"frame": self.frames, "node": name, "what": LOST})
 
     def _membership_changed(self) -> bool:
         return (self.alive & self.expected.keys()) != self.members.keys()

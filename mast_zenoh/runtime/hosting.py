@@ -36,13 +36,17 @@ def build(resolved: Resolved, name: str, node: type[Node] | None = None, place: 
     return registry.construct(node or loading.node_class(Path(spec.file), spec.type), spec.config, f"{place}: {name}")
 
 
-def join(endpoint: str, credentials: Path | Credentials | None) -> zenoh.Session:
-    """A session on the mesh. What is wrong with our own credentials is said before anybody is asked."""
+def join(endpoint: str, credentials: Path | Credentials | None, *, patient: bool = False) -> zenoh.Session:
+    """A session on the mesh. What is wrong with our own credentials is said before anybody is asked.
+
+    patient: see `session.open_client`
+    """
     if credentials is None:
-        return open_client(endpoint)
+        return open_client(endpoint, patient=patient)
     if reasons := explain(credentials):
         raise CredentialsError("; ".join(reasons))
-    return open_client(endpoint, Credentials.read(credentials) if isinstance(credentials, Path) else credentials)
+    own = Credentials.read(credentials) if isinstance(credentials, Path) else credentials
+    return open_client(endpoint, own, patient=patient)
 
 
 def compute_in_peace() -> None:

@@ -70,7 +70,7 @@ def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
     built = hosting.build(resolved, arguments.name, node, f"{arguments.run_folder}/scenario.json")
     if resolved.mode == "lockstep":
         hosting.compute_in_peace()  # before there is a session, so that Zenoh's threads do so too
-    with hosting.join(arguments.endpoint, arguments.credentials) as session:
+    with hosting.join(arguments.endpoint, arguments.credentials, patient=resolved.patient) as session:
         without = [name for name in arguments.without.split(",") if name]
         hosted.append(hosting.host(resolved, arguments.run, arguments.name, built, session, without))
         hosted[0].run_until_stopped()

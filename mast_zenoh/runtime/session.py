@@ -38,6 +38,10 @@ _ALWAYS: dict[str, Any] = {
     _WAIT_BEFORE_DROP: 1_000_000,
 }
 
+#: ms, the lease in lock-step on one machine. A node that a debugger, a full memory or a closed lid holds up is waited
+#: for; that a process has ended shows at once, by its sockets.
+_PATIENT_LEASE_MS = 3_600_000
+
 #: ms, the same for a router whose links may be cut: while it waits for one that nothing reaches, the others wait too.
 CUT_LINKS_WAIT_MS = 50
 
@@ -67,20 +71,25 @@ def open_router(
     *more: str,
     security: Mapping[str, Any] | None = None,
     links_may_be_cut: bool = False,
+    patient: bool = False,
 ) -> tuple[zenoh.Session, str]:
     """(session, endpoint) of a router in this process; port 0 is a free one, and the endpoint says which.
 
     security: its settings as `security.levels.router_settings` makes them; none: an open mesh
+    patient: clients that say nothing for long are waited for
     """
     settings: dict[str, Any] = {"mode": "router", "listen/endpoints": [listen, *more], "adminspace/enabled": True}
     if links_may_be_cut:
         settings[_WAIT_BEFORE_DROP] = 1000 * CUT_LINKS_WAIT_MS
+    if patient:
+        settings["transport/link/tx/lease"] = _PATIENT_LEASE_MS
     session = open_session({**settings, **(security or {})})
     zid = session.info.zid()
     for reply in session.get(f"@/{zid}/router", timeout=5.0):
         if reply.ok is not None:
             locators = json.loads(reply.ok.payload.to_string())["locators"]
-            _end_silent_links(locators)
+            if not patient:
+                _end_silent_links(locators)
             return session, str(locators[0])
     session.close()
     raise OSError(f"the router at {listen} does not say where it listens")
@@ -104,15 +113,20 @@ def _end_silent_links(locators: Sequence[str]) -> None:
                     ours.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _SILENCE_MS)
 
 
-def open_client(endpoint: str, credentials: Credentials | None = None, *, try_ms: int | None = None) -> zenoh.Session:
+def open_client(
+    endpoint: str, credentials: Credentials | None = None, *, try_ms: int | None = None, patient: bool = False
+) -> zenoh.Session:
     """A client of the router at `endpoint`; it retries until the router is there and answers.
 
     With credentials it raises CredentialsError, which says why, when they are refused, or the router's are. What only
     time can help is logged: no router yet, or one that answers nothing, as it does while others flood it.
 
     try_ms: try once, for so long, and raise zenoh.ZError
+    patient: the router is to wait for it, however long it says nothing
     """
     settings = _CLIENT | {"connect/endpoints": [endpoint]}
+    if patient:
+        settings |= {"transport/link/tx/lease": _PATIENT_LEASE_MS}
     if try_ms is not None:
         settings |= {"connect/timeout_ms": try_ms} | (client_settings(credentials) if credentials else {})
         return open_session(settings)

@@ -145,8 +145,12 @@ def test_a_node_that_docker_starts_again_takes_part_at_the_current_frame_of_a_lo
         (tmp_path / f"{name}.py").write_text(content)
     path, loaded = scenario.load(str(tmp_path / "rising.py"), [])
     resolved = scenario.resolve(path, loaded, frames=150)
-    ended = local.run(resolved, tmp_path / "run", engine=Swarm(image), secure="acl")
+    ended = local.run(resolved, tmp_path / "run", engine=Swarm(image), secure="acl", allow_churn=True)
     assert ended.error is None, ended.error
+    assert [(each["node"], each["what"]) for each in ended.record["churn"]] == [
+        ("infra_2", "lost"),
+        ("infra_2", "back"),
+    ]
     node = ended.record["nodes"]["infra_2"]
     assert (node["restarts"], node["exit"], node["last_frame"]) == (1, 0, 149)
     assert node["ended"] == "killed by signal 9 (SIGKILL); ok"

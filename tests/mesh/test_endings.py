@@ -34,7 +34,7 @@ def at_frame(run: Launched, frame: int) -> dict:
     return record
 
 
-@pytest.mark.parametrize("mode", [PACED, ("--frames", "150")], ids=["real time", "lock-step"])
+@pytest.mark.parametrize("mode", [PACED, ("--frames", "150", "--allow-churn")], ids=["real time", "lock-step"])
 def test_a_killed_agent_does_not_end_the_run(launch, mode: tuple[str, ...]) -> None:
     run: Launched = launch("baseline", *mode)
     record = at_frame(run, 15)

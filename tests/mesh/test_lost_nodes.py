@@ -1,0 +1,88 @@
+"""In lock-step nobody is lost without a word: who stands still is waited for, and who is gone ends the promise."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+from launched import MAST, Launched
+
+from mast_zenoh.messagelog.difference import compare
+
+FRAMES = ("--frames", "60")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> Path:
+    """The same run in one process."""
+    out = tmp_path_factory.mktemp("undisturbed") / "run"
+    command = [*MAST, "run", "baseline", *FRAMES, "--runtime", "inproc", "--no-report", "--out", str(out)]
+    subprocess.run(command, check=True, capture_output=True)
+    return out
+
+
+def at_frame(run: Launched, frame: int) -> dict:
+    """run.json of a run whose command centre has come to a frame."""
+    record = run.started()
+    log = run.out / "messages.mcap"
+    run.until(lambda: log.is_file() and log.stat().st_size > frame * 1_000, f"frame {frame}")
+    return record
+
+
+def test_nodes_that_stand_still_for_longer_than_any_lease_are_waited_for(launch, undisturbed: Path) -> None:
+    run: Launched = launch("baseline", *FRAMES)
+    nodes = at_frame(run, 5)["nodes"]
+    victims = [nodes[name]["pid"] for name in ("recorder", "command_center")]
+    for pid in victims:
+        os.kill(pid, signal.SIGSTOP)
+    with pytest.raises(subprocess.TimeoutExpired):  # nobody goes on without them
+        run.process.wait(4.5)
+    for pid in victims:
+        os.kill(pid, signal.SIGCONT)
+    code, output = run.end()
+    assert code == 0, output
+    assert compare(run.out, undisturbed).first is None
+    assert run.record()["churn"] == []
+
+
+def test_a_node_that_is_lost_in_lock_step_fails_the_run_by_name(launch, undisturbed: Path) -> None:
+    run: Launched = launch("baseline", *FRAMES)
+    os.kill(at_frame(run, 15)["nodes"]["infra_2"]["pid"], signal.SIGKILL)
+    code, output = run.end()
+    assert code == 33, output
+    record = run.record()
+    (lost,) = record["churn"]
+    assert record["status"] == "node_lost"
+    assert (lost["node"], lost["what"]) == ("infra_2", "lost")
+    assert f"infra_2 was lost before frame {lost['frame']}" in output
+    assert "--allow-churn" in output
+    assert json.loads((run.out / "metrics.json").read_text())["frames"] == 60, "what was found is kept"
+    done = subprocess.run([*MAST, "diff", str(run.out), str(undisturbed)], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert f"not comparable from frame {lost['frame']} on: infra_2 was lost" in done.stdout + done.stderr
+    subprocess.run([*MAST, "report", str(run.out)], check=True, capture_output=True)
+    assert "infra_2 was lost" in (run.out / "report.html").read_text()
+
+
+def test_churn_that_is_allowed_is_told_but_fails_nothing(launch) -> None:
+    run: Launched = launch("baseline", *FRAMES, "--allow-churn")
+    os.kill(at_frame(run, 15)["nodes"]["infra_2"]["pid"], signal.SIGKILL)
+    code, output = run.end()
+    assert code == 0, output
+    assert run.record()["status"] == "ok"
+    assert [(each["node"], each["what"]) for each in run.record()["churn"]] == [("infra_2", "lost")]
+    assert "infra_2 was lost before frame" in output
+
+
+def test_a_recording_without_its_recorder_is_called_incomplete(launch) -> None:
+    run: Launched = launch("baseline", *FRAMES)
+    os.kill(at_frame(run, 15)["nodes"]["recorder"]["pid"], signal.SIGKILL)
+    code, output = run.end()
+    assert code == 22, output
+    (lost,) = run.record()["churn"]
+    assert run.record()["recording"] == {"complete": False, "from_frame": lost["frame"]}
+    assert f"the recording is incomplete from frame {lost['frame']} on" in output.replace("\n", " ")

@@ -1,0 +1,47 @@
+"""Nodes that were lost, in words and in run.json."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from mast_zenoh.errors import NodeLost, RunFolderError
+from mast_zenoh.messagelog.churned import comparable
+from mast_zenoh.runtime import churn
+
+EVENTS = [
+    {"frame": 40, "node": "infra_2", "what": "lost"},
+    {"frame": 52, "node": "infra_2", "what": "back"},
+    {"frame": 60, "node": "recorder", "what": "lost"},
+]
+
+
+def test_the_error_names_nodes_and_frames_and_what_allows_it():
+    error = churn.error(EVENTS)
+    assert isinstance(error, NodeLost)
+    said = "infra_2 was lost before frame 40; infra_2 came back before frame 52; recorder was lost before frame 60"
+    assert str(error).startswith(said)
+    assert "--allow-churn" in str(error)
+
+
+def test_a_recording_is_complete_unless_its_recorder_was_lost():
+    assert churn.recording(EVENTS[:2], "recorder") == {"complete": True}
+    assert churn.recording(EVENTS, "recorder") == {"complete": False, "from_frame": 60}
+
+
+def test_runs_are_comparable_up_to_the_first_loss_in_either(tmp_path):
+    for name, events in (("a", EVENTS[2:]), ("b", EVENTS), ("c", [])):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps({"churn": events}))
+    assert comparable(tmp_path / "c", tmp_path / "messages.mcap") == (None, "")
+    frame, why = comparable(tmp_path / "a", tmp_path / "b")
+    assert frame == 40
+    assert why == f"infra_2 was lost in {tmp_path / 'b'}"
+
+
+@pytest.mark.parametrize("content", ["{", "[1]", '{"churn": [1]}', '{"churn": [{}]}', '{"churn": 7}'])
+def test_a_damaged_run_json_is_an_error_of_its_own(tmp_path, content):
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(RunFolderError, match=r"run\.json"):
+        comparable(tmp_path)
