@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.metrics.achievement import DISPLACED_M
+from mast_zenoh.report.attribution import culprit_names
 from mast_zenoh.report.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
 from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.interposers import Interposer, interposers
-from mast_zenoh.report.phrases import culprit_names, effects
+from mast_zenoh.report.phrases import effects
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.states import Bools
 
@@ -29,7 +30,7 @@ def explanations(run: RunFolder, reference: RunFolder | None = None) -> dict[str
     """
     result = {}
     change = largest_change(run, reference)
-    blamed = culprit_names(run, change) if change is not None else []
+    blamed = culprit_names(run, change, reference) if change is not None else []
     for each in interposers(run):
         kind = change.kind if change is not None and each.name in blamed else ""
         reasons = () if each.is_link else tuple(_reasons(run, each, kind))
