@@ -14,7 +14,7 @@ from mast_zenoh.report.driving import braking_by_attack, driving_differs
 from mast_zenoh.report.explanations import late_start_s
 from mast_zenoh.report.faulted import check_rows
 from mast_zenoh.report.interposers import Interposer, interposers
-from mast_zenoh.report.phrases import amount, capital, count, listed, more_or_less, objects
+from mast_zenoh.report.phrases import amount, capital, count, listed, more_or_less, objects, plural
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import ScoreTable
 
@@ -188,7 +188,8 @@ def _verdicts(found: Sequence[Interposer]) -> list[str]:
         names = [each.name for each in found if each.verdict == verdict]
         if names:
             sentences.append(f"{text.format(listed(names))}.")
-    return sentences
+    failed = [f"{each.name}'s handlers failed in {plural(each.failed_frames, 'frame')}" for each in found]
+    return sentences + [f"{text}." for each, text in zip(found, failed, strict=True) if each.verdict == "failed"]
 
 
 def _blame(run: RunFolder) -> list[str]:

@@ -168,7 +168,9 @@ def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., 
     folder, reference = run_folder("uncoordinated"), RunFolder.load(run_folder())
     edit(folder / "metrics.json", lambda metrics: metrics.update(agents=reference.metrics["agents"]))
     text = headline(RunFolder.load(folder), Reference(reference, "unattacked"))
-    assert text.startswith("Interposers changed messages (adversary_1: 125 inserted, 25 removed")
+    assert text.startswith(
+        "Interposers changed messages (adversary_1: 125 rows of objects inserted, 25 rows of objects removed"
+    )
     assert "nothing" not in text
 
 
@@ -199,7 +201,7 @@ def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> N
     run = RunFolder.load(folder)
     assert headline(run) == "Handlers of adversary_1 failed in 19 frames: the numbers may be wrong"
     assert "6.2 false objects" in reading(run)[0]
-    assert "adversary_1 crashed." in reading(run)
+    assert "adversary_1's handlers failed in 19 frames." in reading(run)
 
 
 @pytest.mark.parametrize(
