@@ -73,7 +73,7 @@ def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
     if not shown:
         return ""
     if reference is None:
-        return f"; of what the ego acts on, {listed([amount(each, run.ego, where=False) for each in shown])}"
+        return f"; in what the ego acts on, {listed([amount(each, run.ego, where=False) for each in shown])}"
     return f"; in what the ego acts on, {listed([more_or_less(each, run.ego, where=False) for each in shown])}"
 
 

@@ -360,3 +360,24 @@ def test_a_difference_that_nothing_measured_explains_says_so(run_folder: Callabl
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["local"]["fn"].update(mean=30.0))
     text = headline(RunFolder.load(folder), Reference(reference, "the other"))
     assert text == "19.5 more missed objects a frame in what the ego sees alone than the other, by no measured cause"
+
+
+def test_without_another_run_the_headline_tells_what_attacks_do_to_what_the_ego_acts_on(
+    run_folder: Callable[..., Path],
+) -> None:
+    folder = run_folder("uncoordinated")
+
+    def change(metrics: dict[str, Any]) -> None:
+        picture = metrics["agents"]["ego"]["picture"]
+        none = {"fault": 0.0, "attack": 0.0, "natural": 0.0}
+        clean = picture | {"fp_split": none, "fn_split": none, "id_switches_split": none}
+        received = clean | {"fn_split": none | {"attack": 6.0}}
+        mission = clean | {"fn_split": none | {"attack": 1.1}, "id_switches_split": none | {"attack": 12}}
+        metrics["agents"]["ego"] = {"picture": clean, "picture_received": received, "mission": mission}
+        metrics["same_as"] = {}
+
+    edit(folder / "metrics.json", change)
+    assert headline(RunFolder.load(folder)).endswith(
+        "6.0 missed objects a frame in the picture that the ego receives are due to adversary_1 and adversary_2; "
+        "in what the ego acts on, 1.1 missed objects a frame and 12 identity switches"
+    )
