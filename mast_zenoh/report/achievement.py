@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from mast_zenoh.report.explanations import explanations
 from mast_zenoh.report.interposers import interposers
+from mast_zenoh.report.reach import reaches
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import DASH
 
@@ -46,15 +47,22 @@ def achieved_rows(run: RunFolder, reference: RunFolder | None = None) -> list[Ac
     achieved: Mapping[str, Mapping[str, Any]] = run.metrics.get("achieved", {})
     why = explanations(run, reference)
     names = [each.name for each in interposers(run) if not each.is_link]
-    rows = [_row(name, achieved.get(name, {}), why.get(name, ())) for name in names if name in achieved or name in why]
+    centre = [name for name in names if reaches(run, name, "picture")]
+    rows = [
+        _row(name, achieved.get(name, {}), why.get(name, ()), in_picture=name in centre)
+        for name in names
+        if name in achieved or name in why
+    ]
     if len(rows) > 1 and ALL in achieved:
-        rows.append(_row("all together", achieved[ALL], ()))
+        rows.append(_row("all together", achieved[ALL], (), in_picture=bool(centre)))
     return rows
 
 
-def _row(name: str, each: Mapping[str, Any], why: tuple[str, ...]) -> AchievedRow:
+def _row(name: str, each: Mapping[str, Any], why: tuple[str, ...], *, in_picture: bool) -> AchievedRow:
+    """in_picture: whether what it did can be seen in the command centre's picture."""
+
     def both(key: str, form: str) -> tuple[str, str]:
-        values = [each.get(f"{key}_{who}") for who in ("centre", "ego")]
+        values = [each.get(f"{key}_centre") if in_picture else None, each.get(f"{key}_ego")]
         centre, ego = (DASH if value is None else form.format(value) for value in values)
         return centre, ego
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.interposers import failures_of, interposers
-from mast_zenoh.report.phrases import count, listed
+from mast_zenoh.report.interposers import failures_of, frames_of, interposers
+from mast_zenoh.report.phrases import count, listed, plural
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.runtime import churn
 
@@ -35,7 +33,7 @@ def status(run: RunFolder) -> str:
     """What did not end well, in a sentence without a full stop; empty: nothing."""
     failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
     if failed:
-        names = [f"{name} failed in {_frames(entries)}" for name, entries in failed.items()]
+        names = [f"{name} failed in {plural(frames_of(entries), 'frame')}" for name, entries in failed.items()]
         return f"Handlers of {listed(names)}: the numbers may be wrong"
     if lost := run.lost:
         return f"{churn.sentence(lost)}: from there on it is not the run that the scenario describes"
@@ -54,8 +52,3 @@ def reference_status(reference: Reference | None) -> str:
     state = reference.run.run.get("status")
     ends = {"running": "has not ended", "killed": "was cut off", "interrupted": "was interrupted"}
     return f"compared with {reference.name}, which {ends.get(str(state), 'failed')}"
-
-
-def _frames(entries: Sequence[Mapping[str, object]]) -> str:
-    frames = max(int(str(entry.get("frames", entry["count"]))) for entry in entries)
-    return "1 frame" if frames == 1 else f"{frames} frames"

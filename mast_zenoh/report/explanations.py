@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.metrics.achievement import DISPLACED_M
+from mast_zenoh.report.attribution import culprit_names
 from mast_zenoh.report.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
 from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.interposers import Interposer, interposers
-from mast_zenoh.report.phrases import culprit_names, effects
+from mast_zenoh.report.phrases import effects
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.states import Bools
 
@@ -29,7 +30,7 @@ def explanations(run: RunFolder, reference: RunFolder | None = None) -> dict[str
     """
     result = {}
     change = largest_change(run, reference)
-    blamed = culprit_names(run, change) if change is not None else []
+    blamed = culprit_names(run, change, reference) if change is not None else []
     for each in interposers(run):
         kind = change.kind if change is not None and each.name in blamed else ""
         reasons = () if each.is_link else tuple(_reasons(run, each, kind))
@@ -59,7 +60,7 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
     reasons = [] if inside.any() else ["everything that it did was in frames that are not scored"]
     for kinds, explain, consequences in (
         (("inserted",), _inserted, (FALSE,)),
-        (("removed",), _hidden, (MISSED,)),
+        (("removed",), _removed, (MISSED,)),
         (("moved", "altered"), _moved, (DISPLACED, IDENTITY)),
     ):
         mine = rows(targets, np.isin(targets["kind"], kinds))
@@ -67,14 +68,16 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
         if not len(mine["frame"]) or blamed_for in consequences or (blamed_for and not did_more):
             continue
         name = next(kind for kind in kinds if np.any(mine["kind"] == kind))
-        reasons += [f"{name}: {reason}" for reason in explain(run, mine, achieved)]
+        told = explain(run, mine, achieved)
+        reasons += told if name == "removed" else [f"{name}: {reason}" for reason in told]
     return reasons
 
 
 def _idle(run: RunFolder, interposer: Interposer) -> str:
     """Why an interposer changed nothing."""
     if interposer.failures:
-        return f"it crashed before it changed anything: {interposer.failures}"
+        did = "it changed nothing" if interposer.failed_frames else "it crashed before it changed anything"
+        return f"{did}: {interposer.failures}"
     if interposer.received == 0:
         return "no message reached it"
     start = late_start_s(run, interposer)
@@ -123,27 +126,47 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
     return reasons
 
 
-def _hidden(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
-    """Why removed objects were not missed."""
+def _removed(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+    """Why objects were not missed that were removed from messages, or were in messages that were dropped."""
+    dropped = np.zeros(len(targets["frame"]), bool)
+    if run.attacks is not None:
+        drops = (run.attacks["interposer"] == targets["adversary"][0]) & (run.attacks["effect"] == "dropped")
+        dropped = np.isin(targets["frame"], run.attacks["frame"][drops])
+    groups = (
+        ("removed", ~dropped, "what it removed"),
+        ("dropped", dropped, "the objects in the messages that it dropped"),
+    )
+    return [
+        f"{name}: {reason}"
+        for name, mine, what in groups
+        if mine.any()
+        for reason in _hidden(run, rows(targets, mine), achieved, what)
+    ]
+
+
+def _hidden(run: RunFolder, targets: Table, achieved: Mapping[str, Any], what: str) -> list[str]:
+    """Why objects were not missed; what: these objects, in words."""
+    were = "were" if what.startswith("the objects") else "was"
+    are = "are" if were == "were" else "is"
     if achieved.get("hidden_share_centre") or achieved.get("hidden_share_ego"):
         return []
     known = targets["object"] >= 0
     if not known.any():
-        return ["what it removed was no object of the scene, but clutter"]
+        return [f"{what} {were} no object of the scene, but clutter"]
     if not _judged(targets).any():
-        return ["what it removed is not scored: no agent sees it, or it is out of range of every agent"]
+        return [f"{what} {are} not scored: no agent sees it, or it is out of range of every agent"]
     if _only_downlink(run, targets):  # what other agents see is in the picture, from which it was removed
         itself = _seen_by_ego(run, targets)[known].mean()
         if itself >= 0.5:
-            return [f"the ego sees what it removed itself, {_how_often(itself)}"]
-        return ["what it removed was still tracked by the ego: tracks outlive a gap"]
+            return [f"the ego sees {what} itself, {_how_often(itself)}"]
+        return [f"{what} {were} still tracked by the ego: tracks outlive a gap"]
     others = _seen_by_others(run, targets)[known].mean()
     if others >= 0.5:
-        return [f"other agents still saw what it removed, {_how_often(others)}"]
+        return [f"other agents still saw {what}, {_how_often(others)}"]
     missed = achieved.get("hidden_time_share_centre") or 0.0
     if missed > 0.0:
-        return [f"what it removed was missed only {missed:.0%} of the time: tracks outlive a short gap"]
-    return ["what it removed was still tracked: tracks outlive a gap, or the ego sees it itself"]
+        return [f"{what} {were} missed only {missed:.0%} of the time: tracks outlive a short gap"]
+    return [f"{what} {were} still tracked: tracks outlive a gap, or the ego sees it itself"]
 
 
 def _how_often(share: float) -> str:

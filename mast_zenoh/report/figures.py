@@ -20,6 +20,9 @@ from mast_zenoh.report.view import FrameView, clipped, window
 _PANELS = {
     "local": "the ego alone: its own tracks",
     "picture": "the common picture",
+    "received": "the ego's tracks as they are received",
+    "picture_received": "the picture as the ego receives it",
+    "picture_on_arrival": "the picture when it reaches the ego",
     "mission": "the ego with the picture",
 }
 _WHITE = "#f2f5f9"
@@ -123,7 +126,8 @@ def camera_figure(view: FrameView) -> Figure | None:
     view = clipped(view, window([view]))
     still = [marks._replace(moved=np.zeros((0, 2, 3))) for marks in (view.before, view.behind)]
     view = replace(view, before=still[0], behind=still[1])  # arrows say nothing in perspective
-    estimates = "local", ("mission" if "mission" in view.boxes else "picture")
+    first, *_, last = view.boxes
+    estimates = first, last
     figure = _dark_figure([view], 12.0, 2 * (strip + 0.42) + 0.1, agents=False)
     for index, estimator in enumerate(estimates):
         axes = _panel(figure, 0.15, 0.36 + index * (strip + 0.42), 11.7, strip)

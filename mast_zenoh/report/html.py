@@ -31,6 +31,7 @@ from mast_zenoh.report.view import (
     choose_common_frame,
     choose_frame,
     frame_view,
+    has_boxes,
     settled,
 )
 from mast_zenoh.report.wiring import wire_rows
@@ -60,14 +61,15 @@ def write_page(run: RunFolder, frame: int | None = None, reference: Reference | 
         chosen, how = check_frame(run, frame), ""
         if not settled(run, np.array([frame])).all():
             how = "This frame was asked for; it is not among those that are scored."
-    view = None if chosen is None else frame_view(run, chosen)
+    view = None if chosen is None else frame_view(run, chosen, estimate)
     return _write_run(run, view, how=how, reference=reference, estimate=estimate)[1]
 
 
 def _estimate(run: RunFolder, reference: Reference | None) -> str:
-    """The estimate of the ego in which the largest change is: what pictures and charts show."""
+    """The estimate of the ego in which the largest change is: what pictures and charts show, if it has boxes."""
     change = largest_change(run, reference.run if reference else None)
-    return change.estimate if change is not None and change.agent == run.ego else "picture"
+    mine = change is not None and change.agent == run.ego and has_boxes(run, change.estimate)
+    return change.estimate if change is not None and mine else "picture"
 
 
 def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int | None = None) -> Path:

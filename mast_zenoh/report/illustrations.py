@@ -50,9 +50,9 @@ def run_figures(
         tally = ". ".join(f"{ESTIMATES[name].capitalize()}: {_tally(view, name)}" for name in view.boxes)
         alt = f"Bird's-eye view, {view.time_label}. {tally}."
         caption = (
-            "From above, around the ego: what it tracks from its own sensors, the common picture, and both together, "
-            "by which it acts. The tick on a box points ahead; a wedge shows where a roadside sensor looks, not how "
-            "far."
+            f"From above, around the ego: what it tracks from its own sensors, {_the_picture(view)}, and both "
+            "together, by which it acts. The tick on a box points ahead; a wedge shows where a roadside sensor looks, "
+            "not how far."
         )
         made.append(picture("birdseye", birdseye_figure(view), alt, f"{caption} {how}".strip()))
         seat = camera_figure(view)
@@ -79,7 +79,7 @@ def run_figures(
     wires = draw_wiring(run)
     if wires is not None:
         hostile = [each for each in interposers(run) if not each.is_link]
-        places = [f"{each.description} on {', '.join(each.wires)}" for each in hostile]
+        places = [f"{each.description} on {each.place}" for each in hostile]
         alt = f"Diagram of the nodes and the data between them. {'; '.join(places) or 'No adversary'}."
         caption = "Not drawn: the clock, which every node gets, and the wires of nodes that only listen."
         if hostile:
@@ -138,6 +138,13 @@ def how_chosen(run: RunFolder, estimate: str, reference: str = "") -> str:
         if not run.attack_frames
         else f"{sentence}."
     )
+
+
+def _the_picture(view: FrameView) -> str:
+    """Which picture a view shows, in words."""
+    ways = {"picture_received": "as the ego receives it", "picture_on_arrival": "when it reaches the ego"}
+    shown = next((way for name, way in ways.items() if name in view.boxes), "")
+    return f"the common picture {shown}".strip()
 
 
 def _counts_caption(runs: Sequence[RunFolder]) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from mast_zenoh.report.runfolder import RunFolder, agent_of
 from mast_zenoh.runtime.failures import how_often
@@ -12,7 +14,9 @@ from mast_zenoh.runtime.failures import how_often
 #: Effects with a column of their own; all others are counted together.
 EFFECTS = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")
 #: Verdicts that call for attention.
-BAD = ("crashed", "silent", "disagrees")
+BAD = ("crashed", "failed", "silent", "disagrees")
+#: Effects on objects, counted in rows: an object in a message. The others are counted in messages.
+OF_OBJECTS = ("inserted", "removed", "moved", "altered")
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +29,12 @@ class Interposer:
     effects:  what it did, by measurement: objects and messages by effect; None: not measured
     received: messages that came in; reports: changes that it reported; unreported: measured, and not reported;
               unfounded: reported, and not measured
-    verdict:  "agrees", "silent", "disagrees", "nothing to report", "crashed" or "not measured"
-    failures: of its handlers, in words; empty: none
+    verdict:  "agrees", "silent", "disagrees", "nothing to report", "failed" (a handler), "crashed" (its process) or
+              "not measured"
+    failures: of its handlers, or how its process ended, in words; empty: none
+    failed_frames: in how many frames a handler failed
+    objects:  by effect of OF_OBJECTS, of how many objects of the scene the rows are, and whether some are of clutter;
+              only where that is known of all rows
     """
 
     name: str
@@ -43,6 +51,8 @@ class Interposer:
     unfounded: int = 0
     verdict: str = "not measured"
     failures: str = ""
+    failed_frames: int = 0
+    objects: Mapping[str, tuple[int, bool]] = field(default_factory=dict)
 
     @property
     def is_link(self) -> bool:
@@ -68,6 +78,12 @@ class Interposer:
         contradictions = [f"{self.unreported} unreported"] * bool(self.unreported)
         contradictions += [f"{self.unfounded} unfounded"] * bool(self.unfounded)
         return str(self.reports) + (f" ({', '.join(contradictions)})" if contradictions else "")
+
+    @property
+    def place(self) -> str:
+        """The wires that it sat on, and before whom alone."""
+        before = f" before {', '.join(self.before)} alone" if self.before else ""
+        return ", ".join(self.wires) + before
 
     @property
     def description(self) -> str:
@@ -97,6 +113,7 @@ def interposers(run: RunFolder) -> tuple[Interposer, ...]:
     result = []
     for node, keys in wires.items():
         crash, summary = _crash(run, node), measured.get(node, {})
+        failed_frames = frames_of(failures_of(run.run.get("nodes", {}).get(node, {})))
         agents = dict.fromkeys(agent for agent in map(agent_of, keys) if agent)
         result.append(
             Interposer(
@@ -112,8 +129,10 @@ def interposers(run: RunFolder) -> tuple[Interposer, ...]:
                 reports=summary.get("reports", 0),
                 unreported=summary.get("unreported", 0),
                 unfounded=summary.get("unfounded", 0),
-                verdict="crashed" if crash else summary.get("agreement", "not measured"),
+                verdict=_verdict(failed_frames, crash) or summary.get("agreement", "not measured"),
                 failures=crash,
+                failed_frames=failed_frames,
+                objects=_objects(run, node, summary.get("effects") or {}),
             )
         )
     return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
@@ -128,8 +147,31 @@ def adversaries_by_agent(found: tuple[Interposer, ...]) -> dict[str, tuple[str, 
     return {agent: tuple(names) for agent, names in sorted(result.items())}
 
 
+def _verdict(failed_frames: int, crash: str) -> str:
+    """Of what did not end well; empty: nothing."""
+    return "failed" if failed_frames else "crashed" if crash else ""
+
+
+def _objects(run: RunFolder, node: str, effects: Mapping[str, int]) -> dict[str, tuple[int, bool]]:
+    """By effect, of how many objects its rows are and whether some are of clutter, where each row is known."""
+    if run.targets is None:
+        return {}
+    found = {}
+    for effect in OF_OBJECTS:
+        of = run.targets["object"][(run.targets["adversary"] == node) & (run.targets["kind"] == effect)]
+        if len(of) and len(of) == effects.get(effect):
+            real = of if effect == "inserted" else of[of >= 0]
+            found[effect] = len(np.unique(real)), len(real) < len(of)
+    return found
+
+
+def frames_of(failures: Sequence[Mapping[str, Any]]) -> int:
+    """In how many frames handlers failed, by the handler that failed in most."""
+    return max((int(str(entry.get("frames", entry["count"]))) for entry in failures), default=0)
+
+
 def _crash(run: RunFolder, node: str) -> str:
-    """How a node crashed, in words; empty: it did not, or was ended by the scenario or on request."""
+    """How handlers of a node failed or its process ended, in words; empty: well, or by the scenario or on request."""
     record = run.run.get("nodes", {}).get(node, {})
     entries = failures_of(record)
     if entries:

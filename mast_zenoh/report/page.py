@@ -14,7 +14,7 @@ from mast_zenoh import __version__
 
 def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
     """Write `report.html` into a folder, which is made if it is missing; returns its path."""
-    page = _templates().get_template(template).render(content, version=__version__)
+    page = environment().get_template(template).render(content, version=__version__)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.html"
     try:
@@ -26,7 +26,8 @@ def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
 
 
 @cache
-def _templates() -> Environment:
+def environment() -> Environment:
+    """The templates of this package, which escape what they are given."""
     return Environment(
         loader=PackageLoader("mast_zenoh.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mast_zenoh.report.changes import CULPRIT, DISPLACED, IDENTITY, Change
-from mast_zenoh.report.interposers import EFFECTS, Interposer, interposers
-from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.changes import DISPLACED, IDENTITY, Change
+from mast_zenoh.report.interposers import EFFECTS, OF_OBJECTS, Interposer
 
 _NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
 #: Differences per frame smaller than this are called small, objects.
 NOTHING = 0.05
-#: More adversaries than these are counted, not named.
-_MOST_NAMED = 3
 
 _WHERE = {
     "local": "in what the ego sees alone",
@@ -71,14 +68,15 @@ def place(change: Change, ego: str | None) -> str:
     )
 
 
-def amount(change: Change, ego: str | None) -> str:
+def amount(change: Change, ego: str | None, *, where: bool = True) -> str:
     """What is due to a cause: `5.5 false objects a frame in the common picture`."""
-    where, size = place(change, ego), abs(change.amount)
+    at = f" {place(change, ego)}" if where else ""
+    size = abs(change.amount)
     if change.kind == DISPLACED:
-        return f"an RMSE that is at least {size:.2f} m larger {where}"
+        return f"an RMSE that is at least {size:.2f} m larger{at}"
     if change.kind == IDENTITY:
-        return f"{size:.0f} identity switch{'' if round(size) == 1 else 'es'} {where}"
-    return f"{objects(size, change.kind)} a frame {where}"
+        return f"{size:.0f} identity switch{'' if round(size) == 1 else 'es'}{at}"
+    return f"{objects(size, change.kind)} a frame{at}"
 
 
 def more_or_less(change: Change, ego: str | None, *, where: bool = True) -> str:
@@ -95,53 +93,21 @@ def more_or_less(change: Change, ego: str | None, *, where: bool = True) -> str:
     return f"{number} {word} {change.kind}{rest} a frame{at}"
 
 
-def due(run: RunFolder, change: Change) -> str:
-    """`are due to adversary_1 and adversary_2`: of a change by the run's own measurements."""
-    verb = "is" if change.kind == DISPLACED or amount(change, run.ego).startswith(("1 ", "1.0 ", "no ")) else "are"
-    return f"{verb} due to {listed(causes(run, change))}"
-
-
-def caused(run: RunFolder, change: Change) -> str:
-    """`, due to adversary_1`: of a change over another run; says so where no cause was measured."""
-    found = causes(run, change)
-    return f", due to {listed(found)}" if found else ", by no measured cause"
-
-
-def causes(run: RunFolder, change: Change) -> list[str]:
-    """The adversaries, links and faults that a change is due to by measurement; may be empty."""
-    found = []
-    if change.is_attack:
-        known = {each.name: each for each in interposers(run)}
-        culprits = culprit_names(run, change)
-        names = [known[name].description if name in known else name for name in culprits] or ["adversaries"]
-        found += names if len(names) <= _MOST_NAMED else [f"{count(len(names))} adversaries"]
-    if change.is_fault or (change.kind == DISPLACED and not found):
-        found += faults(run, any_effect=change.kind == DISPLACED and not change.is_fault)
-    return found
-
-
-def culprit_names(run: RunFolder, change: Change) -> list[str]:
-    """The adversaries that a change is due to by measurement, those with the most rows first; may be empty."""
-    if not change.is_attack:
-        return []
-    total = sum(change.by.values())
-    main = [name for name, rows in change.by.most_common() if rows >= CULPRIT * total]
-    return main or [each.name for each in interposers(run) if each.changed and not each.is_link]
-
-
-def faults(run: RunFolder, *, any_effect: bool = False) -> list[str]:
-    """What links and faults there are, in words; any_effect: only if links did anything by measurement."""
-    acting = [each for each in interposers(run) if each.is_link and each.changed]
-    planned = [str(each["label"]) for each in run.timeline if each["kind"] != "attack"]
-    if any_effect and not acting:
-        return []
-    if planned:
-        return ["links and faults" if len(planned) > _MOST_NAMED else listed(planned)]
-    return ["links" if len(acting) > _MOST_NAMED else listed([each.name for each in acting]) or "links and faults"]
+def plural(number: int, noun: str) -> str:
+    """`1 frame`, `20 frames`."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def effects(interposer: Interposer) -> str:
-    """`478 inserted, 235 removed`: what an interposer did by measurement."""
+    """`478 rows of 6 objects inserted, 8 messages dropped`: what an interposer did by measurement."""
     known = interposer.effects or {}
     ordered = [name for name in (*EFFECTS, *known) if name in known and name != "unsettled"]
-    return ", ".join(f"{known[name]} {name}" for name in dict.fromkeys(ordered)) or "nothing"
+    return ", ".join(_effect(interposer, name, known[name]) for name in dict.fromkeys(ordered)) or "nothing"
+
+
+def _effect(interposer: Interposer, effect: str, number: int) -> str:
+    if effect not in OF_OBJECTS:
+        return f"{plural(number, 'message')} {effect}"
+    of, clutter = interposer.objects.get(effect, (0, False))
+    parts = [plural(of, "object")] * bool(of) + ["clutter"] * clutter
+    return f"{plural(number, 'row')} of {' and of '.join(parts) or 'objects'} {effect}"

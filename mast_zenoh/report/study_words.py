@@ -14,6 +14,7 @@ from mast_zenoh.report.study_rows import (
     ESTIMATORS,
     PAPER,
     Column,
+    Estimate,
     StudyRow,
     bounds,
     columns_of,
@@ -31,6 +32,7 @@ _CHANGES = {
 _HEADLINES = ((("fp_iob", "fn_iob"), 0.0), (("id_switches_iob",), 0.0), (("rmse_m_iob",), 0.01))
 #: Where to look for a change first: at what the ego acts on.
 _WHERE = {"mission": "the ego with the picture has", "picture": "the picture has", "local": "the ego alone has"}
+_IN = {"mission": "what the ego acts on", "picture": "the picture", "local": "what the ego sees alone"}
 
 _Change = tuple[StudyRow, Column]
 
@@ -42,7 +44,7 @@ def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons
         return f"{plural(len(rows), 'configuration')}, nothing to compare."
     headline = _headline(attacked, comparisons)
     if headline:
-        return f"The largest change: {_sentence(headline)}."
+        return f"The largest change of {_compared(headline)}: {_sentence(headline)}."
     any_change = _largest(attacked, ("fp_iob", "fn_iob"), None)
     if not any_change:
         return "No trial has the results of its baseline beside it, so there is nothing to compare."
@@ -52,26 +54,46 @@ def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons
     if comparisons.count:
         many = plural(comparisons.count, "comparison")
         return f"No attack changes false or missed objects distinguishably, of {many} with the baseline."
-    return f"The largest change, too few seeds for an interval: {_sentence(any_change)}."
+    return f"The largest change of {_compared(any_change)}, too few seeds for an interval: {_sentence(any_change)}."
 
 
 def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
     """The largest change of each kind that `result` does not name, and the kinds that show none."""
     attacked = [row for row in rows if row.label != facts.baseline]
     named = _headline(attacked, comparisons)
-    sentences, unchanged = [], []
+    sentences: list[str] = []
+    equal, indistinct = [], []
     for metric, (name, _) in _CHANGES.items():
         change = _largest(attacked, (metric,), comparisons)
         if change and change != named:
             sentences.append(f"{name[:1].upper()}{name[1:]}: {_sentence(change)}.")
         elif not change and comparisons.count:
-            unchanged.append(name)
+            known = _known(attacked, metric)
+            if known and all(each.unchanged for each in known):
+                equal.append(name)
+            elif any(not math.isnan(each.low) for each in known):
+                indistinct.append(name)
     for name, columns in ADDED:
         if attacked and all(column.of(row).unchanged for row in attacked for column in columns):
             sentences.append(f"Not changed in any trial: {name}.")
-    if unchanged:
-        sentences.append(f"Not distinguishable from the baseline: {', '.join(unchanged)}.")
+    if equal:
+        sentences.append(f"Unchanged in all trials: {', '.join(equal)}.")
+    if indistinct:
+        sentences.append(f"Not distinguishable from the baseline: {', '.join(indistinct)}.")
     return sentences
+
+
+def _compared(change: _Change) -> str:
+    """Among which changes this one is the largest: those of other estimates may be larger."""
+    metrics = next(metrics for metrics, _ in _HEADLINES if change[1].metric in metrics)
+    names = " or ".join(_CHANGES[metric][0] for metric in metrics).replace(" objects or ", " or ")
+    return f"{names} in {_IN[change[1].estimator]}"
+
+
+def _known(rows: Sequence[StudyRow], metric: str) -> list[Estimate]:
+    """What is known of a metric, in all estimates of all configurations."""
+    found = [Column("", metric, estimator).of(row) for row in rows for estimator in _WHERE]
+    return [each for each in found if not math.isnan(each.trial_mean)]
 
 
 def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | None:

@@ -14,7 +14,7 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.explanations import explanations
 from mast_zenoh.report.faulted import blame_table, check_lines
 from mast_zenoh.report.interposers import BAD, interposers
-from mast_zenoh.report.phrases import effects
+from mast_zenoh.report.phrases import effects, plural
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import as_rich, score_table
 from mast_zenoh.report.words import headline
@@ -76,9 +76,10 @@ def _show_lines(console: Console, label: str, run: RunFolder, reference: RunFold
     notable = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]
     why = explanations(run, reference)
     for each in notable:
-        verdict = f"; {each.verdict}" if each.verdict in BAD else ""
+        bad = f"; {each.verdict}" if each.verdict in BAD else ""
+        verdict = f"; its handlers failed in {plural(each.failed_frames, 'frame')}" if each.failed_frames else bad
         measured = "not measured" if each.effects is None else effects(each)
-        lines.append(f"{each.description} on {', '.join(each.wires)}: {measured}{verdict}")
+        lines.append(f"{each.description} on {each.place}: {measured}{verdict}")
         lines += [f"  limited effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
     for line in (*lines, *check_lines(run.checks)):
         console.print(escape(f"{label}{line}"), highlight=False)

@@ -17,6 +17,8 @@ from mast_zenoh.states import Bools, Floats, Ints
 
 #: The estimates that pictures show, side by side.
 PANELS = ("local", "picture", "mission")
+#: Estimates that are shown in the place of one of these, if what is shown is chosen by them.
+_IN_PLACE_OF = {"received": "local", "picture_received": "picture", "picture_on_arrival": "picture"}
 #: Metres around the ego within which pictures look for something to show.
 _REACH = 105.0
 
@@ -79,8 +81,8 @@ class Marks(NamedTuple):
 class FrameView:
     """One frame of one run in the ego's eyes.
 
-    boxes:  by estimator (`local`, `picture`, and `mission` where it has boxes), then by outcome (the keys of
-            OUTCOME_COLOURS)
+    boxes:  by estimator (`local`, `picture`, and `mission` where it has boxes; the picture as received or on arrival
+            in place of the one sent, where the frame is chosen by that), then by outcome (the keys of OUTCOME_COLOURS)
     before: what adversaries did on the way to the command centre, seen in the picture and in what comes after it
     behind: what they did to the picture on its way to the ego
     """
@@ -95,7 +97,8 @@ class FrameView:
         """What adversaries did in this frame that an estimate can show."""
         if estimate == "local":
             return Marks.none()
-        return self.before.joined(self.behind) if estimate == "mission" else self.before
+        behind = estimate in ("mission", "picture_received", "picture_on_arrival")
+        return self.before.joined(self.behind) if behind else self.before
 
     @property
     def time_label(self) -> str:
@@ -104,15 +107,24 @@ class FrameView:
         return f"frame {self.frame}" if seconds is None else f"t = {seconds[0]:.1f} s (frame {self.frame})"
 
 
-def frame_view(run: RunFolder, frame: int) -> FrameView | None:
-    """What there is to see in a frame; None when the run left no objects of that frame."""
+def has_boxes(run: RunFolder, estimate: str) -> bool:
+    """Whether pictures can show an estimate."""
+    return run.objects is not None and bool(np.any(run.objects["estimator"] == run.original(estimate)))
+
+
+def frame_view(run: RunFolder, frame: int, chosen_by: str = "picture") -> FrameView | None:
+    """What there is to see in a frame; None when the run left no objects of that frame.
+
+    chosen_by: the estimate by whose errors the frame was chosen, which is shown where it has boxes
+    """
     if run.objects is None or not np.any(run.objects["frame"] == frame):
         return None
     table = rows(run.objects, run.objects["frame"] == frame)
     boxes = {}
-    for estimate in PANELS:
+    place = _IN_PLACE_OF.get(chosen_by) if has_boxes(run, chosen_by) else None
+    for estimate in (chosen_by if name == place else name for name in PANELS):
         mine = rows(table, table["estimator"] == run.original(estimate))
-        if estimate != "mission" or np.any(run.objects["estimator"] == run.original(estimate)):
+        if estimate != "mission" or has_boxes(run, estimate):
             boxes[estimate] = {outcome: _boxes(mine, outcome) for outcome in OUTCOME_COLOURS}
     before, behind = Marks.none(), Marks.none()
     if run.attacks is not None:

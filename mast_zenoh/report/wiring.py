@@ -28,6 +28,7 @@ class WireRow:
     links:    those of the interposers that are links, which do what a network does
     when:     by interposer, the frames in which it was there, in words, if it came while the run went on
     branches: the subscribers that have interposers of their own before them
+    before:   by interposer that stands before some subscribers alone, these
     """
 
     key: str
@@ -39,6 +40,7 @@ class WireRow:
     links: tuple[str, ...] = ()
     when: Mapping[str, str] = field(default_factory=dict)
     branches: tuple[str, ...] = ()
+    before: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def intercepted(self) -> bool:
@@ -60,10 +62,20 @@ def wire_rows(run: RunFolder) -> list[WireRow]:
             tuple(node for node in wire.get("interposers", ()) if run.role(node) == "link"),
             {node: when[node] for node in wire.get("interposers", ()) if node in when},
             tuple(dict.fromkeys(leg["before"] for leg in wire.get("legs", ()) if leg.get("before"))),
+            _before(wire),
         )
         for wire in all_wires(run)
     ]
     return sorted(found, key=lambda row: (not row.intercepted, not row.interposers, row.key))
+
+
+def _before(wire: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """By interposer that stands before some subscribers alone, these."""
+    found: dict[str, tuple[str, ...]] = {}
+    for leg in wire.get("legs", ()):
+        if leg.get("before"):
+            found[leg["from"]] = (*found.get(leg["from"], ()), leg["before"])
+    return found
 
 
 def all_wires(run: RunFolder) -> list[dict[str, Any]]:

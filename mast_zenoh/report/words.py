@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from mast_zenoh.report import changes, phrases
 from mast_zenoh.report.attack_period import attack_sentences, while_attacked
+from mast_zenoh.report.attribution import caused, causes, due
 from mast_zenoh.report.changes import Change
 from mast_zenoh.report.circumstances import compromised, reference_status, status
 from mast_zenoh.report.comparison import Reference
@@ -13,7 +14,7 @@ from mast_zenoh.report.driving import braking_by_attack, driving_differs
 from mast_zenoh.report.explanations import late_start_s
 from mast_zenoh.report.faulted import check_rows
 from mast_zenoh.report.interposers import Interposer, interposers
-from mast_zenoh.report.phrases import amount, capital, caused, count, listed, more_or_less, objects
+from mast_zenoh.report.phrases import amount, capital, count, listed, more_or_less, objects, plural
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import ScoreTable
 
@@ -49,23 +50,31 @@ def _result(run: RunFolder, reference: Reference | None) -> str:
         return _unchanged(run, hit, reference)
     limits = _limits(run, reference, change)
     if reference is not None:
-        return capital(f"{start}{more_or_less(change, run.ego)} than {reference.name}{caused(run, change)}{limits}")
-    return capital(f"{start}{amount(change, run.ego)} {phrases.due(run, change)}{limits}")
+        cause = caused(run, change, reference.run)
+        return capital(f"{start}{more_or_less(change, run.ego)} than {reference.name}{cause}{limits}")
+    return capital(f"{start}{amount(change, run.ego)} {due(run, [change])}{limits}")
 
 
 def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
-    """How little of a change of the picture on its way shows where the picture is used; empty for other changes."""
+    """What a change of the picture on its way is where the picture is used; empty for other changes."""
     if change.estimate not in changes.ON_THE_WAY or change.agent != run.ego:
         return ""
     every = changes.attributed(run) if reference is None else changes.against(run, reference.run)
-    changed = {each.estimate for each in every if abs(each.weight) >= phrases.NOTHING / 2}
+    changed = {each.estimate for each in every if each.weight != 0.0}
     present = [name for name in ("picture_on_arrival", "mission") if run.summary(name)]
     unchanged = [name for name in present if name not in changed | {change.estimate}]
     names = {"picture_on_arrival": "the picture on arrival", "mission": "what the ego acts on"}
     if unchanged:
         verb = "do not" if len(unchanged) > 1 else "does not"
         return f"; {listed([names[name] for name in unchanged])} {verb} change"
-    return "; less than a fifth of that in what the ego acts on" if "mission" in present else ""
+    acted_on = [each for each in every if each.estimate == "mission" and each.weight != 0.0]
+    kinds = dict.fromkeys([change.kind, changes.FALSE, changes.MISSED, changes.IDENTITY])
+    shown = [each for kind in kinds for each in acted_on if each.kind == kind] or acted_on
+    if not shown:
+        return ""
+    if reference is None:
+        return f"; in what the ego acts on, {listed([amount(each, run.ego, where=False) for each in shown])}"
+    return f"; in what the ego acts on, {listed([more_or_less(each, run.ego, where=False) for each in shown])}"
 
 
 def _largest(run: RunFolder, reference: Reference | None) -> Change | None:
@@ -137,18 +146,19 @@ def _other_changes(run: RunFolder, reference: Reference | None) -> list[str]:
     main = changes.largest(found)
     if main is None:
         return []
-    by_cause: dict[str, list[str]] = {}
+    by_cause: dict[tuple[str, ...], list[Change]] = {}
     for kind in changes.KEYS:
         change = changes.largest([each for each in found if each.kind == kind and each.estimate != "local"])
-        if change is None or kind == main.kind or abs(change.weight) < phrases.NOTHING / 2:
-            continue
-        cause = phrases.causes(run, change)
-        same = cause == phrases.causes(run, main)
-        due = "the same causes" if same and len(cause) > 1 else listed(cause) or "nothing that was measured"
-        text = more_or_less(change, run.ego) if reference is not None else amount(change, run.ego)
-        by_cause.setdefault(due, []).append(text)
-    than = f" than {reference.name}" if reference is not None else ""
-    return [f"{capital(listed(texts))}{than}, due to {due}." for due, texts in by_cause.items()]
+        if change is not None and kind != main.kind and abs(change.weight) >= phrases.NOTHING / 2:
+            by_cause.setdefault(tuple(causes(run, change, reference.run if reference else None)), []).append(change)
+    if reference is None:
+        told = [(listed([amount(each, run.ego) for each in same]), due(run, same)) for same in by_cause.values()]
+        return [f"{capital(text)} {why}." for text, why in told]
+    sentences = []
+    for cause, same in by_cause.items():  # what keeps a cause from being named is in the headline
+        text = listed([more_or_less(each, run.ego) for each in same])
+        sentences.append(f"{capital(text)} than {reference.name}{f', due to {listed(cause)}' if cause else ''}.")
+    return sentences
 
 
 def _transit(run: RunFolder) -> list[str]:
@@ -178,7 +188,8 @@ def _verdicts(found: Sequence[Interposer]) -> list[str]:
         names = [each.name for each in found if each.verdict == verdict]
         if names:
             sentences.append(f"{text.format(listed(names))}.")
-    return sentences
+    failed = [f"{each.name}'s handlers failed in {plural(each.failed_frames, 'frame')}" for each in found]
+    return sentences + [f"{text}." for each, text in zip(found, failed, strict=True) if each.verdict == "failed"]
 
 
 def _blame(run: RunFolder) -> list[str]:
@@ -232,7 +243,9 @@ def study_reading(runs: Mapping[str, RunFolder], table: ScoreTable) -> list[str]
             continue
         during = while_attacked(run, changes.KEYS[change.kind], reference, estimate=change.estimate)
         lasts = f" ({during:+.1f} while the attack lasts)".replace("-", "\u2212") if _counts(change, during) else ""
-        sentences.append(f"In run {label}{where}, {more_or_less(change, run.ego)}{lasts}{caused(run, change)}.")
+        sentences.append(
+            f"In run {label}{where}, {more_or_less(change, run.ego)}{lasts}{caused(run, change, reference)}."
+        )
     if reference is not None and len(runs) > 1 and reference.summary("local"):
         own = {str([run.summary("local").get(key) for key in ("fn", "fp", "tp")]) for run in runs.values()}
         sentences.append(

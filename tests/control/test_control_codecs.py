@@ -60,7 +60,13 @@ OUTCOME = {
     "versions": {"numpy": "2.0"},
     "clock": {"offset_ms": -1.5, "round_trip_ms": 0.1},
 }
-DRIVEN = OUTCOME | {"frames": 12, "wall_s": 1.5, "stop_reason": "end", "sent_ns": {0: 1_700_000_000_000_000_000}}
+DRIVEN = OUTCOME | {
+    "frames": 12,
+    "wall_s": 1.5,
+    "stop_reason": "end",
+    "sent_ns": {0: 1_700_000_000_000_000_000},
+    "churn": [],
+}
 PLACE = {"wire": "clock", "input": "in", "output": "out", "hears": {"clock": "clock"}, "says": []}
 SPEC = {"file": "/a/eve.py", "type": "Eve", "role": "adversary", "config": {"gain": 2.0}, "on_exit": "continue"}
 INTERCEPT = {"do": "intercept", "number": "ab", "name": "eve", "spec": SPEC, "place": PLACE}

@@ -99,7 +99,7 @@ def test_malformed_reports_and_those_of_nobody_are_counted_and_ignored(mesh: Mes
         results.pack({"sent_ns": {}}),
         results.pack(OUTCOME | {"stop_reason": "end"}),
         results.pack(OUTCOME | {"stop_reason": 7}),
-        results.pack(OUTCOME | {"frames": 7, "wall_s": 0.1, "stop_reason": "stall", "sent_ns": {}}),
+        results.pack(OUTCOME | {"frames": 7, "wall_s": 0.1, "stop_reason": "stall", "sent_ns": {}, "churn": []}),
     ]
     for payload in forged:
         mesh.ask("ego", payload)
@@ -145,7 +145,7 @@ def test_results_that_are_too_long_are_refused_with_the_reason(mesh: Mesh) -> No
 
 
 def test_only_the_node_that_drives_the_scene_says_why_the_run_stops(mesh: Mesh) -> None:
-    driven = OUTCOME | {"frames": 7, "wall_s": 0.1, "stop_reason": "end", "sent_ns": {}}
+    driven = OUTCOME | {"frames": 7, "wall_s": 0.1, "stop_reason": "end", "sent_ns": {}, "churn": []}
     mesh.ask("sim", results.pack(driven))
     assert list(mesh.reports.take()) == [Report("sim")]
     assert mesh.reports.outcomes["sim"]["stop_reason"] == "end"

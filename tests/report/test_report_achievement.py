@@ -98,9 +98,11 @@ def test_the_settings_of_an_attack_tell_that_it_was_to_begin_after_the_end(attac
     assert why(idle(attacked), None) == "it passed all 40 messages on unchanged"
 
 
-def test_an_adversary_that_crashed_before_it_changed_anything(attacked: RunFolder) -> None:
+def test_an_adversary_that_failed_before_it_changed_anything(attacked: RunFolder) -> None:
     attacked.run["nodes"]["adversary_1"]["failures"] = {"detections": 3}
-    assert why(idle(attacked), None).startswith("it crashed before it changed anything")
+    assert why(idle(attacked), None) == "it changed nothing: detections failed 3 times"
+    attacked.run["nodes"]["adversary_1"] |= {"failures": [], "exit": 1, "ended": "exit code 1"}
+    assert why(idle(attacked), None) == "it crashed before it changed anything: exit code 1"
 
 
 def test_an_adversary_that_was_not_measured(attacked: RunFolder) -> None:
@@ -169,6 +171,33 @@ def test_objects_that_were_removed_and_not_missed(attacked: RunFolder, columns: 
 
 
 NOT_HIDDEN = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
+
+
+@pytest.mark.parametrize("first_dropped", [15, 25])
+def test_objects_in_dropped_messages_were_not_removed(attacked: RunFolder, first_dropped: int) -> None:
+    effects = attacked.effects
+    assert effects is not None
+    mine = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
+    dropped = mine & (effects["frame"] >= first_dropped)
+    effects["effect"] = np.where(dropped, "dropped", effects["effect"])
+    reason = "other agents still saw the objects in the messages that it dropped, all the time"
+    removed = "removed: other agents still saw what it removed, all the time; " if first_dropped > 15 else ""
+    assert why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN) == f"{removed}dropped: {reason}"
+
+
+def test_what_an_adversary_cannot_reach_has_dashes(attacked: RunFolder) -> None:
+    attacked.metrics["achieved"] = dict.fromkeys(("adversary_1", "adversary_2", "all"), ACHIEVED)
+    for name in ("adversary_1", "adversary_2"):
+        for wire in attacked.wiring["wires"]:
+            wire["interposers"] = [node for node in wire.get("interposers", ()) if node != name]
+        leg = {"key": f"cc/picture/@tap/ego/{name}", "from": name, "to": ["ego"], "before": "ego"}
+        picture = next(wire for wire in attacked.wiring["wires"] if wire["key"] == "cc/picture")
+        picture["interposers"].append(name)
+        picture["legs"].append(leg)
+        both = achieved_rows(attacked)
+        assert both[-1].accepted == ((DASH, "50%") if name == "adversary_2" else ("100%", "50%"))
+    row = both[0]
+    assert (row.accepted, row.error_m, row.switches) == ((DASH, "50%"), (DASH, "0.25"), (DASH, "0"))
 
 
 def seen_by(run: RunFolder, *agents: str) -> None:

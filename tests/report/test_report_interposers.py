@@ -5,14 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mast_zenoh.report.circumstances import compromised
 from mast_zenoh.report.diagram import draw_wiring
 from mast_zenoh.report.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
+from mast_zenoh.report.page import environment
+from mast_zenoh.report.phrases import effects
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import svg
-from mast_zenoh.report.wiring import Spot, all_wires, layout, wire_rows
+from mast_zenoh.report.wiring import Spot, WireRow, all_wires, layout, wire_rows
 from mast_zenoh.report.words import reading
 
 MEASURED = {"messages": 40, "effects": {"inserted": 3, "corrupted": 2}, "reports": 0, "agreement": "silent"}
@@ -60,9 +63,15 @@ def test_what_it_did_stands_beside_what_it_reported() -> None:
 
 FAILURE = {"handler": "on_tracks", "count": 4, "frames": 4, "first_frame": 1, "last_frame": 4}
 FAILURE |= {"exception": "ValueError: no", "where": "mine.py:3"}
+FAILED = {
+    "in frames that are known": ({"failures": [FAILURE], "exit": 0, "ended": "ok"}, "failed in 4 frames"),
+    "in one frame": (
+        {"failures": [FAILURE | {"count": 1, "frames": 1, "last_frame": 1}], "exit": 0, "ended": "ok"},
+        "failed in 1 frame",
+    ),
+    "in a run of an older version": ({"failures": {"tracks": 4}, "exit": 0, "ended": "ok"}, "failed in 4 frames"),
+}
 CRASHES = {
-    "a handler failed": {"failures": [FAILURE], "exit": 0, "ended": "ok"},
-    "a handler failed in a run of an older version": {"failures": {"tracks": 4}, "exit": 0, "ended": "ok"},
     "its process ended": {"failures": [], "exit": 1, "ended": "exit code 1"},
     "its process ended after a planned kill and restart": {
         "exit": 1,
@@ -84,6 +93,13 @@ def test_a_crash_goes_before_what_it_reported(node: dict[str, Any]) -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
     assert only(run).verdict == "crashed"
     assert "mallory crashed." in reading(run)
+
+
+@pytest.mark.parametrize(("node", "words"), FAILED.values(), ids=FAILED)
+def test_a_node_whose_handler_failed_has_not_crashed(node: dict[str, Any], words: str) -> None:
+    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
+    assert only(run).verdict == "failed"
+    assert f"mallory's handlers {words}." in reading(run)
 
 
 @pytest.mark.parametrize("node", EXPECTED.values(), ids=EXPECTED)
@@ -111,6 +127,52 @@ def test_an_adversary_on_the_downlink_is_named_by_its_victim() -> None:
     assert only(run).before == ("ego",)
     assert adversaries_by_agent(interposers(run)) == {"ego": ("mallory",)}
     assert compromised(run) == "the picture's way to ego"
+
+
+def test_the_table_of_wires_says_before_whom_alone_a_node_stands() -> None:
+    run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
+    (row,) = wire_rows(run)
+    assert row.before == {"mallory": ("ego",)}
+    page = rendered_wires([row])
+    assert "<strong>mallory</strong> <small>(before ego alone)</small>" in page
+    assert only(run).place == "cc/picture before ego alone"
+    assert only(run_of([wire("cc/picture", ("mallory",))])).place == "cc/picture"
+
+
+def rendered_wires(rows: list[WireRow]) -> str:
+    template = environment().from_string("{% import 'parts.html.j2' as parts %}{{ parts.wiring({}, rows) }}")
+    return template.render(rows=rows)
+
+
+def targets(adversary: str, kind: str, objects: list[int]) -> dict[str, Any]:
+    n = len(objects)
+    return {
+        "adversary": np.full(n, adversary, object),
+        "kind": np.full(n, kind, object),
+        "object": np.array(objects),
+        "frame": np.arange(n),
+    }
+
+
+def test_rows_of_objects_are_told_from_objects_and_from_messages() -> None:
+    done = MEASURED | {"effects": {"inserted": 5, "moved": 3, "dropped": 2}}
+    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": done})
+    assert effects(only(run)) == "5 rows of objects inserted, 3 rows of objects moved, 2 messages dropped"
+    object.__setattr__(run, "targets", targets("mallory", "inserted", [7, 7, 7, 8, 8]))
+    assert effects(only(run)) == "5 rows of 2 objects inserted, 3 rows of objects moved, 2 messages dropped"
+    one = MEASURED | {"effects": {"inserted": 1, "dropped": 1}}
+    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": one})
+    object.__setattr__(run, "targets", targets("mallory", "inserted", [7]))
+    assert effects(only(run)) == "1 row of 1 object inserted, 1 message dropped"
+
+
+def test_clutter_is_no_object_and_what_is_no_target_leaves_their_number_open() -> None:
+    done = MEASURED | {"effects": {"removed": 3}}
+    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": done})
+    object.__setattr__(run, "targets", targets("mallory", "removed", [7, 7, -1]))
+    assert effects(only(run)) == "3 rows of 1 object and of clutter removed"
+    object.__setattr__(run, "targets", targets("mallory", "removed", [7, 7]))
+    assert effects(only(run)) == "3 rows of objects removed"
 
 
 def test_a_node_on_a_wire_of_no_agent_is_named_by_the_wire() -> None:

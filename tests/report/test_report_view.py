@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mast_zenoh.report.figures import birdseye_figure, camera_figure
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.view import choose_common_frame, choose_frame, clipped, frame_view, window
+from mast_zenoh.report.view import Marks, choose_common_frame, choose_frame, clipped, frame_view, window
 
 
 def a_run(
@@ -108,3 +110,27 @@ def test_what_an_adversary_does_far_away_is_not_in_the_view(run_folder: Callable
     assert len(view.before.added) == 10
     x, y, _ = view.before.added[0]
     assert len(clipped(view, (float(x), float(y), 0.5)).before.added) == 1
+
+
+def test_the_estimate_that_a_frame_is_chosen_by_is_shown(run_folder: Callable[..., Path]) -> None:
+    run = RunFolder.load(run_folder("uncoordinated"))
+    assert run.objects is not None
+    touched = run.objects["estimator"] == "picture"
+    more = {name: np.concatenate([column, column[touched]]) for name, column in run.objects.items()}
+    more["estimator"] = more["estimator"].astype(object)
+    more["estimator"][len(touched) :] = "picture_on_arrival"
+    object.__setattr__(run, "objects", more)
+    run.metrics["same_as"]["ego"]["picture_received"] = "picture_on_arrival"
+    view = frame_view(run, 20, "picture_received")
+    assert view is not None
+    assert list(view.boxes) == ["local", "picture_received", "mission"]
+    assert len(view.boxes["picture_received"]["track false"]) == 10
+    behind = replace(view, before=Marks.none(), behind=view.before)
+    assert len(behind.marks("picture_received").added) == 10
+    titles = [axes.get_title(loc="left") for axes in birdseye_figure(view).axes]
+    assert titles[1] == "the picture as the ego receives it"
+    assert camera_figure(view) is not None
+    del run.metrics["same_as"]["ego"]["picture_received"]
+    without_boxes = frame_view(run, 20, "picture_received")
+    assert without_boxes is not None
+    assert list(without_boxes.boxes) == ["local", "picture", "mission"]

@@ -119,7 +119,12 @@ ON_THE_WAY: dict[str, tuple[dict[str, float], str]] = {
     "the ego acts on little of it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 0.5},
         "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
-        "less than a fifth of that in what the ego acts on",
+        "in what the ego acts on, 0.5 more false objects a frame",
+    ),
+    "the ego loses identities for it": (
+        {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 0.5, "switches": 2},
+        "4.0 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
+        "in what the ego acts on, 0.5 more false objects a frame and 2 more identity switches",
     ),
     "the ego acts on nothing of it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0},
@@ -138,20 +143,22 @@ ON_THE_WAY: dict[str, tuple[dict[str, float], str]] = {
 def test_a_change_of_the_picture_on_its_way_says_what_the_ego_acts_on(
     run_folder: Callable[..., Path], more: dict[str, float], expected: str
 ) -> None:
-    folder, reference = run_folder(), run_folder("coordinated")
+    folder = run_folder()
+    reference = folder.with_name("reference")
+    shutil.copytree(folder, reference)
 
     def change(added: dict[str, float]) -> Callable[[dict[str, Any]], None]:
         def apply(metrics: dict[str, Any]) -> None:
             picture = metrics["agents"]["ego"]["picture"] | {"fp": {"mean": 0.0, "std": 0.0}}
             names = ("picture", "picture_received", "picture_on_arrival", "mission")
             estimates = {name: picture | {"fp": {"mean": added.get(name, 0.0), "std": 0.0}} for name in names}
+            estimates["mission"]["id_switches"] = 1 + added.get("switches", 0)
             metrics["agents"] = {"ego": json.loads(json.dumps(estimates))}
             metrics["same_as"] = {}
 
         return apply
 
     edit(folder / "metrics.json", change(more))
-    shutil.copy(folder / "metrics.json", reference / "metrics.json")
     edit(reference / "metrics.json", change({}))
     text = headline(RunFolder.load(folder), Reference(RunFolder.load(reference), "unattacked"))
     assert text == expected
@@ -161,7 +168,9 @@ def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., 
     folder, reference = run_folder("uncoordinated"), RunFolder.load(run_folder())
     edit(folder / "metrics.json", lambda metrics: metrics.update(agents=reference.metrics["agents"]))
     text = headline(RunFolder.load(folder), Reference(reference, "unattacked"))
-    assert text.startswith("Interposers changed messages (adversary_1: 125 inserted, 25 removed")
+    assert text.startswith(
+        "Interposers changed messages (adversary_1: 125 rows of objects inserted, 25 rows of objects removed"
+    )
     assert "nothing" not in text
 
 
@@ -192,7 +201,7 @@ def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> N
     run = RunFolder.load(folder)
     assert headline(run) == "Handlers of adversary_1 failed in 19 frames: the numbers may be wrong"
     assert "6.2 false objects" in reading(run)[0]
-    assert "adversary_1 crashed." in reading(run)
+    assert "adversary_1's handlers failed in 19 frames." in reading(run)
 
 
 @pytest.mark.parametrize(
@@ -322,7 +331,15 @@ def test_every_kind_of_change_is_named_with_its_own_cause(run_folder: Callable[.
     edit(folder / "scenario.json", lambda scenario: scenario.update(timeline=[partition]))
     run = RunFolder.load(folder)
     assert headline(run).endswith("are due to adversary_1 and adversary_2")
-    assert "0.5 missed objects a frame in the common picture, due to Partition infra_2." in reading(run)
+    assert "0.5 missed objects a frame in the common picture are due to Partition infra_2." in reading(run)
+
+
+def test_the_causes_of_other_changes_are_named_again(run_folder: Callable[..., Path]) -> None:
+    folder = run_folder("uncoordinated")
+    split = {"fault": 0.0, "attack": 0.5, "natural": 0.7}
+    edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["picture"].update(fn_split=split))
+    sentence = "0.5 missed objects a frame in the common picture are due to adversary_1 and adversary_2."
+    assert sentence in reading(RunFolder.load(folder))
 
 
 def test_what_happens_to_the_picture_on_its_way_is_named(run_folder: Callable[..., Path]) -> None:
@@ -338,7 +355,29 @@ def test_what_happens_to_the_picture_on_its_way_is_named(run_folder: Callable[..
 
 
 def test_a_difference_that_nothing_measured_explains_says_so(run_folder: Callable[..., Path]) -> None:
-    folder, reference = run_folder(), RunFolder.load(run_folder("coordinated"))
+    folder = run_folder()
+    reference = RunFolder.load(folder)
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["local"]["fn"].update(mean=30.0))
     text = headline(RunFolder.load(folder), Reference(reference, "the other"))
     assert text == "19.5 more missed objects a frame in what the ego sees alone than the other, by no measured cause"
+
+
+def test_without_another_run_the_headline_tells_what_attacks_do_to_what_the_ego_acts_on(
+    run_folder: Callable[..., Path],
+) -> None:
+    folder = run_folder("uncoordinated")
+
+    def change(metrics: dict[str, Any]) -> None:
+        picture = metrics["agents"]["ego"]["picture"]
+        none = {"fault": 0.0, "attack": 0.0, "natural": 0.0}
+        clean = picture | {"fp_split": none, "fn_split": none, "id_switches_split": none}
+        received = clean | {"fn_split": none | {"attack": 6.0}}
+        mission = clean | {"fn_split": none | {"attack": 1.1}, "id_switches_split": none | {"attack": 12}}
+        metrics["agents"]["ego"] = {"picture": clean, "picture_received": received, "mission": mission}
+        metrics["same_as"] = {}
+
+    edit(folder / "metrics.json", change)
+    assert headline(RunFolder.load(folder)).endswith(
+        "6.0 missed objects a frame in the picture that the ego receives are due to adversary_1 and adversary_2; "
+        "in what the ego acts on, 1.1 missed objects a frame and 12 identity switches"
+    )

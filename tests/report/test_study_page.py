@@ -60,7 +60,8 @@ def test_page_needs_no_other_file(page) -> None:
 def test_page_tells_the_result_what_was_run_and_how_many_comparisons_there_are(page) -> None:
     text = "".join(page().text.split())
     for part in (
-        "The largest change: in uncoordinated-2-1.0 the ego with the picture has 6.00 more false objects a frame",
+        "The largest change of false or missed objects in what the ego acts on: in uncoordinated-2-1.0 the ego with "
+        "the picture has 6.00 more false objects a frame",
         "7 configurations 20 seeds \u00d7 3 scenes seeds 0 to 19 420 trials 150 frames each runtime inproc",
         "30 comparisons with the baseline",
         "(Bonferroni)",

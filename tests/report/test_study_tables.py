@@ -145,8 +145,8 @@ def test_comparisons_are_those_of_the_tables_and_the_others_are_counted_apart() 
 def test_result_is_the_largest_change_that_remains_of_what_the_ego_acts_on() -> None:
     text = result(ROWS, facts(ROWS), compare(ROWS, "baseline"))
     assert text == (
-        "The largest change: in uncoordinated-3 the ego with the picture has 9.00 more false objects a frame "
-        "[8.50, 9.50] than the baseline."
+        "The largest change of false or missed objects in what the ego acts on: in uncoordinated-3 the ego with the "
+        "picture has 9.00 more false objects a frame [8.50, 9.50] than the baseline."
     )
 
 
@@ -161,7 +161,10 @@ def test_result_of_an_attack_that_reduces_something_says_fewer() -> None:
     ("estimates", "text"),
     [
         (estimate(0.1, 0.5, p=0.6), "No attack changes false or missed objects distinguishably, of 1 comparison"),
-        (Estimate(4.0, 1.0, 4.0, seeds=3), "too few seeds for an interval: in a the picture has 4.00 more false"),
+        (
+            Estimate(4.0, 1.0, 4.0, seeds=3),
+            "in the picture, too few seeds for an interval: in a the picture has 4.00 more false",
+        ),
         (Estimate(0.0, 0.0, 0.0, seeds=20), "No attack changes false or missed objects in any trial"),
         (None, "No trial has the results of its baseline beside it"),
     ],
@@ -188,10 +191,11 @@ SAME = Estimate(0.57, 0.5, 0.57, scenes=1, seeds=5)
 def test_a_difference_that_is_the_same_in_all_seeds_is_certain_and_comes_before_rmse() -> None:
     headline, others = words(fn_iob=SAME, fp_iob=estimate(0.0, p=0.9), rmse_m_iob=estimate(0.0006, 0.0002))
     assert headline == (
-        "The largest change: in a the picture has 0.57 more missed objects a frame than the baseline, "
+        "The largest change of false or missed objects in the picture: in a the picture has 0.57 more missed objects a "
+        "frame than the baseline, "
         "in all 5 seeds; no spread, so no interval."
     )
-    assert "Not distinguishable from the baseline: false objects, identity switches." in others
+    assert "Not distinguishable from the baseline: false objects." in others
     assert not any("missed objects" in sentence for sentence in others)
 
 
@@ -202,6 +206,15 @@ def test_the_headline_is_of_identities_before_rmse_and_never_of_less_than_a_cent
     headline, others = words(fp_iob=nothing, rmse_m_iob=estimate(0.0006, 0.0002))
     assert headline.startswith("No attack changes false or missed objects distinguishably")
     assert any(sentence.startswith("RMSE: in a the picture has 0.0006 m more") for sentence in others)
+
+
+def test_what_is_equal_in_all_trials_is_unchanged_and_not_merely_indistinguishable() -> None:
+    equal = Estimate(0.0, 0.0, 0.0, scenes=1, seeds=5)
+    _, others = words(fp_iob=estimate(2.0), fn_iob=estimate(0.0, p=0.9), id_switches_iob=equal)
+    assert "Unchanged in all trials: identity switches." in others
+    assert "Not distinguishable from the baseline: missed objects." in others
+    _, others = words(fp_iob=estimate(2.0), id_switches_iob=replace(equal, seeds=4))
+    assert not any("identity switches" in sentence for sentence in others), "too few to say anything"
 
 
 @pytest.mark.parametrize("same", [replace(SAME, seeds=4), replace(SAME, trial_mean=0.0), replace(SAME, low=0.5)])
