@@ -49,13 +49,18 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
     if not interposer.changed:
         return [_idle(run, interposer)]
     if interposer.before and run.ego not in interposer.before:
-        return [f"it sat on the picture's way to {', '.join(interposer.before)}, not to the ego"]
+        agents = ", ".join(interposer.before)
+        if set(interposer.wires) == {"clock"}:
+            return [f"it sat on the clock before {agents}, not before the ego"]
+        return [f"it sat on the picture's way to {agents}, not to the ego"]
     if run.targets is None:
         return []
     targets = rows(run.targets, run.targets["adversary"] == interposer.name)
     if not len(targets["frame"]):
         return [] if blamed_for else [f"no object was manipulated that can be judged: {effects(interposer)}"]
     achieved = run.metrics.get("achieved", {}).get(interposer.name, {})
+    if (targets["frame"] >= run.metrics.get("frames", 0)).all():
+        return ["what it sent is about frames that the run does not have"]
     inside = scored(run, targets["frame"])
     reasons = [] if inside.any() else ["everything that it did was in frames that are not scored"]
     for kinds, explain, consequences in (
@@ -69,8 +74,21 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
             continue
         name = next(kind for kind in kinds if np.any(mine["kind"] == kind))
         told = explain(run, mine, achieved)
+        others = _beside_it(run, interposer)
+        if others and told and "the fusion rejected" in told[0]:
+            told = [f"no track followed it; {others} on the same wire may have taken it out"]
         reasons += told if name == "removed" else [f"{name}: {reason}" for reason in told]
     return reasons
+
+
+def _beside_it(run: RunFolder, interposer: Interposer) -> str:
+    """The other interposers on its wires that changed something, in words; empty: none."""
+    names = [
+        each.name
+        for each in interposers(run)
+        if each.name != interposer.name and each.changed and set(each.wires) & set(interposer.wires)
+    ]
+    return ", ".join(names)
 
 
 def _idle(run: RunFolder, interposer: Interposer) -> str:

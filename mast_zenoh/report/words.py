@@ -84,10 +84,11 @@ def _largest(run: RunFolder, reference: Reference | None) -> Change | None:
 def _unchanged(run: RunFolder, hit: str, reference: Reference | None) -> str:
     """No score differs at all."""
     active = [each for each in interposers(run) if each.changed and not (reference and each.is_link)]
-    scores = _same_scores(run, reference.run, reference.name) if reference else "no error is due to them"
     if active:
         did = "; ".join(f"{each.name}: {phrases.effects(each)}" for each in active)
-        return f"Interposers changed messages ({did}), but {scores}"
+        if reference is None:  # what they did may still matter: by timing, by what other nodes made of it
+            return f"Interposers changed messages ({did}); no error can be put down to them without --against twin"
+        return f"Interposers changed messages ({did}), but {_same_scores(run, reference.run, reference.name)}"
     if hit:
         unmeasured = any(each.effects is None for each in interposers(run))
         idle = [each for each in interposers(run) if not each.is_link]
@@ -96,7 +97,7 @@ def _unchanged(run: RunFolder, hit: str, reference: Reference | None) -> str:
         nothing = "were not measured" if unmeasured else passed
         return capital(f"adversaries on {hit} {nothing}: {_missed(run)}")
     if reference is not None:
-        return capital(f"{scores}: {_missed(run)}")
+        return capital(f"{_same_scores(run, reference.run, reference.name)}: {_missed(run)}")
     return capital(_missed(run))
 
 

@@ -205,7 +205,8 @@ def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> N
 
 
 @pytest.mark.parametrize(
-    ("state", "ended"), [("handler_failures", "failed"), ("failed", "failed"), ("running", "was cut off")]
+    ("state", "ended"),
+    [("handler_failures", "failed"), ("failed", "failed"), ("running", "has not ended"), ("killed", "was cut off")],
 )
 def test_a_reference_that_did_not_end_well_is_named_first(
     run_folder: Callable[..., Path], state: str, ended: str
