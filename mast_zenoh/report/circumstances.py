@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.interposers import failures_of, interposers
-from mast_zenoh.report.phrases import count, listed
+from mast_zenoh.report.phrases import capital, count, listed
 from mast_zenoh.report.runfolder import RunFolder
 
 
@@ -36,10 +36,25 @@ def status(run: RunFolder) -> str:
     if failed:
         names = [f"{name} failed in {_frames(entries)}" for name, entries in failed.items()]
         return f"Handlers of {listed(names)}: the numbers may be wrong"
-    state = run.run.get("status", "ok")
+    state, partial = run.run.get("status", "ok"), _partly_recorded(run)
     if state == "running":
-        return "The run was cut off: its launcher did not live to write down how it ended"
-    return "" if state == "ok" else f"The run did not end well ({state}): read the numbers with that in mind"
+        text = "The run was cut off: its launcher did not live to write down how it ended"
+        return f"{text}; {partial}" if partial else text
+    if state != "ok":
+        text = f"The run did not end well ({state}): read the numbers with that in mind"
+        return f"{text}; {partial}" if partial else text
+    return capital(partial)
+
+
+def _partly_recorded(run: RunFolder) -> str:
+    """That the numbers are of a recording that ends before the run did; empty: they are not."""
+    of = run.metrics.get("recording")
+    if not of:
+        return ""
+    if not of["frames"]:
+        return "the recording from which it was measured holds no frame"
+    last = f"frame {of['frames'] - 1} of {of['played_frames']}"
+    return f"the recording from which it was measured ends at {last}, so the numbers are of these frames alone"
 
 
 def reference_status(reference: Reference | None) -> str:
@@ -47,7 +62,7 @@ def reference_status(reference: Reference | None) -> str:
     if reference is None or not status(reference.run):
         return ""
     state = reference.run.run.get("status")
-    ends = {"running": "was cut off", "interrupted": "was interrupted"}
+    ends = {"running": "was cut off", "interrupted": "was interrupted", "ok": "was measured from part of its recording"}
     return f"compared with {reference.name}, which {ends.get(str(state), 'failed')}"
 
 
