@@ -225,6 +225,7 @@ def test_objects_that_were_moved_and_not_displaced(attacked: RunFolder) -> None:
     reason = "the tracks of what it {} are 0.40 m off on average, which is no displacement"
     for kind, done in (("moved", "moved"), ("altered", "altered")):
         table = targets(kind, error_m_centre=0.4)
+        nothing |= {f"{kind}_share_centre": 0.0, f"{kind}_error_m_centre": 0.4}
         assert why(attacked, table, **nothing) == f"{kind}: {reason.format(done)}"
         for who in ("centre", "ego"):
             assert why(attacked, table, **nothing, **{f"id_switches_{who}": 2}) == "", "they are an effect, too"
