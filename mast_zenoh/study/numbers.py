@@ -10,6 +10,8 @@ from mast_zenoh.metrics import CAUSES
 NAN = float("nan")
 #: Stands in the place of an estimator in what an adversary achieved.
 ACHIEVED = "achieved"
+#: Stands before the names of what an estimate would mean for driving.
+DRIVING = "driving"
 
 
 class Number(NamedTuple):
@@ -45,7 +47,7 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
             yield from _within(agent, estimator, (), content, frames)
     for agent, estimators in metrics.get("driving", {}).items():
         for estimator, content in estimators.items():
-            yield from _within(agent, estimator, ("driving",), content, frames)
+            yield from _within(agent, estimator, (DRIVING,), content, frames)
     for adversary, content in metrics.get(ACHIEVED, {}).items():
         yield from _within(adversary, ACHIEVED, (), content, frames)
 

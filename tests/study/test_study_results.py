@@ -128,6 +128,33 @@ def summary(outcomes, seeds: int, scenes: int = 2):
     return {row.label: row for row in samples.rows()}
 
 
+def test_intervals_are_cut_to_what_a_quantity_can_be_but_differences_are_not() -> None:
+    """Six seeds, of which one differs: Student's t reaches beyond 0, or 1."""
+    rare = [0.0, 0.0, 0.0, 0.0, 0.0, 0.6]
+    done = []
+    for seed, value in enumerate(rare):
+        achieved = {"all": {"moved_share_centre": 1.0 - value, "inserted_s_ego": value, "hidden": value}}
+        own = {"mission": {"completeness": 1.0 - value, "my_metric": value, "fp_split": {"attack": value}}}
+        driving = {"ego": {"mission": {"brake_share": 1.0 - value, "corridor_false": value}}}
+        own["mission"]["causes"] = {"fp": {"inserted": int(10 * value)}, "fn": {}}
+        done.append(outcome("baseline", 0, seed, fp=1.0))
+        done.append(outcome("attacked", 0, seed, fp=value, agents=own, achieved=achieved, driving=driving))
+    row = summary(done, seeds=6, scenes=1)["attacked"]
+    for metric, estimator, who in (
+        *((name, "achieved", "all") for name in ("moved_share_centre", "inserted_s_ego", "hidden")),
+        *((name, "mission", "ego") for name in ("completeness", "fp_split.attack", "fp inserted")),
+        *((f"driving.{name}", "mission", "ego") for name in ("brake_share", "corridor_false")),
+        ("fp", "picture", "ego"),
+    ):
+        each = row.get(metric, estimator, who)
+        share = each.trial_mean > 0.5
+        assert (each.high if share else each.low) == (1.0 if share else 0.0), metric
+        assert each.low < each.trial_mean < each.high
+    assert row.get("my_metric", "mission").low < 0.0, "nobody knows what a user's metric can be"
+    assert row.get("fp_iob").low < -1.0 < row.get("fp_iob").high
+    assert row.get("fp_ioe").low < 0.0
+
+
 def test_seeds_that_lack_a_trial_are_left_out_and_counted() -> None:
     rng = np.random.default_rng(0)
     extra = rng.normal(3.0, 1.0, (2, 8))
