@@ -10,7 +10,7 @@ from mast_zenoh.report.study_rows import Estimate, Series, StudyRow
 from mast_zenoh.states import Floats
 from mast_zenoh.study import statistics
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.numbers import ACHIEVED, NAN, Number
+from mast_zenoh.study.numbers import ACHIEVED, NAN, SELECTIVE, Number
 from mast_zenoh.study.ranges import possible
 from mast_zenoh.study.results import COMPROMISED, ego
 from mast_zenoh.study.statistics import Moments
@@ -36,6 +36,8 @@ class Samples:
         place = self._scene[trial.scene], self._seed[trial.seed]
         cells = self._cells[trial.configuration]
         for number in of_trial:
+            if number.metric in SELECTIVE:
+                continue
             if number.who in (agent, COMPROMISED) or number.estimator == ACHIEVED:
                 series = Series(*number[:3])
                 if series not in cells:

@@ -155,6 +155,24 @@ def test_intervals_are_cut_to_what_a_quantity_can_be_but_differences_are_not() -
     assert row.get("fp_ioe").low < 0.0
 
 
+def test_the_time_to_collision_of_a_study_counts_trials_without_one_too() -> None:
+    """The attack makes five more of six trials critical, yet the mean of the least times there are would rise."""
+    done = []
+    for seed in range(6):
+        for label, least in (("baseline", 0.5 if seed == 0 else None), ("attacked", (0.4, 1.4)[seed > 0])):
+            done.append(outcome(label, 0, seed, driving={"ego": {"mission": {"min_ttc_s": least}}}))
+    done[-1] = outcome("attacked", 0, 5, driving={"ego": {"mission": {"min_ttc_s": 1.5}}})
+    rows = summary(done, seeds=6, scenes=1)
+    before, after = (rows[label].get("driving.critical", "mission") for label in ("baseline", "attacked"))
+    assert (before.trial_mean, after.trial_mean) == (pytest.approx(1 / 6), pytest.approx(5 / 6))
+    assert before.rate
+    assert 0.0 <= before.low < before.high < 1.0
+    assert after.seeds == 6, "no seed is left out"
+    assert rows["attacked"].get("driving.critical_iob", "mission").trial_mean == pytest.approx(4 / 6)
+    assert not any("min_ttc_s" in series.metric for row in rows.values() for series in row.estimates)
+    assert any(each.metric == "driving.min_ttc_s" for each in numbers(done[0].metrics)), "results.parquet has it"
+
+
 def test_seeds_that_lack_a_trial_are_left_out_and_counted() -> None:
     rng = np.random.default_rng(0)
     extra = rng.normal(3.0, 1.0, (2, 8))
