@@ -151,6 +151,7 @@ class _Results:
         targets = achievement.targets(
             scores,
             labels.cause,
+            labels.by,
             done,
             self.truth,
             heard.record.agents,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import json
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -72,9 +73,23 @@ def file_of(path: Path) -> Path:
     if not path.is_dir():
         raise RunFolderError(f"{path}: no such folder, expected the folder of a run")
     if not (path / FILE).is_file():
-        found = "a run that was not recorded" if (path / "run.json").is_file() else "no folder of a run"
-        raise RunFolderError(f"{path / FILE}: missing; {path} is {found}")
+        raise RunFolderError(f"{path / FILE}: missing; {_without_recording(path)}")
     return path / FILE
+
+
+def _without_recording(folder: Path) -> str:
+    """Why a folder holds no recording: one that was written is gone, there was none, or it is no run's folder."""
+    try:
+        run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return f"{folder} is no folder of a run"
+    except (OSError, ValueError):
+        run = None
+    recorded = run.get("recorded") if isinstance(run, dict) else None
+    messages = recorded.get("messages") if isinstance(recorded, dict) else None
+    if messages:
+        return f"the run was recorded, and run.json counts {messages} messages: expected the recording in {folder}"
+    return f"{folder} is a run that was not recorded"
 
 
 class _Place(NamedTuple):
@@ -85,6 +100,10 @@ class _Place(NamedTuple):
     byte: int
     steps: Mapping[int, int]
     ranks: Mapping[int, int]
+
+
+class _End(NamedTuple):
+    """The end of the data: no message comes after it."""
 
 
 def read(path: Path) -> Iterator[Recorded]:
@@ -120,6 +139,25 @@ def events(path: Path) -> list[Event]:
         return [record for record in _records(file, path) if isinstance(record, Event)]
 
 
+class Extent(NamedTuple):
+    """How far a recording goes.
+
+    last_frame: last frame of which it holds the truth; -1: none
+    whole:      whether it was ended as recordings are, rather than cut off
+    """
+
+    last_frame: int
+    whole: bool
+
+
+def extent(path: Path) -> Extent:
+    """How far a recording goes, by all its messages; raises RunFolderError as `read` does."""
+    path = file_of(path)
+    last = max((message.frame for message in read(path) if message.message == "truth"), default=-1)
+    with _opened(path) as file:
+        return Extent(last, any(isinstance(record, _End) for record in _records(file, path)))
+
+
 def _opened(path: Path) -> IO[bytes]:
     try:
         return path.open("rb")
@@ -127,8 +165,8 @@ def _opened(path: Path) -> IO[bytes]:
         raise RunFolderError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def _records(file: IO[bytes], path: Path) -> Iterator[_Place | Event]:
-    """Every whole chunk of the file and every event, in the order of the file."""
+def _records(file: IO[bytes], path: Path) -> Iterator[_Place | Event | _End]:
+    """Every whole chunk of the file and every event, in the order of the file, and its end if it was not cut off."""
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise RunFolderError(f"{path}: does not begin as an MCAP file")
     size = path.stat().st_size
@@ -136,7 +174,10 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_Place | Event]:
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
         opcode, length = _RECORD.unpack(head)
         byte = file.tell()
-        if opcode == Opcode.DATA_END or byte + length > size:
+        if byte + length > size:
+            break
+        if opcode == Opcode.DATA_END:
+            yield _End()
             break
         if opcode == Opcode.CHUNK and length >= _TIMES.size:
             start_ns, _ = _TIMES.unpack(file.read(_TIMES.size))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.metrics.displacement import followed
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.places import Places, nearest
@@ -34,9 +35,10 @@ class Targets:
     adversary: (n,) row of `Manipulations.culprits`;  kind: (n,) index into KINDS
     frame, object: (n,), see Manipulations;  position: (n, 3) m, world frame, where the object was shown or had been
     believed:  by estimate, (n,) bool: an inserted object is there, a hidden one is missed, a moved one is off by more
-               than DISPLACED_M or missed
+               than DISPLACED_M, missed, or followed by a false track to where it was moved
     judged:    by estimate, (n,) bool: whether that can be said, because the object is in range and evaluated
-    error_m:   by estimate, (n,) m, from the truth to the track that is matched with it; NaN: there is none
+    error_m:   by estimate, (n,) m, from the truth to the false track that follows a moved object, else to the track
+               that is matched with it; NaN: there is none
     by_others: (n,) bool: an agent on none of whose wires this adversary sits sees the object; False for inserted ones
     """
 
@@ -70,6 +72,7 @@ class Targets:
 def targets(
     scores: Scores,
     cause: Ints,
+    by: Texts,
     done: Manipulations,
     truth: TruthTable,
     agents: Sequence[str],
@@ -80,7 +83,7 @@ def targets(
 ) -> Targets:
     """What became of every manipulated object in the centre's picture and in what the ego acts on.
 
-    cause:   of the rows of `scores.judged`
+    cause, by: of the rows of `scores.judged`
     truth:   of the frames of `scores`, of which `agents` are the columns
     ego:     whose mission-critical estimate it is
     victims: by adversary, columns of the agents on whose wires it sits
@@ -97,7 +100,7 @@ def targets(
     for name, chosen in (("centre", picture), ("ego", mission)):
         scorers = [agents.index(agent) for (agent, _), mine_too in zip(scores.series, chosen, strict=True) if mine_too]
         within = _in_range(mine, truth.agent_position[:, scorers], scores.frames, range_m)
-        believed[name], judged[name], error[name] = _judge(scores, cause, mine, chosen, within)
+        believed[name], judged[name], error[name] = _judge(scores, cause, by, mine, chosen, within)
     return Targets(
         mine.culprit,
         mine.kind,
@@ -121,7 +124,7 @@ def _in_range(done: Manipulations, place: Floats, frames: Ints, range_m: float) 
 
 
 def _judge(
-    scores: Scores, cause: Ints, done: Manipulations, chosen: Bools, within: Bools
+    scores: Scores, cause: Ints, by: Texts, done: Manipulations, chosen: Bools, within: Bools
 ) -> tuple[Bools, Bools, Floats]:
     """Of each manipulation whether it is believed in some series, whether that can be said, and the error, m.
 
@@ -148,7 +151,11 @@ def _judge(
     missed = judged.outcome[row] == MISSED
     error[others] = _error(scores, row, np.flatnonzero(inside & judged.is_track & (judged.outcome == MATCHED)))
     off = np.isin(done.kind[others], (MOVED, ALTERED)) & (np.nan_to_num(error[others]) > DISPLACED_M)
-    believed[others] = missed | off
+    ghost = followed(
+        scores, inside & (cause == MOVED) & judged.is_track, by, done, others, row, near_m=ACCEPTED_M, off_m=DISPLACED_M
+    )
+    error[others] = np.where(np.isfinite(ghost), ghost, error[others])
+    believed[others] = missed | off | np.isfinite(ghost)
     return believed, known, error
 
 
@@ -197,9 +204,11 @@ def summary(
     counts = np.zeros(len(scores.frames), bool)
     counts[scored] = True
     result = {}
-    for name, rows in (groups | {ALL: _once(found, real.nonzero()[0])}).items():
+    together = _together(found, real.nonzero()[0])
+    of_each = {name: (found, rows) for name, rows in groups.items()} | {ALL: (together, np.arange(len(together.kind)))}
+    for name, (targets_of, rows) in of_each.items():
         due = np.array([by != "" if name == ALL else name in by.split("+") for by in switch_by.tolist()], bool)
-        result[name] = _achieved(found, rows, period_s)
+        result[name] = _achieved(targets_of, rows, period_s)
         for who, estimate in (("centre", (ego, PICTURE)), ("ego", (ego, MISSION))):
             mine = np.array([each == estimate for each in scores.series], bool)
             counted = due & mine[scores.switches.series] & counts[scores.switches.frame]
@@ -207,16 +216,41 @@ def summary(
     return result
 
 
-def _once(found: Targets, rows: Ints) -> Ints:
-    """The rows without those of objects that several adversaries hid, or moved, in one frame: all but one of these."""
-    _, first = np.unique(np.column_stack([found.kind, found.object, found.frame])[rows], axis=0, return_index=True)
-    return np.sort(rows[first])
+def _together(found: Targets, rows: Ints) -> Targets:
+    """The targets in `rows`, an object that several adversaries hid, or moved, in one frame being one target.
+
+    It is believed if it is by what any of them did, and its error is the greatest.
+    """
+    _, first, of = np.unique(
+        np.column_stack([found.kind, found.object, found.frame])[rows], axis=0, return_index=True, return_inverse=True
+    )
+    believed = {name: np.bincount(of, mine[rows], len(first)) > 0 for name, mine in found.believed.items()}
+    error = {name: np.full(len(first), np.nan) for name in found.error_m}
+    for name, mine in found.error_m.items():
+        np.fmax.at(error[name], of, mine[rows])
+    kept = rows[first]
+    return Targets(
+        found.adversary[kept],
+        found.kind[kept],
+        found.frame[kept],
+        found.object[kept],
+        found.position[kept],
+        believed,
+        {name: mine[kept] for name, mine in found.judged.items()},
+        error,
+        found.by_others[kept],
+    )
 
 
 def _achieved(found: Targets, rows: Ints, period_s: float) -> dict[str, Any]:
     result: dict[str, Any] = {}
     success = dict.fromkeys(found.believed, rows[:0])
-    for what, kinds in (("inserted", (INSERTED,)), ("hidden", (REMOVED,)), ("moved", (MOVED, ALTERED))):
+    for what, kinds in (
+        ("inserted", (INSERTED,)),
+        ("hidden", (REMOVED,)),
+        ("moved", (MOVED,)),
+        ("altered", (ALTERED,)),
+    ):
         mine = rows[np.isin(found.kind[rows], kinds)]
         objects, of = np.unique(found.object[mine], return_inverse=True)
         result[what] = len(objects)
@@ -235,10 +269,10 @@ def _achieved(found: Targets, rows: Ints, period_s: float) -> dict[str, Any]:
             result[f"{what}_time_share_{who}"] = float(believed[judged].mean()) if judged.any() else None
             if what == "inserted":
                 result[f"inserted_s_{who}"] = float(frames[lasting].mean() * period_s) if lasting.any() else None
-            if what == "moved":
+            if what in ("moved", "altered"):
                 error = found.error_m[who][mine]
                 known = error[np.isfinite(error)]
-                result[f"moved_error_m_{who}"] = float(known.mean()) if len(known) else None
+                result[f"{what}_error_m_{who}"] = float(known.mean()) if len(known) else None
             success[who] = np.concatenate([success[who], mine[believed & lasting[of]]])
         if what != "inserted":
             result[f"{what}_seen_by_others"] = float(found.by_others[mine].mean())

@@ -24,6 +24,7 @@ class Drive(NamedTuple):
     """What one vehicle would do by one estimate, all of (f,) frames.
 
     objects, false, missed: (f,) in its corridor: tracks (or truth objects), false tracks, missed truth objects
+    overlapping:  (f,) tracks (or truth objects) that overlap the vehicle itself, and so are no obstacle
     gap_m, ttc_s: (f,) of the nearest object, and the least of all; inf where there is none
     brake:        (f,) bool
     needless, omitted: (f,) bool, it brakes and the truth gives no reason to, or the reverse
@@ -33,6 +34,7 @@ class Drive(NamedTuple):
     objects: Ints
     false: Ints
     missed: Ints
+    overlapping: Ints
     gap_m: Floats
     ttc_s: Floats
     brake: Bools
@@ -102,7 +104,8 @@ def _drive(ahead: Ahead, objects: Objects, n: int) -> Drive:
     np.minimum.at(ttc, frame, ahead.ttc_s)
     none, never = np.zeros(n, np.int64), np.zeros(n, bool)
     brake = np.bincount(frame[ahead.brake], minlength=n) > 0
-    return Drive(np.bincount(frame, minlength=n), none, none, gap, ttc, brake, never, never, never)
+    overlapping = np.bincount(objects.frame[ahead.overlapping], minlength=n)
+    return Drive(np.bincount(frame, minlength=n), none, none, overlapping, gap, ttc, brake, never, never, never)
 
 
 def _compared(
@@ -142,6 +145,7 @@ def summary(found: dict[tuple[str, str], Drive], scored: slice) -> dict[str, dic
         least = float(part.ttc_s.min())
         told = {
             "corridor_objects": float(part.objects.mean()),
+            "overlapping_objects": float(part.overlapping.mean()),
             "min_ttc_s": least if np.isfinite(least) else None,
             "brake_share": float(part.brake.mean()),
         }

@@ -9,14 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.metrics.boxes import pairs_in_groups
+from mast_zenoh.metrics.boxes import Boxes, pairs_in_groups
 from mast_zenoh.metrics.braking import BrakingRule, SafeDistance, time_to_collision
+from mast_zenoh.metrics.overlap import birdseye_intersection
 from mast_zenoh.states import Bools, Floats, Ints
 
 #: m, between points of the path; and from such a point to the centre of an object that may reach into the corridor.
 _STEP_M, _REACH_M = 1.0, 8.0
 #: m, in the bird's-eye view: what is centred nearer than this to the vehicle is the vehicle itself.
 _ITSELF_M = 2.0
+#: m2; outlines that have no more than this in common only touch.
+_TOUCH_M2 = 1e-6
 
 
 class Vehicle(NamedTuple):
@@ -44,12 +47,14 @@ class Ahead(NamedTuple):
 
     row: (k,) of the objects;  gap_m: (k,) m, along the path from the vehicle's front
     ttc_s: (k,) s, time to collision at constant speeds, inf: never;  brake: (k,) whether the vehicle has to brake
+    overlapping: (j,) rows of the objects that overlap the vehicle and so are none of these
     """
 
     row: Ints
     gap_m: Floats
     ttc_s: Floats
     brake: Bools
+    overlapping: Ints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +79,8 @@ class Driving:
 
     def ahead(self, vehicle: Vehicle, objects: Objects) -> Ahead:
         """The objects in the corridor, which in each frame is the path that the vehicle drove from there on, and
-        straight on after its end."""
+        straight on after its end, and which objects are left out because they overlap the vehicle itself: no vehicle
+        brakes for itself, and a collision that has happened is past braking."""
         path, heading, along = _path(vehicle, self.horizon_m)
         here = _arrived(vehicle)
         row, point = _beside(objects, path, along, here)
@@ -88,15 +94,25 @@ class Driving:
         half_wide = half_length * np.abs(np.sin(turn)) + half_width * np.abs(np.cos(turn))
         centre = along[point] + ahead - here[frame]
         gap = centre - half_long - vehicle.length / 2.0
-        apart = np.hypot(*(objects.position[row] - vehicle.position[frame])[:, :2].T)
+        overlaps = _overlaps(vehicle, objects, row)
         inside = np.abs(aside) - half_wide <= vehicle.width / 2.0 + self.margin_m
-        inside &= (centre > 0.0) & (gap <= self.horizon_m) & (apart > _ITSELF_M)
+        inside &= (centre > 0.0) & (gap <= self.horizon_m) & ~overlaps
         kept = inside.nonzero()[0]
-        row, gap = row[kept], np.maximum(gap[kept], 0.0)
+        overlapping, row, gap = row[overlaps], row[kept], np.maximum(gap[kept], 0.0)
         speed = np.hypot(*vehicle.velocity[objects.frame[row], :2].T)
         theirs = c[kept] * objects.velocity[row, 0] + s[kept] * objects.velocity[row, 1]
         rule = self.rule or SafeDistance()
-        return Ahead(row, gap, time_to_collision(gap, speed, theirs), rule.brakes(gap, speed, theirs))
+        return Ahead(row, gap, time_to_collision(gap, speed, theirs), rule.brakes(gap, speed, theirs), overlapping)
+
+
+def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
+    """(k,) bool: whether each of k objects overlaps the vehicle in its frame, seen from above, or is centred on it."""
+    frame, nothing = objects.frame[row], np.zeros(len(row), np.int64)
+    size = np.tile([vehicle.length, vehicle.width, 0.0], (len(row), 1))
+    itself = Boxes(nothing, nothing, vehicle.position[frame], size, vehicle.heading[frame])
+    other = Boxes(nothing, nothing, objects.position[row], objects.size[row], objects.yaw[row])
+    apart = np.hypot(*(other.position - itself.position)[:, :2].T)
+    return np.asarray((apart <= _ITSELF_M) | (birdseye_intersection(itself, other) > _TOUCH_M2))
 
 
 def _beside(objects: Objects, path: Floats, along: Floats, here: Floats) -> tuple[Ints, Ints]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -75,6 +75,14 @@ class Metric(ABC):
         """(f,) values, one for each frame, or one for the run. Raises ValueError for what is neither."""
 
 
+class ReturnedWrong(ValueError):
+    """What a metric returned is no value of its kind. about: the user's method that returned it."""
+
+    def __init__(self, text: str, about: Callable[..., Any]) -> None:
+        super().__init__(text)
+        self.about = about
+
+
 class FrameMetric(Metric):
     """A metric with a value in every frame; its mean and standard deviation are over the scored frames."""
 
@@ -83,11 +91,24 @@ class FrameMetric(Metric):
         """(f,) values, NaN where the metric is not defined."""
 
     def value(self, estimate: Estimate) -> Floats:
-        values = np.asarray(self.per_frame(estimate), np.float64)
+        found = self.per_frame(estimate)
+        try:
+            values = np.asarray(found, np.float64)
+        except (ValueError, TypeError) as error:
+            name = type(self).__name__
+            text = f"{name}.per_frame: found {_sample(found)}, expected numbers: {error}"
+            raise ReturnedWrong(text, type(self).per_frame) from None
         if values.shape != estimate.frames.shape:
             name = type(self).__name__
-            raise ValueError(f"{name}.per_frame: found shape {values.shape}, expected {estimate.frames.shape}")
+            text = f"{name}.per_frame: found shape {values.shape}, expected {estimate.frames.shape}"
+            raise ReturnedWrong(text, type(self).per_frame)
         return values
+
+
+def _sample(found: object) -> str:
+    """What a metric returned, in a few words: its type, and that of its first value."""
+    first = next(iter(found), None) if isinstance(found, (list, tuple, np.ndarray)) else None
+    return type(found).__name__ if first is None else f"a {type(found).__name__} of {type(first).__name__}"
 
 
 class RunMetric(Metric):
@@ -101,7 +122,8 @@ class RunMetric(Metric):
         value = self.per_run(estimate)
         if value is not None and not isinstance(value, (int, float, np.floating, np.integer)):
             name = type(self).__name__
-            raise ValueError(f"{name}.per_run: found {type(value).__name__}, expected a number or None")
+            text = f"{name}.per_run: found {type(value).__name__}, expected a number or None"
+            raise ReturnedWrong(text, type(self).per_run)
         return None if value is None else float(value)
 
 
@@ -138,10 +160,15 @@ class LongestMiss(RunMetric):
 def check(metrics: Sequence[Metric], known: Sequence[str]) -> None:
     """Raises ValueError for two metrics of one name, and for one that is called like one of ours."""
     labels = [metric.label for metric in metrics]
-    for label in labels:
+    for metric, label in zip(metrics, labels, strict=True):
         if label.endswith("_iob") or label.startswith("success_"):
             raise ValueError(f"metrics: found {label!r}: studies have names of that form of their own")
-        if label in known or labels.count(label) > 1:
+        if label in known:
+            raise ValueError(
+                f"metrics: {type(metric).__name__} is called {label!r}, like one that is always computed: "
+                "that one is meant by the name, expected another `name`, or another name of the class"
+            )
+        if labels.count(label) > 1:
             raise ValueError(f"metrics: found {label!r} twice, expected a name of its own for each metric")
 
 

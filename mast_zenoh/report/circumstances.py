@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.interposers import failures_of, frames_of, interposers
-from mast_zenoh.report.phrases import count, listed, plural
+from mast_zenoh.report.phrases import capital, count, listed, plural
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.runtime import churn
 
@@ -37,12 +37,26 @@ def status(run: RunFolder) -> str:
         return f"Handlers of {listed(names)}: the numbers may be wrong"
     if lost := run.lost:
         return f"{churn.sentence(lost)}: from there on it is not the run that the scenario describes"
-    state = run.run.get("status", "ok")
+    state, partial = run.run.get("status", "ok"), _partly_recorded(run)
+    if state == "ok":
+        return capital(partial)
+    text = f"The run did not end well ({state}): read the numbers with that in mind"
     if state == "killed":
-        return "The run was cut off: its launcher did not live to write down how it ended"
-    if state == "running":
-        return "The run goes on, or was cut off: nothing here says how it ended"
-    return "" if state == "ok" else f"The run did not end well ({state}): read the numbers with that in mind"
+        text = "The run was cut off: its launcher did not live to write down how it ended"
+    elif state == "running":
+        text = "The run goes on, or was cut off: nothing here says how it ended"
+    return f"{text}; {partial}" if partial else text
+
+
+def _partly_recorded(run: RunFolder) -> str:
+    """That the numbers are of a recording that ends before the run did; empty: they are not."""
+    of = run.metrics.get("recording")
+    if not of:
+        return ""
+    if not of["frames"]:
+        return "the recording from which it was measured holds no frame"
+    last = f"frame {of['frames'] - 1} of {of['played_frames']}"
+    return f"the recording from which it was measured ends at {last}, so the numbers are of these frames alone"
 
 
 def reference_status(reference: Reference | None) -> str:
@@ -50,5 +64,10 @@ def reference_status(reference: Reference | None) -> str:
     if reference is None or not status(reference.run):
         return ""
     state = reference.run.run.get("status")
-    ends = {"running": "has not ended", "killed": "was cut off", "interrupted": "was interrupted"}
+    ends = {
+        "running": "has not ended",
+        "killed": "was cut off",
+        "interrupted": "was interrupted",
+        "ok": "was measured from part of its recording",
+    }
     return f"compared with {reference.name}, which {ends.get(str(state), 'failed')}"

@@ -30,14 +30,19 @@ _BRAKING = {
     "omitted": ("#e0a800", "does not brake where it must"),
 }
 
+_WRONG_BRAKING = {"needless_brake_share": "brakes needlessly", "missed_brake_share": "does not brake where it must"}
+#: A smaller part of the frames is printed as none.
+_LEAST_SHARE = 0.0005
+
 
 class DrivingRow(NamedTuple):
     """What an estimate would mean for driving, over the scored frames; in brackets how much more than in a reference.
 
     run: label of the run
-    false, missed: objects per frame in the vehicle's corridor;  ttc_s: least time to collision, s
+    false, missed: objects per frame in the vehicle's corridor;  overlapping: those that overlap the vehicle itself
+    ttc_s: least time to collision, s
     brake: share of the frames in which it would brake;  needless, omitted: in which it would and need not, and the
-           reverse, with what of it is due to attacks
+           reverse, with what of it is due to attacks, and what is more than in the reference without being that
     """
 
     estimate: str
@@ -45,6 +50,7 @@ class DrivingRow(NamedTuple):
     objects: str
     false: str
     missed: str
+    overlapping: str
     ttc_s: str
     brake: str
     needless: str
@@ -60,9 +66,9 @@ def driving_rows(run: RunFolder, reference: RunFolder | None = None, name: str =
     result = []
     for estimate, label in ESTIMATES.items():
         if estimate in mine and estimate in others:
-            result.append(_row(label, name, others[estimate], {}))
+            result.append(_row(label, name, others[estimate], {}, name))
         if estimate in mine:
-            result.append(_row(label, run.label, mine[estimate], others.get(estimate, {})))
+            result.append(_row(label, run.label, mine[estimate], others.get(estimate, {}), name))
     return result
 
 
@@ -80,7 +86,18 @@ def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:
     return summaries
 
 
-def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any]) -> DrivingRow:
+def _unattributed(each: dict[str, Any], other: dict[str, Any], key: str) -> float:
+    """By how much larger a share of the frames is than in another run, beyond what more of it is due to attacks; 0: it
+    is not, or not known."""
+    mine, before = each.get(key), other.get(key)
+    if mine is None or before is None:
+        return 0.0
+    attack = (each.get(f"{key}_attack") or 0.0) - (other.get(f"{key}_attack") or 0.0)
+    more = float(mine - before - max(attack, 0.0))
+    return more if more >= _LEAST_SHARE else 0.0
+
+
+def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any], reference: str) -> DrivingRow:
     def text(key: str, digits: int, scale: float = 1.0, nothing: str = DASH) -> str:
         value, before = each.get(key), other.get(key)
         unit = "%" if scale != 1.0 else ""
@@ -93,8 +110,10 @@ def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any]) -> Dr
         return f"{number} ({change:+.{digits}f})".replace("-", "\u2212")
 
     def share(key: str) -> str:
-        attack = each.get(f"{key}_attack")
-        return text(key, 1, 100.0) + (f" ({attack:.1%} by attack)" if attack else "")
+        attack, more = each.get(f"{key}_attack"), _unattributed(each, other, key)
+        notes = [f"{attack:.1%} by attack"] if attack else []
+        notes += [f"{more:.1%} more than {reference}, not attributed"] if more else []
+        return text(key, 1, 100.0) + (f" ({'; '.join(notes)})" if notes else "")
 
     return DrivingRow(
         name,
@@ -102,6 +121,7 @@ def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any]) -> Dr
         text("corridor_objects", 2),
         text("corridor_false", 2),
         text("corridor_missed", 2),
+        text("overlapping_objects", 2),
         text("min_ttc_s", 1, nothing="never"),
         text("brake_share", 1, 100.0),
         share("needless_brake_share"),
@@ -112,11 +132,19 @@ def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any]) -> Dr
 def braking_by_attack(run: RunFolder) -> str:
     """How often attacks make the ego with the picture brake needlessly, or not brake, in words; empty: never."""
     mission = _summaries(run).get("mission", {})
-    shares = [
-        (mission.get("needless_brake_share_attack"), "brakes needlessly"),
-        (mission.get("missed_brake_share_attack"), "does not brake where it must"),
-    ]
-    parts = [f"{words} in {share:.1%} of the scored frames" for share, words in shares if share]
+    return _braking({words: mission.get(f"{key}_attack") for key, words in _WRONG_BRAKING.items()})
+
+
+def unattributed_braking(run: RunFolder, reference: RunFolder, name: str) -> str:
+    """How much more often than in a run called `name` the ego with the picture brakes needlessly, or does not brake,
+    without an attack to attribute that to, in words; empty: it does not, or that is not known."""
+    mine, other = (_summaries(each).get("mission", {}) for each in (run, reference))
+    said = _braking({words: _unattributed(mine, other, key) for key, words in _WRONG_BRAKING.items()})
+    return f"{said} more than {name}, not attributed" if said else ""
+
+
+def _braking(shares: dict[str, float | None]) -> str:
+    parts = [f"{words} in {share:.1%} of the scored frames" for words, share in shares.items() if share]
     return f"the ego with the picture {' and '.join(parts)}" if parts else ""
 
 

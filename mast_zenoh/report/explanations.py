@@ -194,11 +194,12 @@ def _how_often(share: float) -> str:
 
 def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
     """Why moved and altered objects are not off. Identity switches are an effect, too."""
-    if any(achieved.get(f"{effect}_{who}") for effect in ("moved_share", "id_switches") for who in ("centre", "ego")):
+    effects = "moved_share", "altered_share", "id_switches"
+    if any(achieved.get(f"{effect}_{who}") for effect in effects for who in ("centre", "ego")):
         return []
     present = [kind for kind in ("moved", "altered") if np.any(targets["kind"] == kind)]
     done = " or ".join(present)
-    errors = [achieved.get(f"moved_error_m_{estimate}") for estimate in ("centre", "ego")]
+    errors = [achieved.get(f"{kind}_error_m_{estimate}") for kind in present for estimate in ("centre", "ego")]
     known = [error for error in errors if error is not None]
     if not known:
         return [f"what it {done} is not scored: no agent sees it, or it is out of range of every agent"]

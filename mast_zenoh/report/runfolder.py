@@ -88,8 +88,11 @@ class RunFolder:
         optional = reader.read_if_there
         checks = optional("checks.json", files.json_object, "what was checked is not known", {})
         lack = "what attacks achieved is not explained"
-        targets = optional("targets.parquet", files.table(_TARGETS), lack, None)
-        driving = optional("driving.parquet", files.table(_DRIVING), "no chart of driving", None)
+        # The evaluator writes these tables of every run in which it measures what they hold.
+        targets = (read if metrics.get("achieved") else optional)("targets.parquet", files.table(_TARGETS), lack, None)
+        driving = (read if metrics.get("driving") else optional)(
+            "driving.parquet", files.table(_DRIVING), "no chart of driving", None
+        )
         read_all = run, scenario, wiring, metrics, counts, boxes, effects, recording, tuple(reader.missing)
         return cls(path, *read_all, checks, targets, driving, files.node_results(path / "results"))
 

@@ -23,6 +23,8 @@ _NUMBERS = {
     "p": "p",
 }
 
+_MARK = "* remains distinguishable from 0 after Holm's procedure"
+
 
 def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     """A line for each configuration and series, all digits; what is not known is empty.
@@ -49,12 +51,12 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
 
 def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     """A tabular that needs no package: for each configuration what the attack adds, and its intervals below."""
-    columns = columns_of(PAPER)
+    columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
     groups = " & ".join(rf"\multicolumn{{{len(of)}}}{{c}}{{{name}}}" for name, of in PAPER)
     size = facts.size.replace("\u00d7", "x")
     comments = ["mean and std over the frames of all trials; below, mean over seeds [95 % interval], paired", size]
     lines = [
-        *(f"% {comment}" for comment in (*comments, facts.failures) if comment),
+        *(f"% {comment}" for comment in (*comments, _MARK, facts.failures) if comment),
         r"\begin{tabular}{l" + "r" * len(columns) + "}",
         r"\hline",
         rf" & {groups} \\",
@@ -62,10 +64,10 @@ def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
         r"\hline",
     ]
     for row in (row for row in rows if row.label != facts.baseline):
-        above = [over_frames(column.of(row)) for column in columns]
-        below = [over_trials(column.of(row)) for column in columns]
+        above = [_tex(over_frames(c.of(row))) + ("^{*}" if comparisons.remains(row, c) else "") for c in columns]
+        below = [_tex(over_trials(column.of(row))) for column in columns]
         for label, texts in ((row.label, above), ("", below)):
-            lines.append(" & ".join([_tex(label), *(f"${_tex(text)}$" for text in texts)]) + r" \\")
+            lines.append(" & ".join([_tex(label), *(f"${text}$" for text in texts)]) + r" \\")
     return "\n".join([*lines, r"\hline", r"\end{tabular}", ""])
 
 

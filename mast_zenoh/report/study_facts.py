@@ -18,6 +18,20 @@ class FailedTrial:
 
 
 @dataclass(frozen=True, slots=True)
+class IdleAttack:
+    """A configuration whose attack was to begin after the end of its trials.
+
+    begins_s, ends_s: s of scene time, of the attack and of the trials
+    scenes:           those in which that is so; empty: in all
+    """
+
+    configuration: str
+    begins_s: float
+    ends_s: float
+    scenes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class StudyFacts:
     """One study.
 
@@ -27,6 +41,7 @@ class StudyFacts:
     frames:         of each trial, None for all that the scene has
     done:           by configuration, how many trials have results
     other_scenes:   labels of configurations that play another scene than the baseline, or one with other agents
+    idle:           configurations whose attack never began
     environment:    Python, the packages and a hash of the code that the results depend on
     """
 
@@ -41,6 +56,7 @@ class StudyFacts:
     failed: tuple[FailedTrial, ...]
     environment: Mapping[str, str]
     other_scenes: tuple[str, ...] = ()
+    idle: tuple[IdleAttack, ...] = ()
 
     @property
     def planned(self) -> int:
@@ -60,6 +76,11 @@ class StudyFacts:
         counts = {label: self.planned - self.done.get(label, 0) for label in self.configurations}
         parts = [f"{label} {count} of {self.planned}" for label, count in counts.items() if count]
         return f"{len(self.failed)} of {self.trials} trials failed: {', '.join(parts)}"
+
+    @property
+    def never_attacked(self) -> frozenset[str]:
+        """The configurations whose attack began in no trial."""
+        return frozenset(each.configuration for each in self.idle if not each.scenes)
 
     @property
     def size(self) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from mast_zenoh.report.study_comparisons import LEVEL, Comparisons
-from mast_zenoh.report.study_facts import StudyFacts, plural
+from mast_zenoh.report.study_facts import IdleAttack, StudyFacts, plural
 from mast_zenoh.report.study_rows import (
     ADDED,
     ALL_SCORES,
@@ -38,8 +38,30 @@ _Change = tuple[StudyRow, Column]
 
 
 def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
-    """The largest change in one sentence, or that there is none: of false or missed objects, else of less relevance."""
-    attacked = [row for row in rows if row.label != facts.baseline]
+    """The largest change in one sentence, or that there is none: of false or missed objects, else of less relevance.
+
+    Before it, which attacks never began: of these nothing else is said.
+    """
+    idle = [_never_began(each) for each in facts.idle]
+    attacked = _attacked(rows, facts)
+    if attacked or not idle:
+        idle.append(_result(rows, attacked, comparisons))
+    return " ".join(idle)
+
+
+def _never_began(idle: IdleAttack) -> str:
+    """`The attack of uncoordinated never began: it begins at 4 s, and the trials end after 3.8 s.`"""
+    where = f" in {', '.join(idle.scenes)}" if idle.scenes else ""
+    when = f"it begins at {idle.begins_s:g} s, and the trials end after {idle.ends_s:g} s"
+    return f"The attack of {idle.configuration} never began{where}: {when}."
+
+
+def _attacked(rows: Sequence[StudyRow], facts: StudyFacts) -> list[StudyRow]:
+    """The configurations that can differ from the baseline: their attacks began in some trial."""
+    return [row for row in rows if row.label != facts.baseline and row.label not in facts.never_attacked]
+
+
+def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons: Comparisons) -> str:
     if not attacked:
         return f"{plural(len(rows), 'configuration')}, nothing to compare."
     headline = _headline(attacked, comparisons)
@@ -59,7 +81,9 @@ def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons
 
 def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
     """The largest change of each kind that `result` does not name, and the kinds that show none."""
-    attacked = [row for row in rows if row.label != facts.baseline]
+    attacked = _attacked(rows, facts)
+    if not attacked:
+        return []
     named = _headline(attacked, comparisons)
     sentences: list[str] = []
     equal, indistinct = [], []

@@ -10,7 +10,7 @@ from mast_zenoh.report.attribution import caused, causes, due
 from mast_zenoh.report.changes import Change
 from mast_zenoh.report.circumstances import compromised, reference_status, status
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.driving import braking_by_attack, driving_differs
+from mast_zenoh.report.driving import braking_by_attack, driving_differs, unattributed_braking
 from mast_zenoh.report.explanations import late_start_s
 from mast_zenoh.report.faulted import check_rows
 from mast_zenoh.report.interposers import Interposer, interposers
@@ -129,6 +129,8 @@ def reading(run: RunFolder, reference: Reference | None = None) -> list[str]:
     sentences += [f"{capital(_missed(run))}."] if run.summary("picture") and not _is_missed(run, reference) else []
     sentences += _other_changes(run, reference) + _transit(run) + _blame(run)
     sentences += attack_sentences(run, _largest(run, reference))
+    more = unattributed_braking(run, reference.run, reference.name) if reference else ""
+    sentences += [f"{capital(more)}."] if more else []
     sentences += _verdicts(interposers(run))
     failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
     if failed:

@@ -72,10 +72,18 @@ def location(error: BaseException, call: Callable[..., Any]) -> str:
     """`file:line` of the innermost frame in the code of a node or an algorithm; else where `call` is defined.
 
     call: the handler that raised the error. Frames in Python's library, installed packages and the runtime are skipped.
+    An error about what a function returned was raised elsewhere: it names the function in `about`.
     """
+    if (about := getattr(error, "about", None)) is not None:
+        return _definition(about)
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         if _is_of_a_node(frame.filename):
             return f"{frame.filename}:{frame.lineno}"
+    return _definition(call)
+
+
+def _definition(call: Callable[..., Any]) -> str:
+    """`file:line` of where a function is defined."""
     code = getattr(call, "__code__", None)
     return f"{code.co_filename}:{code.co_firstlineno}" if code else "unknown"
 

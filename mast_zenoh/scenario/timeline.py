@@ -167,8 +167,8 @@ def _gateways(recording: Recording) -> list[list[float]]:
     return [[float(value) for value in recording.agent_position[0, i]] for i in standing]
 
 
-def _attacks(nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
-    """When attacks begin: one band for all adversaries that do the same at the same time."""
+def attack_starts(nodes: Mapping[str, NodeSpec]) -> dict[tuple[str, float], list[str]]:
+    """By type of attack and the s of scene time at which it begins, the adversaries that do it then."""
     types = registry.known_types(Attack)
     found: dict[tuple[str, float], list[str]] = {}
     for name, spec in nodes.items():
@@ -177,7 +177,12 @@ def _attacks(nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
             start = inspect.signature(types[attack["type"]]).parameters.get("start_s")
             if start is not None:
                 found.setdefault((attack["type"], float(attack.get("start_s", start.default))), []).append(name)
-    return [_band(kind, "attack", at_s, who, "adversary") for (kind, at_s), who in found.items()]
+    return found
+
+
+def _attacks(nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
+    """When attacks begin: one band for all adversaries that do the same at the same time."""
+    return [_band(kind, "attack", at_s, who, "adversary") for (kind, at_s), who in attack_starts(nodes).items()]
 
 
 def _band(kind: str, what: str, at_s: float, nodes: Sequence[str], backend: str) -> dict[str, Any]:

@@ -10,6 +10,13 @@ from mast_zenoh.metrics import CAUSES
 NAN = float("nan")
 #: Stands in the place of an estimator in what an adversary achieved.
 ACHIEVED = "achieved"
+#: Stands before the names of what an estimate would mean for driving.
+DRIVING = "driving"
+#: s; a trial whose least time to collision is below is critical: van der Horst (1990), see `braking.TimeToCollision`.
+CRITICAL_S = 1.5
+_LEAST_TTC, _CRITICAL = "min_ttc_s", "critical"
+#: Numbers of which no mean is taken: a trial without a collision course has none, so a mean is over the other trials.
+SELECTIVE = frozenset(f"{DRIVING}.{_LEAST_TTC}{suffix}" for suffix in ("", "_iob"))
 
 
 class Number(NamedTuple):
@@ -35,8 +42,9 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
     """The numbers of `agents`, `driving` and `achieved` in what metrics.json holds, in its order.
 
     `null` becomes NaN, true and false become 1 and 0, and what is not a number is left out. Of `causes` every cause has
-    a number of objects per frame, "fp inserted", also where it does not occur. Numbers of the wall clock are in none
-    of these blocks, so all depend on scenario and seed alone.
+    a number of objects per frame, "fp inserted", also where it does not occur. Of driving there is also whether the
+    least time to collision is below CRITICAL_S, "driving.critical", which every trial has. Numbers of the wall clock
+    are in none of these blocks, so all depend on scenario and seed alone.
     """
     first, last = metrics.get("scored_frames") or (0, -1)
     frames = last - first + 1
@@ -45,7 +53,11 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
             yield from _within(agent, estimator, (), content, frames)
     for agent, estimators in metrics.get("driving", {}).items():
         for estimator, content in estimators.items():
-            yield from _within(agent, estimator, ("driving",), content, frames)
+            yield from _within(agent, estimator, (DRIVING,), content, frames)
+            if _LEAST_TTC in content:
+                least = content[_LEAST_TTC]
+                critical = least is not None and least < CRITICAL_S
+                yield Number(agent, estimator, f"{DRIVING}.{_CRITICAL}", float(critical), binary=True)
     for adversary, content in metrics.get(ACHIEVED, {}).items():
         yield from _within(adversary, ACHIEVED, (), content, frames)
 

@@ -10,7 +10,8 @@ from mast_zenoh.report.study_rows import Estimate, Series, StudyRow
 from mast_zenoh.states import Floats
 from mast_zenoh.study import statistics
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.numbers import ACHIEVED, NAN, Number
+from mast_zenoh.study.numbers import ACHIEVED, NAN, SELECTIVE, Number
+from mast_zenoh.study.ranges import possible
 from mast_zenoh.study.results import COMPROMISED, ego
 from mast_zenoh.study.statistics import Moments
 from mast_zenoh.study.trial import Outcome
@@ -35,6 +36,8 @@ class Samples:
         place = self._scene[trial.scene], self._seed[trial.seed]
         cells = self._cells[trial.configuration]
         for number in of_trial:
+            if number.metric in SELECTIVE:
+                continue
             if number.who in (agent, COMPROMISED) or number.estimator == ACHIEVED:
                 series = Series(*number[:3])
                 if series not in cells:
@@ -51,7 +54,7 @@ class Samples:
                 run=each.run,
                 point=dict(each.point),
                 estimates={
-                    series: _estimate(*cell, rate=series in self._rates, added=series.metric.endswith("_iob"))
+                    series: _estimate(series, *cell, rate=series in self._rates)
                     for series, cell in self._cells[each.label].items()
                 },
                 ego=self._ego or "ego",
@@ -60,10 +63,11 @@ class Samples:
         ]
 
 
-def _estimate(values: Floats, stds: Floats, frames: Floats, *, rate: bool, added: bool) -> Estimate:
+def _estimate(series: Series, values: Floats, stds: Floats, frames: Floats, *, rate: bool) -> Estimate:
     """Of (scenes, seeds) values each, NaN where a trial has none.
 
-    Over frames of all trials; over trials of the seeds that have a value in every scene in which any has one.
+    Over frames of all trials; over trials of the seeds that have a value in every scene in which any has one. Bounds
+    are cut to what the quantity can be.
     """
     pooled = ~np.isnan(values) & ~np.isnan(stds) & (frames > 0)
     over_frames = [Moments(*each) for each in zip(frames[pooled], values[pooled], stds[pooled], strict=True)]
@@ -77,16 +81,18 @@ def _estimate(values: Floats, stds: Floats, frames: Floats, *, rate: bool, added
         return Estimate(mean, std, left_out=left_out)
     middle = float(complete.mean())
     low, high = statistics.of_rate(complete) if rate else statistics.over_seeds(complete)
-    wide_low, wide_high = (NAN, NAN) if rate else statistics.over_scenes(complete)
+    wide = (NAN, NAN) if rate else statistics.over_scenes(complete)
+    least, most = possible(series)
+    low, high, wide_low, wide_high = np.clip([low, high, *wide], least, most).tolist()
     return Estimate(
         mean=mean if over_frames else middle,
         std=std,
         trial_mean=middle,
-        low=float(low),
-        high=float(high),
-        scenes_low=float(wide_low),
-        scenes_high=float(wide_high),
-        p=float(statistics.equals_zero(complete)) if added else NAN,
+        low=low,
+        high=high,
+        scenes_low=wide_low,
+        scenes_high=wide_high,
+        p=float(statistics.equals_zero(complete)) if series.metric.endswith("_iob") else NAN,
         scenes=scenes,
         seeds=seeds,
         left_out=left_out,

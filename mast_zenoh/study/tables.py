@@ -11,10 +11,11 @@ from pathlib import Path
 import pyarrow
 
 from mast_zenoh.errors import TrialsFailed
-from mast_zenoh.report.study_facts import FailedTrial, StudyFacts
+from mast_zenoh.report.study_facts import FailedTrial, IdleAttack, StudyFacts
 from mast_zenoh.report.study_rows import StudyRow
 from mast_zenoh.study import results
 from mast_zenoh.study.definition import Study
+from mast_zenoh.study.numbers import ACHIEVED
 from mast_zenoh.study.parameters import ParameterColumns
 from mast_zenoh.study.store import Store
 from mast_zenoh.study.summary import Samples
@@ -67,6 +68,7 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
         failed=tuple(_failed(trial, failures[trial.digest]) for trial in trials if trial.digest in failures),
         environment=dict(trials[0].environment),
         other_scenes=_other_scenes(trials, study.baseline),
+        idle=_idle(trials),
     )
     texts = {
         "table.csv": study_export.as_csv(rows, facts),
@@ -104,7 +106,8 @@ def _write_parquet(
             for outcome in group:
                 label = outcome.trial.configuration
                 of_trial = results.values(outcome, paired)
-                samples.add(outcome, of_trial)
+                began = outcome.trial.idle is None  # an attack that never began neither succeeded nor failed
+                samples.add(outcome, of_trial if began else [n for n in of_trial if n.estimator != ACHIEVED])
                 trial_file.append(per_trial.add(to_arrow(results.columns(outcome.trial, of_trial)), label))
                 frame_file.append(per_frame.add(to_arrow(results.frames(outcome)), label))
                 done[label] += 1
@@ -121,6 +124,24 @@ def _other_scenes(trials: Sequence[Trial], baseline: str) -> tuple[str, ...]:
     """The configurations whose recording is not that of the baseline in the same scene of the study."""
     reference = {trial.scene: trial.scene_key for trial in trials if trial.configuration == baseline}
     return tuple(dict.fromkeys(trial.configuration for trial in trials if trial.scene_key != reference[trial.scene]))
+
+
+def _idle(trials: Sequence[Trial]) -> tuple[IdleAttack, ...]:
+    """The configurations whose attack never began in some scene."""
+    scenes = dict.fromkeys(trial.scene for trial in trials)
+    found: dict[str, dict[str, tuple[float, float]]] = {}
+    for trial in trials:
+        if trial.idle is not None:
+            found.setdefault(trial.configuration, {})[trial.scene] = trial.idle
+    return tuple(
+        IdleAttack(
+            label,
+            min(begin for begin, _ in where.values()),
+            max(end for _, end in where.values()),
+            tuple(where) if len(where) < len(scenes) else (),
+        )
+        for label, where in found.items()
+    )
 
 
 def _failed(trial: Trial, error: str) -> FailedTrial:

@@ -30,6 +30,8 @@ class Trial:
     scene_key:            the same for trials that play the same recording
     environment:          code and versions that the outcome is to be that of
     allow_failures:       whether the trial counts although handlers of its nodes failed
+    idle:                 s of scene time at which the first attack would begin and at which the trial ends, where it
+                          ends first; None: an attack begins, or there is none
     """
 
     digest: str
@@ -43,6 +45,7 @@ class Trial:
     scene_key: str
     environment: tuple[tuple[str, str], ...]
     allow_failures: bool = False
+    idle: tuple[float, float] | None = None
 
     def command(self) -> str:
         """The command that runs this trial alone, with a run folder and a report."""

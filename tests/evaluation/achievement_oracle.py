@@ -85,6 +85,8 @@ class Run:
         if not mine:
             return Verdict(False, False, math.nan)
         matched = [row for row in mine if row["outcome"] == "matched"]
+        if (ghost := self.ghost(target, boxes, mine[0])) is not None:
+            return Verdict(True, True, ghost)
         if not matched:
             return Verdict(True, True, math.nan)
         errors = [
@@ -95,6 +97,32 @@ class Run:
         ]
         # The picture is the same for all agents.
         return Verdict(target.kind != "removed" and errors[0] > DISPLACED_M, True, errors[0])
+
+    def ghost(self, target: Target, boxes: list[dict[str, Any]], truth: dict[str, Any]) -> float | None:
+        """How far the false track that follows a moved object is from it, m; None: no track follows it."""
+        if target.kind != "moved":
+            return None
+        here, shown = (truth["x"], truth["y"]), (target.x, target.y)
+        others = [(each.x, each.y) for each in self.moved()[target.adversary, target.frame]]
+        best: tuple[float, float] | None = None
+        for row in boxes:
+            at = row["x"], row["y"]
+            if row["cause"] != "moved" or row["kind"] != "track" or target.adversary not in row["by"].split("+"):
+                continue
+            apart, off = math.dist(at, shown), math.dist(at, here)
+            mine = apart <= ACCEPTED_M and all(apart <= math.dist(at, other) for other in others)
+            if mine and off > DISPLACED_M and apart < off and (best is None or apart < best[0]):
+                best = apart, off
+        return best and best[1]
+
+    def moved(self) -> dict[tuple[str, int], list[Target]]:
+        """What each adversary moved in each frame."""
+        if not hasattr(self, "_moved"):
+            self._moved: dict[tuple[str, int], list[Target]] = defaultdict(list)
+            for each in self.targets():
+                if each.kind == "moved":
+                    self._moved[each.adversary, each.frame].append(each)
+        return self._moved
 
 
 def rows(table: dict[str, Any]) -> list[dict[str, Any]]:
@@ -109,11 +137,23 @@ def summary(targets: list[dict[str, Any]], who: str) -> dict[str, Any]:
     result: dict[str, Any] = {}
     hits: list[int] = []
     real = [row for row in targets if row["kind"] == "inserted" or row["object"] >= 0]
-    for what, kinds in (("inserted", ("inserted",)), ("hidden", ("removed",)), ("moved", ("moved", "altered"))):
+    for what, kinds in (
+        ("inserted", ("inserted",)),
+        ("hidden", ("removed",)),
+        ("moved", ("moved",)),
+        ("altered", ("altered",)),
+    ):
         by_object: dict[int, dict[tuple[str, int], dict[str, Any]]] = defaultdict(dict)
         for row in real:
             if row["kind"] in kinds:
-                by_object[row["object"]][row["kind"], row["frame"]] = row
+                same = by_object[row["object"]].setdefault((row["kind"], row["frame"]), row)
+                errors = [
+                    each[f"error_m_{who}"] for each in (same, row) if each[f"error_m_{who}"] == each[f"error_m_{who}"]
+                ]
+                by_object[row["object"]][row["kind"], row["frame"]] = same | {
+                    f"believed_{who}": same[f"believed_{who}"] or row[f"believed_{who}"],
+                    f"error_m_{who}": max(errors, default=math.nan),
+                }
         result[what] = len(by_object)
         if not by_object:
             continue
@@ -135,10 +175,10 @@ def summary(targets: list[dict[str, Any]], who: str) -> dict[str, Any]:
         result[f"{what}_time_share_{who}"] = share
         if what == "inserted":
             result[f"inserted_s_{who}"] = sum(lasting) / len(lasting) if lasting else None
-        if what == "moved":
+        if what in ("moved", "altered"):
             known = [row[f"error_m_{who}"] for each in by_object.values() for row in each.values()]
             known = [error for error in known if error == error]
-            result[f"moved_error_m_{who}"] = sum(known) / len(known) if known else None
+            result[f"{what}_error_m_{who}"] = sum(known) / len(known) if known else None
     result[f"success_{who}"] = bool(hits)
     first = min((row["frame"] for row in real), default=0)
     result[f"first_success_s_{who}"] = (min(hits) - first) * PERIOD_S if hits else None

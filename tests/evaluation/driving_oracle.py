@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from played import Played
-from shapely import LineString
+from shapely import LineString, Polygon, affinity
 
 from mast_zenoh import codec
 from mast_zenoh.geometry import heading, rotation_from_quaternion
@@ -78,7 +78,7 @@ def expected(played: Played, agent: str, sources: dict[str, str]) -> dict[str, d
     wrong = errors(played, agent)
     result: dict[str, dict[int, dict[str, Any]]] = defaultdict(dict)
     for frame, met in by_truth.items():
-        result["truth"][frame] = row(met)
+        result["truth"][frame] = row(met) | {"overlapping": path.overlapping(frame, others[frame])}
         for estimate in sources:
             mine = path.met(frame, believed[estimate].get(frame, []))
             false = [(each, wrong[estimate, frame, "false", each.thing.id]) for each in mine]
@@ -88,6 +88,7 @@ def expected(played: Played, agent: str, sources: dict[str, str]) -> dict[str, d
                 should and not brakes and any(e.brake and cause in ATTACKS for e, cause in missed)
             )
             result[estimate][frame] = row(mine) | {
+                "overlapping": path.overlapping(frame, believed[estimate].get(frame, [])),
                 "false": sum(bool(cause) for _, cause in false),
                 "missed": sum(bool(cause) for _, cause in missed),
                 "needless": brakes and not should,
@@ -154,7 +155,7 @@ class Path:
                 if k >= here - 1.0
             ]
             apart, k = min(near)
-            if apart > 8.0 or math.hypot(thing.x - me.x, thing.y - me.y) <= 2.0:
+            if apart > 8.0 or overlaps(me, thing):
                 continue
             turn = self.heading(k)
             dx, dy = thing.x - self.points[k].x, thing.y - self.points[k].y
@@ -174,6 +175,24 @@ class Path:
             safe -= max(theirs, 0.0) ** 2 / (2 * BRAKING_AHEAD)
             found.append(Met(thing, gap, ttc, speed > 0.3 and gap < max(safe, 0.0)))
         return found
+
+    def overlapping(self, frame: int, objects: list[Thing]) -> int:
+        """How many objects overlap the vehicle in a frame."""
+        me = self.me[frame]
+        return sum(overlaps(me, thing) for thing in objects)
+
+
+def overlaps(me: Thing, thing: Thing) -> bool:
+    """Whether a thing overlaps the vehicle, or is centred on it."""
+    near = math.hypot(thing.x - me.x, thing.y - me.y)
+    return near <= 2.0 or (near < 20.0 and outline(me).intersection(outline(thing)).area > 1e-6)
+
+
+def outline(thing: Thing) -> Polygon:
+    """Its outline from above."""
+    x, y = thing.length / 2, thing.width / 2
+    turned = affinity.rotate(Polygon([(x, y), (-x, y), (-x, -y), (x, -y)]), thing.yaw, (0, 0), use_radians=True)
+    return affinity.translate(turned, thing.x, thing.y)
 
 
 def compare(table: dict[str, np.ndarray], agent: str, rows: dict[str, dict[int, dict[str, Any]]]) -> int:

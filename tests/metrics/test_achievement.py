@@ -34,7 +34,7 @@ def achieved(
     scores, _, labels, done = labelled(record, effects(*lies))
     truth = record.truth(scores.frames)
     victims = {name: {1} for name in done.culprits}
-    found = achievement.targets(scores, labels.cause, done, truth, record.agents, "ego", victims, 100.0, 5)
+    found = achievement.targets(scores, labels.cause, labels.by, done, truth, record.agents, "ego", victims, 100.0, 5)
     return achievement.summary(found, done.culprits, scores, labels.switch_by, "ego", PERIOD_S)
 
 
@@ -120,7 +120,59 @@ def test_a_moved_object_is_displaced_when_its_track_is_off_or_it_is_missed(error
     found = achieved(lies, [cars((x, y + error), id=[5])] * 20)["eve"]
     assert found["moved"] == 1
     assert found["moved_share_centre"] == displaced
-    assert found["moved_error_m_centre"] == (pytest.approx(error) if error < 2.0 else None)
+    assert found["moved_error_m_centre"] == pytest.approx(error)  # at 3.0 m its false track is nearer to the lie
+
+
+#: Where adversaries show the car that is at CAR, 4 m ahead of it, and a track of that.
+GHOST = (CAR[0] + 4.0, CAR[1])
+
+
+def moved(frames: range, name: str = "eve", to: tuple[float, float] = GHOST) -> list[Row]:
+    return [(name, frame, "moved", 0, to, CAR) for frame in frames]
+
+
+def test_a_moved_object_that_is_believed_beside_the_honest_one_is_a_success() -> None:
+    """The honest track stays where it was, 0.1 m off; from frame 5 on the displaced object has a track of its own."""
+    honest, ghost = (CAR[0] + 0.1, CAR[1]), (GHOST[0] - 0.5, GHOST[1])
+    picture = [cars(honest, ghost, id=[5, 6]) if frame >= 5 else cars(honest, id=[5]) for frame in range(25)]
+    found = achieved(moved(range(25)), picture)["eve"]
+    assert (found["moved"], found["moved_frames"]) == (1, 25)
+    for who in ("centre", "ego"):
+        assert found[f"success_{who}"] is True
+        assert found[f"moved_share_{who}"] == 1.0
+        assert found[f"moved_time_share_{who}"] == pytest.approx(20 / 25)
+        assert found[f"first_success_s_{who}"] == pytest.approx(5 * PERIOD_S)
+        assert found[f"moved_error_m_{who}"] == pytest.approx((20 * 3.5 + 5 * 0.1) / 25)
+
+
+def test_a_displaced_object_that_is_believed_for_less_than_a_second_is_no_success() -> None:
+    picture = [cars(CAR, GHOST, id=[5, 6]) if frame < 9 else THERE for frame in range(12)]
+    assert achieved(moved(range(12)), picture)["eve"]["success_centre"] is False
+
+
+def test_another_adversarys_displaced_object_is_not_this_ones_success() -> None:
+    """Mallory shows the same car 9 m to the other side, and nothing follows that."""
+    lies = [*moved(range(20)), *moved(range(20), "mallory", (CAR[0] - 9.0, CAR[1]))]
+    found = achieved(lies, [cars(CAR, GHOST, id=[5, 6])] * 20)
+    assert [found[name]["success_centre"] for name in ("eve", "mallory", "all")] == [True, False, True]
+    assert [found[name]["moved_frames"] for name in ("eve", "mallory", "all")] == [20, 20, 20]
+    reversed_names = achieved(
+        [*moved(range(20), "zoe"), *moved(range(20), "mallory", (CAR[0] - 9.0, CAR[1]))],
+        [cars(CAR, GHOST, id=[5, 6])] * 20,
+    )
+    assert reversed_names["all"]["moved_share_centre"] == 1.0, "whoever comes first by name"
+
+
+def test_a_false_track_that_is_nearer_to_the_object_than_to_where_it_was_moved_follows_nothing() -> None:
+    beside = (CAR[0] + 1.9, CAR[1])
+    found = achieved(moved(range(20)), [cars(CAR, beside, id=[5, 6])] * 20)["eve"]
+    assert (found["success_centre"], found["moved_error_m_centre"]) == (False, 0.0)
+
+
+def test_an_object_that_was_altered_where_it_is_does_not_count_as_moved() -> None:
+    found = achieved([("eve", frame, "altered", 0, CAR, (0.0, 0.0)) for frame in range(20)], [THERE] * 20)["eve"]
+    assert (found["moved"], found["altered"], found["altered_frames"]) == (0, 1, 20)
+    assert found["altered_share_centre"] == 0.0
 
 
 def test_without_adversaries_there_is_nothing_to_achieve() -> None:

@@ -85,6 +85,24 @@ def test_an_attack_elsewhere_in_the_corridor_is_not_to_blame_for_a_needless_brak
     assert drive.false[FIRST] == 2
 
 
+@pytest.mark.parametrize(("ahead_m", "obstacle"), [(2.5, False), (4.4, False), (4.6, True)])
+def test_a_ghost_of_the_ego_that_overlaps_it_is_no_obstacle_but_is_counted(ahead_m: float, obstacle: bool) -> None:
+    """The ego is 4.5 m long, and so is its ghost, which goes ahead of it: boxes overlap up to 4.5 m."""
+    ghosts = [[(frame + ahead_m, 0.0)] for frame in range(FRAMES)]
+    drive = driven([], ghosts)["ego", "local"]
+    assert drive.brake.all() == drive.needless.all() == obstacle
+    assert drive.needless.any() == obstacle
+    assert drive.objects.tolist() == [int(obstacle)] * FRAMES
+    assert drive.overlapping.tolist() == [1 if obstacle else 2] * FRAMES, "its own track is one of them"
+
+
+def test_a_collision_that_has_happened_is_past_braking_by_the_truth_too() -> None:
+    found = driven([CAR], [[CAR]] * 60)
+    for estimate in ("truth", "local"):
+        assert frames(found["ego", estimate].brake) == list(range(FIRST, 46))
+    assert frames(found["ego", "truth"].overlapping > 0) == list(range(46, 55))
+
+
 def test_an_agent_that_is_no_object_of_the_scene_is_no_vehicle() -> None:
     record = Record(["pole"])
     record.add_truth(0, cars(CAR), np.full((1, 1), 50), np.zeros((1, 3)), np.array([-1]))

@@ -15,6 +15,7 @@ from mast_zenoh.metrics import Attribution, Estimate, FrameMetric, Record, RunMe
 from mast_zenoh.metrics.manipulations import none
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.user_metrics import ErrorsNearby, LongestMiss
+from mast_zenoh.runtime.failures import location
 
 
 class Told(FrameMetric):
@@ -143,8 +144,23 @@ def test_names_are_those_of_the_classes_or_given_ones_and_none_occurs_twice() ->
         name = "rmse_m"
 
     assert FPNear30m().label == "fpnear30m"
-    with pytest.raises(ValueError, match="'rmse_m' twice"):
+    with pytest.raises(ValueError, match="'rmse_m', like one that is always"):
         user_metrics.check([Named()], ("rmse_m",))
     with pytest.raises(ValueError, match="'longest_miss' twice"):
         user_metrics.check([LongestMiss(), LongestMiss()], ())
     user_metrics.check([LongestMiss(), ErrorsNearby()], ("rmse_m",))
+
+
+@pytest.mark.parametrize("value", [["a"] * 2, [None, "b"], np.zeros(3)], ids=["text", "None and text", "too many"])
+def test_an_error_about_what_a_metric_returned_is_located_in_the_users_file(value: Any) -> None:
+    with pytest.raises(ValueError, match=r"Told\.per_frame: found ") as caught:
+        computed([Told(value)], [[True], [True]])
+    assert location(caught.value, type) == f"{__file__}:{Told.per_frame.__code__.co_firstlineno}"
+
+
+def test_a_metric_that_is_called_like_one_of_ours_is_told_that_ours_is_meant() -> None:
+    class FN(Told):
+        """A metric whose name in tables is `fn`."""
+
+    with pytest.raises(ValueError, match=r"FN is called 'fn', like one that is always computed: that one"):
+        user_metrics.check([FN(0.0)], ["fn"])

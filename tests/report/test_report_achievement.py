@@ -14,12 +14,14 @@ import pytest
 from rich.console import Console
 
 from mast_zenoh.report.achievement import achieved_rows
+from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.driving import driving_over_time, driving_rows
 from mast_zenoh.report.explanations import explanations
-from mast_zenoh.report.html import write_page
+from mast_zenoh.report.html import write_page, write_report
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.table import DASH
 from mast_zenoh.report.terminal import show_loaded
+from mast_zenoh.report.words import reading
 
 ACHIEVED = {"inserted": 4, "inserted_share_centre": 1.0, "inserted_share_ego": 0.5, "inserted_s_centre": 9.25}
 ACHIEVED |= {"inserted_s_ego": None, "hidden": 0, "moved": 2, "moved_error_m_centre": 0.5, "moved_error_m_ego": 0.25}
@@ -254,6 +256,7 @@ def test_objects_that_were_moved_and_not_displaced(attacked: RunFolder) -> None:
     reason = "the tracks of what it {} are 0.40 m off on average, which is no displacement"
     for kind, done in (("moved", "moved"), ("altered", "altered")):
         table = targets(kind, error_m_centre=0.4)
+        nothing |= {f"{kind}_share_centre": 0.0, f"{kind}_error_m_centre": 0.4}
         assert why(attacked, table, **nothing) == f"{kind}: {reason.format(done)}"
         for who in ("centre", "ego"):
             assert why(attacked, table, **nothing, **{f"id_switches_{who}": 2}) == "", "they are an effect, too"
@@ -335,8 +338,40 @@ def test_driving_is_compared_with_another_run(run_folder: Callable[..., Path], a
         ("ego with picture", attacked.label),
     ]
     assert [row.brake for row in rows] == ["0.0%", "0.0% (+0.0)", "30.0%", "25.0% (\u22125.0)"]
-    assert (rows[2].needless, rows[3].needless) == ("12.5% (12.5% by attack)", "25.0% (+12.5) (12.5% by attack)")
+    assert (rows[2].needless, rows[3].needless) == (
+        "12.5% (12.5% by attack)",
+        "25.0% (+12.5) (12.5% by attack; 12.5% more than unattacked, not attributed)",
+    )
     assert (rows[2].ttc_s, rows[3].ttc_s, rows[3].objects) == ("never", "0.4", "2.50 (+0.00)")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "attack", "more"),
+    [(0.0, 0.059, 0.0, "5.9%"), (0.1, 0.159, 0.02, "3.9%"), (0.0, 0.059, 0.059, ""), (0.1, 0.05, 0.0, "")],
+)
+def test_needless_braking_that_the_other_run_lacks_and_no_attack_explains_is_named(
+    run_folder: Callable[..., Path], attacked: RunFolder, before: float, after: float, attack: float, more: str
+) -> None:
+    reference = RunFolder.load(run_folder())
+    share = "needless_brake_share"
+    attacked.metrics["driving"] = {"ego": {"mission": {share: after, f"{share}_attack": attack}}}
+    reference.metrics["driving"] = {"ego": {"mission": {share: before, f"{share}_attack": 0.0}}}
+    row = driving_rows(attacked, reference, "unattacked")[-1]
+    assert (f"{more} more than unattacked, not attributed" in row.needless) == bool(more)
+    often = f"The ego with the picture brakes needlessly in {more} of the scored frames"
+    said = f"{often} more than unattacked, not attributed."
+    sentences = reading(attacked, Reference(reference, "unattacked"))
+    assert (said in sentences) == bool(more)
+    assert any("not attributed" in each for each in sentences) == bool(more)
+
+
+def test_what_overlaps_the_ego_has_a_column_of_its_own(attacked: RunFolder) -> None:
+    mission = DRIVES["mission"] | {"overlapping_objects": 0.75}
+    attacked.metrics["driving"] = {"ego": {"mission": mission}}
+    assert driving_rows(attacked)[0].overlapping == "0.75"
+    metrics = json.loads((attacked.path / "metrics.json").read_text())
+    (attacked.path / "metrics.json").write_text(json.dumps(metrics | {"driving": {"ego": {"mission": mission}}}))
+    assert "overlapping<br>the ego" in write_report(attacked.path).read_text()
 
 
 def drive(needless: list[int]) -> dict[str, np.ndarray]:

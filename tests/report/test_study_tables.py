@@ -13,8 +13,8 @@ from study_samples import BASELINE, estimate, facts, grid, row
 
 from mast_zenoh.report import study_export, study_table
 from mast_zenoh.report.study_comparisons import compare, holm
-from mast_zenoh.report.study_facts import FailedTrial
-from mast_zenoh.report.study_rows import Estimate, Series, StudyRow, number, over_frames, over_trials, shares
+from mast_zenoh.report.study_facts import FailedTrial, IdleAttack
+from mast_zenoh.report.study_rows import PAPER, Estimate, Series, StudyRow, number, over_frames, over_trials, shares
 from mast_zenoh.report.study_words import other_changes, reservations, result
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]
@@ -118,7 +118,7 @@ def test_latex_has_as_many_cells_in_every_row_and_no_character_of_its_own() -> N
     body = [line for line in text.splitlines() if line.endswith(r"\\")][2:]
     assert len(body) == 2 * 6
     assert {line.count("&") for line in body} == {8}
-    assert r"$9.00 \pm 1.25$" in text
+    assert r"$9.00 \pm 1.25^{*}$" in text
     assert not set(text) - set(map(chr, range(128)))
 
 
@@ -233,3 +233,28 @@ def test_seeds_left_out_are_told_for_all_numbers_or_for_those_that_lack_them() -
         "b: 2 of 20 seeds left out for RMSE m (picture): a trial failed or has no such value.",
         "c: no trial has results.",
     ]
+
+
+def test_attacks_that_never_began_are_named_first_and_have_no_other_result() -> None:
+    late = IdleAttack("uncoordinated-1", 4.0, 3.8)
+    said = "The attack of uncoordinated-1 never began: it begins at 4 s, and the trials end after 3.8 s."
+    alone = [BASELINE, ROWS[1]]
+    known = replace(facts(alone), idle=(late,))
+    assert result(alone, known, compare(alone, "baseline")) == said
+    assert other_changes(alone, known, compare(alone, "baseline")) == []
+    both = replace(facts(ROWS), idle=(late,))
+    assert result(ROWS, both, compare(ROWS, "baseline")).startswith(f"{said} The largest change: in uncoordinated-3 ")
+    assert said in study_table.as_markdown(ROWS, both).split("##")[0]
+    part = replace(late, scenes=("short:0",))
+    text = result(alone, replace(known, idle=(part,)), compare(alone, "baseline"))
+    assert text.startswith("The attack of uncoordinated-1 never began in short:0: ")
+    assert "The largest change" in text
+
+
+def test_latex_marks_what_remains_after_holms_procedure() -> None:
+    text = study_export.as_latex(ROWS, facts(ROWS))
+    assert r"9.00 \pm 1.25^{*}" in text
+    assert text.count("^{*}") == sum(
+        compare(ROWS, "baseline").remains(row, column) for row in ROWS[1:] for _, of in PAPER for column in of
+    )
+    assert "% * remains distinguishable from 0 after Holm's procedure" in text

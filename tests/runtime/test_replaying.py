@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import local, measuring
 from mast_zenoh.messagelog.events import REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.report import html, terminal
 from mast_zenoh.runtime.replaying import replay
 from mast_zenoh.tables import read_table
 
@@ -74,6 +77,70 @@ def test_a_folder_without_a_recording_is_refused(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "run", "baseline", frames=20)
     (folder / "messages.mcap").unlink()
     with pytest.raises(RunFolderError, match=r"messages\.mcap: missing"):
+        measuring.measure(folder)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of 60 frames with its recording; copied, never changed."""
+    return recorded(tmp_path_factory.mktemp("whole") / "run", "baseline")
+
+
+def cut(run: Path, to: Path, part: float) -> Path:
+    """A copy of a run whose recording is only the first part of its bytes."""
+    shutil.copytree(run, to)
+    data = (to / "messages.mcap").read_bytes()
+    (to / "messages.mcap").write_bytes(data[: int(part * len(data))])
+    return to
+
+
+@pytest.mark.parametrize("part", [0.6, 0.98, 0.001], ids=["60 %", "the last chunk", "all but its head"])
+def test_metrics_are_kept_where_the_recording_ends_before_the_run_did(tmp_path: Path, whole: Path, part: float) -> None:
+    folder = cut(whole, tmp_path / "run", part)
+    once = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in (".json", ".parquet")}
+    ends = r"ends (at frame \d+ of 60|before its first frame), .*metrics\.json is kept.*restore the recording"
+    with pytest.raises(RunFolderError, match=ends):
+        measuring.measure(folder)
+    assert {name: (folder / name).read_bytes() for name in once} == once
+
+
+def test_a_recording_with_an_end_but_without_the_last_frames_does_not_replace_metrics(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "run", "baseline", frames=20)
+    run = json.loads((folder / "run.json").read_text())
+    for node in run["nodes"].values():
+        node["last_frame"] = 29
+    (folder / "run.json").write_text(json.dumps(run))
+    with pytest.raises(RunFolderError, match="ends at frame 19 of 30"):
+        measuring.measure(folder)
+
+
+def test_a_run_without_metrics_is_measured_as_far_as_its_recording_goes_and_says_so(
+    tmp_path: Path, whole: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = cut(whole, tmp_path / "run", 0.6)
+    (folder / "metrics.json").unlink()
+    for file in folder.glob("*.parquet"):
+        file.unlink()
+    run = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps(run | {"status": "running", "nodes": {}}))
+    measuring.measure(folder)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    frames = metrics["frames"]
+    assert 0 < frames < 60
+    assert metrics["recording"] == {"frames": frames, "played_frames": 60}
+    said = f"ends at frame {frames - 1} of 60, so the numbers are of these frames alone"
+    assert said in terminal.failure(folder)
+    terminal.show_run(Console(width=300), folder)
+    assert said in capsys.readouterr().out
+    assert said in html.write_report(folder).read_text()
+    measuring.measure(folder)  # again: these metrics are of no more frames
+    assert json.loads((folder / "metrics.json").read_text()) == metrics
+
+
+def test_a_recording_that_is_gone_is_told_from_one_that_never_was(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "run", "baseline", frames=4)
+    (folder / "messages.mcap").unlink()
+    with pytest.raises(RunFolderError, match=r"messages\.mcap: missing; the run was recorded.* counts \d+ messages"):
         measuring.measure(folder)
 
 

@@ -128,6 +128,51 @@ def summary(outcomes, seeds: int, scenes: int = 2):
     return {row.label: row for row in samples.rows()}
 
 
+def test_intervals_are_cut_to_what_a_quantity_can_be_but_differences_are_not() -> None:
+    """Six seeds, of which one differs: Student's t reaches beyond 0, or 1."""
+    rare = [0.0, 0.0, 0.0, 0.0, 0.0, 0.6]
+    done = []
+    for seed, value in enumerate(rare):
+        achieved = {"all": {"moved_share_centre": 1.0 - value, "inserted_s_ego": value, "hidden": value}}
+        own = {"mission": {"completeness": 1.0 - value, "my_metric": value, "fp_split": {"attack": value}}}
+        driving = {"ego": {"mission": {"brake_share": 1.0 - value, "corridor_false": value}}}
+        own["mission"]["causes"] = {"fp": {"inserted": int(10 * value)}, "fn": {}}
+        done.append(outcome("baseline", 0, seed, fp=1.0))
+        done.append(outcome("attacked", 0, seed, fp=value, agents=own, achieved=achieved, driving=driving))
+    row = summary(done, seeds=6, scenes=1)["attacked"]
+    for metric, estimator, who in (
+        *((name, "achieved", "all") for name in ("moved_share_centre", "inserted_s_ego", "hidden")),
+        *((name, "mission", "ego") for name in ("completeness", "fp_split.attack", "fp inserted")),
+        *((f"driving.{name}", "mission", "ego") for name in ("brake_share", "corridor_false")),
+        ("fp", "picture", "ego"),
+    ):
+        each = row.get(metric, estimator, who)
+        share = each.trial_mean > 0.5
+        assert (each.high if share else each.low) == (1.0 if share else 0.0), metric
+        assert each.low < each.trial_mean < each.high
+    assert row.get("my_metric", "mission").low < 0.0, "nobody knows what a user's metric can be"
+    assert row.get("fp_iob").low < -1.0 < row.get("fp_iob").high
+    assert row.get("fp_ioe").low < 0.0
+
+
+def test_the_time_to_collision_of_a_study_counts_trials_without_one_too() -> None:
+    """The attack makes five more of six trials critical, yet the mean of the least times there are would rise."""
+    done = []
+    for seed in range(6):
+        for label, least in (("baseline", 0.5 if seed == 0 else None), ("attacked", (0.4, 1.4)[seed > 0])):
+            done.append(outcome(label, 0, seed, driving={"ego": {"mission": {"min_ttc_s": least}}}))
+    done[-1] = outcome("attacked", 0, 5, driving={"ego": {"mission": {"min_ttc_s": 1.5}}})
+    rows = summary(done, seeds=6, scenes=1)
+    before, after = (rows[label].get("driving.critical", "mission") for label in ("baseline", "attacked"))
+    assert (before.trial_mean, after.trial_mean) == (pytest.approx(1 / 6), pytest.approx(5 / 6))
+    assert before.rate
+    assert 0.0 <= before.low < before.high < 1.0
+    assert after.seeds == 6, "no seed is left out"
+    assert rows["attacked"].get("driving.critical_iob", "mission").trial_mean == pytest.approx(4 / 6)
+    assert not any("min_ttc_s" in series.metric for row in rows.values() for series in row.estimates)
+    assert any(each.metric == "driving.min_ttc_s" for each in numbers(done[0].metrics)), "results.parquet has it"
+
+
 def test_seeds_that_lack_a_trial_are_left_out_and_counted() -> None:
     rng = np.random.default_rng(0)
     extra = rng.normal(3.0, 1.0, (2, 8))

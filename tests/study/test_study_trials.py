@@ -67,6 +67,24 @@ def stopping(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     monkeypatch.setattr(trial, "run", stopped)
 
 
+def test_an_attack_that_would_begin_after_the_last_frame_is_named_and_has_no_success_rate(tmp_path: Path) -> None:
+    late = definition.load(str(write_small(tmp_path)), ["start_s=0.8"])
+    ended = trials.run(late, tmp_path / "out", count=1)
+    assert [(each.configuration, each.begins_s, each.ends_s) for each in ended.facts.idle] == [
+        ("attacked-1-5.0", 0.8, 0.8),
+        ("attacked-1-20.0", 0.8, 0.8),
+    ]
+    text = (tmp_path / "out" / "table.md").read_text()
+    assert "The attack of attacked-1-5.0 never began: it begins at 0.8 s, and the trials end after 0.8 s." in text
+    assert "What the attack achieved" not in text
+    assert not any(series.estimator == "achieved" for row in ended.rows for series in row.estimates)
+    assert "never began" in ended.report.read_text()
+
+
+def test_an_attack_that_begins_before_the_end_is_not_idle(whole: trials.Ended) -> None:
+    assert whole.facts.idle == ()
+
+
 def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row(whole: trials.Ended) -> None:
     table = parquet.read_table(whole.out / "results.parquet").to_pydict()
     cells = set(zip(table["configuration"], table["seed"], strict=True))
