@@ -35,6 +35,11 @@ _WHERE = {"mission": "the ego with the picture has", "picture": "the picture has
 _Change = tuple[StudyRow, Column]
 
 
+def titled(rows: Sequence[StudyRow], facts: StudyFacts) -> tuple[list[StudyRow], StudyFacts]:
+    """The same with configurations named so that a reader knows which number is which parameter's."""
+    return [replace(row, label=row.title) for row in rows], facts.titled({row.label: row.title for row in rows})
+
+
 def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
     """The largest change in one sentence, or that there is none: of false or missed objects, else of less relevance.
 
