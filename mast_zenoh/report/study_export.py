@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from mast_zenoh.report.study_comparisons import compare
 from mast_zenoh.report.study_facts import StudyFacts
 from mast_zenoh.report.study_rows import PAPER, StudyRow, columns_of, over_frames, over_trials
+from mast_zenoh.report.study_words import titled
 from mast_zenoh.report.table import DASH
 
 #: The numbers of an estimate in table.csv: heading and field.
@@ -51,6 +52,7 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
 
 def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     """A tabular that needs no package: for each configuration what the attack adds, and its intervals below."""
+    rows, facts = titled(rows, facts)
     columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
     groups = " & ".join(rf"\multicolumn{{{len(of)}}}{{c}}{{{name}}}" for name, of in PAPER)
     size = facts.size.replace("\u00d7", "x")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,9 @@ class IdleAttack:
     begins_s: float
     ends_s: float
     scenes: tuple[str, ...] = ()
+
+
+_Named = TypeVar("_Named", FailedTrial, IdleAttack)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +62,18 @@ class StudyFacts:
     other_scenes: tuple[str, ...] = ()
     idle: tuple[IdleAttack, ...] = ()
 
+    def titled(self, titles: Mapping[str, str]) -> StudyFacts:
+        """The same with other names for configurations, by label."""
+        return replace(
+            self,
+            baseline=titles.get(self.baseline, self.baseline),
+            configurations={titles.get(label, label): each for label, each in self.configurations.items()},
+            done={titles.get(label, label): count for label, count in self.done.items()},
+            failed=tuple(_renamed(each, titles) for each in self.failed),
+            other_scenes=tuple(titles.get(label, label) for label in self.other_scenes),
+            idle=tuple(_renamed(each, titles) for each in self.idle),
+        )
+
     @property
     def planned(self) -> int:
         """Trials of each configuration."""
@@ -86,6 +102,10 @@ class StudyFacts:
     def size(self) -> str:
         """`20 seeds × 3 scenes`."""
         return f"{plural(len(self.seeds), 'seed')} \u00d7 {plural(len(self.scenes), 'scene')}"
+
+
+def _renamed(each: _Named, titles: Mapping[str, str]) -> _Named:
+    return replace(each, configuration=titles.get(each.configuration, each.configuration))
 
 
 def plural(count: int, noun: str) -> str:

@@ -11,7 +11,7 @@ from mast_zenoh.report.study_comparisons import compare
 from mast_zenoh.report.study_facts import StudyFacts, plural
 from mast_zenoh.report.study_rows import StudyRow
 from mast_zenoh.report.study_sections import sections, side_by_side
-from mast_zenoh.report.study_words import comparisons_made, other_changes, reservations, result
+from mast_zenoh.report.study_words import comparisons_made, other_changes, reservations, result, titled
 
 #: So many failed trials are listed openly, the rest behind a click.
 _SHOWN_AT_ONCE = 10
@@ -22,6 +22,7 @@ def write_page(folder: Path, rows: Sequence[StudyRow], facts: StudyFacts, figure
 
     figures: of `figures_over_trials`, by name
     """
+    rows, facts = titled(rows, facts)
     comparisons = compare(rows, facts.baseline)
     tables = sections(rows, facts.baseline, comparisons)
     scores = side_by_side(rows)

@@ -76,6 +76,15 @@ class StudyRow:
     estimates: Mapping[Series, Estimate]
     ego: str = "ego"
 
+    @property
+    def title(self) -> str:
+        """The label with the name of each parameter: `attacked false_positives=2.0`; without a grid the label."""
+        return (
+            " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
+            if self.point
+            else self.label
+        )
+
     def get(self, metric: str, estimator: str = "picture", who: str | None = None) -> Estimate:
         """The estimate of a series, by default of the ego; all NaN if there is none."""
         return self.estimates.get(Series(who or self.ego, estimator, metric), Estimate())

@@ -14,7 +14,7 @@ from mast_zenoh.report.study_comparisons import Comparisons, compare
 from mast_zenoh.report.study_facts import StudyFacts
 from mast_zenoh.report.study_rows import StudyRow
 from mast_zenoh.report.study_sections import Cell, Section, sections
-from mast_zenoh.report.study_words import comparisons_made, other_changes, reservations, result
+from mast_zenoh.report.study_words import comparisons_made, other_changes, reservations, result, titled
 
 _WIDTH = 80
 
@@ -25,11 +25,19 @@ def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
     parts: list[Text | Table] = [Text("")]
     if facts.failures:
         parts.append(_wrapped(f"{facts.failures}.", "bold red"))
-    parts += [_wrapped(sentence) for sentence in _sentences(rows, facts, comparisons)]
+    named, named_facts = titled(rows, facts)
+    sentences = _sentences(named, named_facts, compare(named, named_facts.baseline))
+    parts += [_wrapped(sentence) for sentence in (*sentences, *_labels(rows))]
     for section in sections(rows, facts.baseline, comparisons):
         if section.terminal:
             parts += _rich(section)
     return Group(*parts, Text(""), _wrapped(comparisons_made(comparisons)))
+
+
+def _labels(rows: Sequence[StudyRow]) -> list[str]:
+    """What the numbers in the labels of the terminal's tables are; a terminal has no room for their names in each."""
+    names = dict.fromkeys((row.run, *row.point) for row in rows if row.point)
+    return [f"Labels in tables: {'-'.join(parts)}." for parts in names]
 
 
 def _sentences(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
@@ -78,6 +86,7 @@ def _width(cell: Cell, section: Section) -> int:
 
 def as_markdown(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     """All tables as Markdown, failed trials first; ends with a newline."""
+    rows, facts = titled(rows, facts)
     comparisons = compare(rows, facts.baseline)
     page = [f"# {facts.name}", ""]
     if facts.failed:

@@ -37,6 +37,11 @@ _IN = {"mission": "what the ego acts on", "picture": "the picture", "local": "wh
 _Change = tuple[StudyRow, Column]
 
 
+def titled(rows: Sequence[StudyRow], facts: StudyFacts) -> tuple[list[StudyRow], StudyFacts]:
+    """The same with configurations named so that a reader knows which number is which parameter's."""
+    return [replace(row, label=row.title) for row in rows], facts.titled({row.label: row.title for row in rows})
+
+
 def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
     """The largest change in one sentence, or that there is none: of false or missed objects, else of less relevance.
 

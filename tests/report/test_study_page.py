@@ -60,8 +60,8 @@ def test_page_needs_no_other_file(page) -> None:
 def test_page_tells_the_result_what_was_run_and_how_many_comparisons_there_are(page) -> None:
     text = "".join(page().text.split())
     for part in (
-        "The largest change of false or missed objects in what the ego acts on: in uncoordinated-2-1.0 the ego with "
-        "the picture has 6.00 more false objects a frame",
+        "The largest change of false or missed objects in what the ego acts on: in uncoordinated n=2 "
+        "false_positives=1.0 the ego with the picture has 6.00 more false objects a frame",
         "7 configurations 20 seeds \u00d7 3 scenes seeds 0 to 19 420 trials 150 frames each runtime inproc",
         "30 comparisons with the baseline",
         "(Bonferroni)",
@@ -79,7 +79,7 @@ def test_page_tells_the_result_what_was_run_and_how_many_comparisons_there_are(p
 def test_failed_trials_come_first_in_red_with_seed_error_and_command(page) -> None:
     made = page(FAILED)
     assert made.source.index('role="alert"') < made.source.index("<figure")
-    assert "12 of 420 trials failed: uncoordinated-1-5.0 12 of 60." in made.text
+    assert "12 of 420 trials failed: uncoordinated n=1 false_positives=5.0 12 of 60." in made.text
     for trial in FAILED:
         assert trial.command in made.text
         assert f"seed {trial.seed}: " in made.text

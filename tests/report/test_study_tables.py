@@ -88,13 +88,13 @@ def test_means_over_trials_that_differ_from_those_over_frames_are_shown() -> Non
 
 def test_markdown_has_failed_trials_first_and_as_many_cells_in_every_line_of_a_table() -> None:
     lines = study_table.as_markdown(ROWS, facts(ROWS, [FAILED])).splitlines()
-    assert lines[2] == "## 1 of 420 trials failed: coordinated-3 1 of 60"
+    assert lines[2] == "## 1 of 420 trials failed: coordinated n=3 1 of 60"
     assert "RunError: on \\| purpose" in lines[6]
     assert "`mast run coordinated --seed 7`" in lines[6]
     for line, after in pairwise(lines):
         if after.startswith("|---"):
             assert line.count("|") == after.count("|")
-    assert sum(line.startswith("| uncoordinated-2 |") for line in lines) == 6
+    assert sum(line.startswith("| uncoordinated n=2 |") for line in lines) == 6
     assert any(line.startswith("| mission my_metric |") and "7.50 [7.00, 8.00]" in line for line in lines)
 
 
@@ -244,7 +244,7 @@ def test_attacks_that_never_began_are_named_first_and_have_no_other_result() -> 
     assert other_changes(alone, known, compare(alone, "baseline")) == []
     both = replace(facts(ROWS), idle=(late,))
     assert result(ROWS, both, compare(ROWS, "baseline")).startswith(f"{said} The largest change: in uncoordinated-3 ")
-    assert said in study_table.as_markdown(ROWS, both).split("##")[0]
+    assert said.replace("-1", " n=1") in study_table.as_markdown(ROWS, both).split("##")[0]
     part = replace(late, scenes=("short:0",))
     text = result(alone, replace(known, idle=(part,)), compare(alone, "baseline"))
     assert text.startswith("The attack of uncoordinated-1 never began in short:0: ")
@@ -258,3 +258,17 @@ def test_latex_marks_what_remains_after_holms_procedure() -> None:
         compare(ROWS, "baseline").remains(row, column) for row in ROWS[1:] for _, of in PAPER for column in of
     )
     assert "% * remains distinguishable from 0 after Holm's procedure" in text
+
+
+def test_tables_and_sentences_say_which_number_is_which_parameter() -> None:
+    rows = [BASELINE, *grid("attacked", false_positives=(2.0, 8.0), share=(0.0, 0.5))]
+    name, known = "attacked false_positives=8.0 share=0.0", facts(rows)
+    markdown, latex = study_table.as_markdown(rows, known), study_export.as_latex(rows, known)
+    assert f"| {name} |" in markdown
+    assert f"The largest change: in {name} the ego with the picture has" in markdown
+    assert name.replace("_", r"\_") in latex
+    assert "attacked-8.0-0.0" not in markdown + latex
+    terminal = " ".join(shown(rows).split())
+    assert f"in {name} the ego with the picture" in terminal
+    assert "Labels in tables: attacked-false_positives-share." in terminal
+    assert "baseline" in markdown

@@ -75,7 +75,8 @@ def test_an_attack_that_would_begin_after_the_last_frame_is_named_and_has_no_suc
         ("attacked-1-20.0", 0.8, 0.8),
     ]
     text = (tmp_path / "out" / "table.md").read_text()
-    assert "The attack of attacked-1-5.0 never began: it begins at 0.8 s, and the trials end after 0.8 s." in text
+    never = "The attack of attacked n_adversaries=1 false_positives=5.0 never began"
+    assert f"{never}: it begins at 0.8 s, and the trials end after 0.8 s." in text
     assert "What the attack achieved" not in text
     assert not any(series.estimator == "achieved" for row in ended.rows for series in row.estimates)
     assert "never began" in ended.report.read_text()
@@ -244,8 +245,8 @@ def test_configurations_that_play_another_scene_than_the_baseline_are_pointed_ou
     )
     ended = trials.run(definition.load(str(tmp_path / "mine.py")), tmp_path / "out", count=1)
     assert ended.facts.other_scenes == ("more-2",)
-    assert "more-2: not the baseline's scene" in (ended.out / "table.md").read_text()
-    assert "more-2: not the baseline" in ended.report.read_text()
+    assert "more n_infrastructure=2: not the baseline's scene" in (ended.out / "table.md").read_text()
+    assert "more n_infrastructure=2: not the baseline" in ended.report.read_text()
 
 
 def test_everything_is_refused_before_the_first_trial(tmp_path: Path, ran) -> None:
