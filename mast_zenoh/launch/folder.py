@@ -29,6 +29,7 @@ from mast_zenoh.runtime.results import EVALUATOR, TABLES, counts_of
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+_MOST_WORDS = 300  # characters of what a node says of a problem
 MAX_TABLES = 100  #: that one node may write
 _EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
 
@@ -199,10 +200,18 @@ def note_recording(
         record["recording"] = churn.recording(record.get("churn", ()), recorder)
     for node, outcome in handed_in.items():
         if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
-            record["recorded"] = recorded
+            record["recorded"] = recorded | _trouble(outcome["recorded"])
             if lost := recorded.get("lost", 0):
                 said = [record["message"]] if record["message"] else []
                 record["message"] = "; ".join([*said, f"{lost} messages could not be recorded"])
+
+
+def _trouble(recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Why a recorder could not go on, if it could not, and whether that was for want of room."""
+    problem = recorded.get("problem")
+    if not isinstance(problem, str) or not problem:
+        return {}
+    return {"problem": problem[:_MOST_WORDS], "disk_full": recorded.get("disk_full") is True}
 
 
 def rates(frames: int, wall_s: float) -> dict[str, Any]:

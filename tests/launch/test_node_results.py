@@ -154,10 +154,10 @@ def test_only_a_recorder_says_what_was_recorded_and_only_in_numbers(recorded: An
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("ego", "agent"))}
     record: dict[str, Any] = {"message": ""}
     run_folder.note_recording(record, {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}, specs)
-    assert record == {"message": ""}
+    assert record == {"message": "", "recording": {"complete": True}}
     run_folder.note_recording(record, {"rec": {"recorded": recorded}}, specs)
     sound = recorded == {"messages": 7, "lost": 0}
-    assert record == {"message": ""} | ({"recorded": recorded} if sound else {})
+    assert record == {"message": "", "recording": {"complete": True}} | ({"recorded": recorded} if sound else {})
 
 
 def test_lost_messages_are_told_of(tmp_path: Path) -> None:
