@@ -186,7 +186,8 @@ def scored(run: RunFolder, frames: np.ndarray) -> np.ndarray:
 def _displacement(run: RunFolder, estimate: str) -> tuple[float | None, float]:
     """How much of an RMSE is due to objects that adversaries moved or altered, m, and its weight; None: none is known.
 
-    Objects that nobody moved have an error too: the moved ones count with what they have more.
+    A track beyond the gate is a false one, and no part of the RMSE. Objects that nobody moved have an error too: the
+    moved ones count with what they have more.
     """
     who = "ego" if estimate == "mission" else "centre"
     summary = run.summary(estimate)
@@ -194,7 +195,7 @@ def _displacement(run: RunFolder, estimate: str) -> tuple[float | None, float]:
     if run.targets is None or rmse is None or not matched or not frames or estimate in ("local", "received"):
         return None, 0.0
     table, error = run.targets, np.asarray(run.targets[f"error_m_{who}"], np.float64)
-    mine = np.isin(table["kind"], ("moved", "altered")) & np.isfinite(error) & scored(run, table["frame"])
+    mine = np.isin(table["kind"], ("moved", "altered")) & (error <= run.gate_m) & scored(run, table["frame"])
     _, first = np.unique(np.column_stack([table["object"][mine], table["frame"][mine]]), axis=0, return_index=True)
     squared = error[mine][first] ** 2
     pairs = matched * frames

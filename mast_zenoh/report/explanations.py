@@ -131,10 +131,10 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
     reasons = []
     if not achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
         if not _judged(targets).any():
-            return [f"what it inserted was out of range of every agent ({_range_m(run):g} m)"]
+            return [f"what it inserted was out of range of every agent ({run.range_m:g} m)"]
         beside = _on_real_objects(run, targets)
         if beside is not None and beside.mean() >= 0.5:
-            near = f"within {_gate_m(run):g} m of a real object"
+            near = f"within {run.gate_m:g} m of a real object"
             return [f"{beside.mean():.0%} of what it inserted was {near}, and was taken for it"]
         if _only_downlink(run, targets):
             return ["the ego's fusion rejected everything that it inserted: no track followed it"]
@@ -216,20 +216,6 @@ def _only_downlink(run: RunFolder, targets: Table) -> bool:
     return bool(np.all(run.attacks["message"][mine] == "picture"))
 
 
-def _scorer(run: RunFolder) -> dict[str, Any]:
-    """The scorer's settings; {}: its defaults, or not known."""
-    return (run.evaluator_config or {}).get("scorer") or {}
-
-
-def _range_m(run: RunFolder) -> float:
-    return float(_scorer(run).get("range_m", 100.0))
-
-
-def _gate_m(run: RunFolder) -> float:
-    """m, the gate of the metrics: what is inserted nearer to a real object than this is taken for it."""
-    return float((_scorer(run).get("assigner") or {}).get("gate_m", 2.0))
-
-
 def _judged(targets: Table) -> Bools:
     """(n,) which targets can be judged in any estimate, because they are in range and evaluated."""
     return np.asarray(targets["judged_centre"].astype(bool) | targets["judged_ego"].astype(bool))
@@ -290,7 +276,7 @@ def _on_real_objects(run: RunFolder, targets: Table) -> Bools | None:
             _column(targets, "x")[here, None] - _column(truth, "x")[there],
             _column(targets, "y")[here, None] - _column(truth, "y")[there],
         )
-        result[here] = (apart <= _gate_m(run)).any(axis=1)
+        result[here] = (apart <= run.gate_m).any(axis=1)
     return result
 
 

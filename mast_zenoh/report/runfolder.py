@@ -165,6 +165,21 @@ class RunFolder:
         return any(sentence.startswith("metrics.json cannot be read") for sentence in self.missing)
 
     @property
+    def range_m(self) -> float:
+        """m, the range of the metrics."""
+        return float(self._scorer.get("range_m", 100.0))
+
+    @property
+    def gate_m(self) -> float:
+        """m, the gate of the metrics: a track nearer to a real object than this is taken for it."""
+        return float((self._scorer.get("assigner") or {}).get("gate_m", 2.0))
+
+    @property
+    def _scorer(self) -> dict[str, Any]:
+        """The scorer's settings; {}: its defaults, or not known."""
+        return (self.evaluator_config or {}).get("scorer") or {}
+
+    @property
     def lost(self) -> list[dict[str, Any]]:
         """Nodes lost in lock-step though nothing in the scenario said so, and those of them that came back."""
         return list(self.run.get("churn") or ()) if self.run.get("mode") == "lockstep" else []

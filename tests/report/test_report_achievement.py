@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from mast_zenoh.report import changes
 from mast_zenoh.report.achievement import achieved_rows
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.driving import driving_over_time, driving_rows
@@ -58,6 +59,15 @@ def why(run: RunFolder, table: dict[str, np.ndarray] | None, blamed_for: str = "
             summary[f"{key}_split"] = {"fault": 0.0, "attack": 2.0 if key == blamed_for else 0.0, "natural": 0.0}
     object.__setattr__(run, "targets", table)
     return "; ".join(explanations(run).get("adversary_1", ()))
+
+
+@pytest.mark.parametrize(("error_m", "counts"), [(1.5, True), (15.0, False)])
+def test_a_double_beyond_the_gate_is_a_false_object_and_no_part_of_the_rmse(
+    attacked: RunFolder, error_m: float, counts: bool
+) -> None:
+    object.__setattr__(attacked, "targets", targets("moved", error_m_centre=error_m))
+    displaced = [each for each in changes.attributed(attacked) if each.kind == changes.DISPLACED]
+    assert any(each.estimate == "picture" and each.weight > 0.0 for each in displaced) == counts
 
 
 def test_the_table_has_a_row_per_adversary_and_one_of_all(attacked: RunFolder) -> None:
