@@ -243,7 +243,9 @@ def test_attacks_that_never_began_are_named_first_and_have_no_other_result() -> 
     assert result(alone, known, compare(alone, "baseline")) == said
     assert other_changes(alone, known, compare(alone, "baseline")) == []
     both = replace(facts(ROWS), idle=(late,))
-    assert result(ROWS, both, compare(ROWS, "baseline")).startswith(f"{said} The largest change: in uncoordinated-3 ")
+    assert result(ROWS, both, compare(ROWS, "baseline")).startswith(
+        f"{said} The largest change of false or missed objects in what the ego acts on: in uncoordinated-3 "
+    )
     assert said.replace("-1", " n=1") in study_table.as_markdown(ROWS, both).split("##")[0]
     part = replace(late, scenes=("short:0",))
     text = result(alone, replace(known, idle=(part,)), compare(alone, "baseline"))
@@ -265,7 +267,10 @@ def test_tables_and_sentences_say_which_number_is_which_parameter() -> None:
     name, known = "attacked false_positives=8.0 share=0.0", facts(rows)
     markdown, latex = study_table.as_markdown(rows, known), study_export.as_latex(rows, known)
     assert f"| {name} |" in markdown
-    assert f"The largest change: in {name} the ego with the picture has" in markdown
+    assert (
+        f"The largest change of false or missed objects in what the ego acts on: in {name} the ego with the picture has"
+        in markdown
+    )
     assert name.replace("_", r"\_") in latex
     assert "attacked-8.0-0.0" not in markdown + latex
     terminal = " ".join(shown(rows).split())
