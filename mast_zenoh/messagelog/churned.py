@@ -15,7 +15,8 @@ def comparable(*paths: Path) -> tuple[int | None, str]:
     paths: of run folders, or of recordings, of which nothing more is known. Raises RunFolderError for a run.json that
     cannot be read.
     """
-    found = [(event["frame"], event["node"], path) for path in paths for event in _lost(path)]
+    # It may have been lost while the frame before was still going on.
+    found = [(max(0, event["frame"] - 1), event["node"], path) for path in paths for event in _lost(path)]
     if not found:
         return None, ""
     frame, node, path = min(found)

@@ -28,5 +28,5 @@ def error(churn: Churn) -> NodeLost:
 
 def recording(churn: Churn, recorder: str) -> dict[str, Any]:
     """What run.json says of the recording: whether it has everything, and if not, from which frame on it has not."""
-    missed = [each["frame"] for each in churn if each["node"] == recorder]
+    missed = [max(0, each["frame"] - 1) for each in churn if each["node"] == recorder]
     return {"complete": not missed, "from_frame": min(missed)} if missed else {"complete": True}

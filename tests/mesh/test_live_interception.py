@@ -239,5 +239,5 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(going, tmp_path: Pat
 def test_a_run_whose_launcher_was_killed_is_not_waited_for(going) -> None:
     run, _ = going("--mode", "realtime", "--rate", "2")
     run.kill()
-    with pytest.raises(NotRunning, match="nobody answers"):
+    with pytest.raises(NotRunning, match="the run is over: killed"):
         asking.intercept(run.out, TRACKS, RELAY)

@@ -63,7 +63,7 @@ def test_a_node_that_is_lost_in_lock_step_fails_the_run_by_name(launch, undistur
     assert json.loads((run.out / "metrics.json").read_text())["frames"] == 60, "what was found is kept"
     done = subprocess.run([*MAST, "diff", str(run.out), str(undisturbed)], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert f"not comparable from frame {lost['frame']} on: infra_2 was lost" in done.stdout + done.stderr
+    assert f"not comparable from frame {lost['frame'] - 1} on: infra_2 was lost" in done.stdout + done.stderr
     subprocess.run([*MAST, "report", str(run.out)], check=True, capture_output=True)
     assert "infra_2 was lost" in (run.out / "report.html").read_text()
 
@@ -84,5 +84,5 @@ def test_a_recording_without_its_recorder_is_called_incomplete(launch) -> None:
     code, output = run.end()
     assert code == 22, output
     (lost,) = run.record()["churn"]
-    assert run.record()["recording"] == {"complete": False, "from_frame": lost["frame"]}
-    assert f"the recording is incomplete from frame {lost['frame']} on" in output.replace("\n", " ")
+    assert run.record()["recording"] == {"complete": False, "from_frame": lost["frame"] - 1}
+    assert f"the recording is incomplete from frame {lost['frame'] - 1} on" in output.replace("\n", " ")
