@@ -34,8 +34,9 @@ import zenoh
 from mast_zenoh import bundle, codec, endpoints, keyexpr, links, loading, registry
 from mast_zenoh.links import Chain, Passage, Rule
 from mast_zenoh.messages import Header
-from mast_zenoh.runtime.mesh import ATTACHMENT, MARK, MeshNode, prefix
+from mast_zenoh.runtime.mesh import MeshNode, prefix
 from mast_zenoh.runtime.session import open_client, open_router
+from mast_zenoh.runtime.stamp import ATTACHMENT, MARK
 from mast_zenoh.states import ObjectStates
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring import Wiring

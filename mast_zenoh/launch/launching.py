@@ -38,9 +38,10 @@ from mast_zenoh.launch.steps import Steps
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import failures
-from mast_zenoh.runtime.mesh import ATTACHMENT, MARK, prefix
+from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.results import EVALUATOR
 from mast_zenoh.runtime.session import open_client, open_router
+from mast_zenoh.runtime.stamp import stamp_of
 from mast_zenoh.runtime.timetable import Timetable
 from mast_zenoh.security import levels
 from mast_zenoh.security.deployment import Deployment
@@ -165,14 +166,12 @@ class Launch:
         base = prefix(self.record["id"])
 
         def on_clock(sample: zenoh.Sample) -> None:
-            attachment = sample.attachment
-            if attachment and len(attachment) == ATTACHMENT.size:
-                mark, _, frame = ATTACHMENT.unpack(attachment.to_bytes())
-                if mark != MARK or not 0 <= frame < max(1, self.resolved.frames):
-                    return
-                self.frame = frame
-                if self.hosts is not None:
-                    self.hosts.begin()
+            _, frame = stamp_of(sample.attachment.to_bytes() if sample.attachment else None)
+            if not 0 <= frame < max(1, self.resolved.frames):
+                return
+            self.frame = frame
+            if self.hosts is not None:
+                self.hosts.begin()
 
         def on_ask(sample: zenoh.Sample) -> None:
             try:

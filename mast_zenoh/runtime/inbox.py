@@ -13,7 +13,7 @@ Event = tuple[Any, ...]
 
 
 class Inbox:
-    """A queue of events, ("sample", key, payload, attachment) being those of wires, which are limited by source.
+    """A queue of events, ("sample", key, payload, epoch, step) being those of wires, which are limited by source.
 
     Zenoh's threads put, the main thread gets. For samples that were dropped there is an event ("dropped",), which
     `take_dropped` belongs to.

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import os
 import queue
-import struct
 import threading
 import time
 from collections import Counter
@@ -46,13 +45,9 @@ from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.inbox import Inbox
 from mast_zenoh.runtime.limits import EARLY, INBOX, Room
 from mast_zenoh.runtime.rewiring import Outlet, Rewiring, counted
+from mast_zenoh.runtime.stamp import ATTACHMENT, MARK, stamp_of
 from mast_zenoh.timespan import Timespan
 from mast_zenoh.wiring import Leg, Wire, Wiring
-
-#: What a message carries beside its payload: a mark of this testbed's nodes, the epoch, and the step that it was sent
-#: in. An interposer's messages carry the same as the publisher's would, so there is nothing to tell them by.
-ATTACHMENT = struct.Struct("<4sIq")
-MARK = b"MAST"
 
 _MATCH_TIMEOUT_S = 10.0
 NOTED_FRAMES = 4096  #: of which a node knows when their messages came, by key
@@ -266,8 +261,8 @@ class MeshNode:
         attachment = ATTACHMENT.pack(MARK, self.epoch, message.step)
         self.outlets[message.key].put(message.payload, attachment)
 
-    def _sample(self, key: str, payload: bytes, attachment: bytes | None) -> None:
-        epoch, step = _stamp(attachment)
+    def _sample(self, key: str, payload: bytes, epoch: int, step: int) -> None:
+        """A message of a wire; epoch, step: as `stamp_of` tells them."""
         if epoch < 0:
             self.foreign[key] += 1
             if self._started:
@@ -331,8 +326,8 @@ class MeshNode:
             if told.speak and told.wiring != self.host.wiring:
                 self.host.rewired(told.wiring)
         early, self._early, self._early_room = self._early, [], Room(EARLY)
-        for key, payload, its_epoch, step in early:
-            self._sample(key, payload, ATTACHMENT.pack(MARK, its_epoch, step))
+        for message in early:
+            self._sample(*message)
         if told is not None:
             self.report()  # the change goes on when all have: do not linger
 
@@ -385,21 +380,22 @@ class MeshNode:
 
         def on_sample(sample: zenoh.Sample) -> None:
             attachment = sample.attachment
-            came = (key, sample.payload.to_bytes(), attachment.to_bytes() if attachment else None)
+            epoch, step = stamp_of(attachment.to_bytes() if attachment else None)
+            came = key, sample.payload.to_bytes(), epoch, step
             if self._prompt and self._handled_at_once(*came):
                 return
-            ahead = _stamp(came[2])[0] - self.epoch
-            if put(self.host.publisher(key), ("sample", *came), self.epoch + ahead if ahead in (0, 1) else -1):
+            counts = epoch if epoch - self.epoch in (0, 1) else -1
+            if put(self.host.publisher(key), ("sample", *came), counts):
                 self._queued += 1
 
         return on_sample
 
-    def _handled_at_once(self, key: str, payload: bytes, attachment: bytes | None) -> bool:
+    def _handled_at_once(self, key: str, payload: bytes, epoch: int, step: int) -> bool:
         """Handle a sample in the thread that brings it, unless another waits before it or the node is busy."""
         if self._queued != self._taken or not self._started or not self._inside.acquire(blocking=False):
             return False
         try:
-            self._sample(key, payload, attachment)
+            self._sample(key, payload, epoch, step)
             due_s = self.host.release()
         finally:
             self._inside.release()
@@ -437,11 +433,3 @@ class MeshNode:
         """Whether it is a leg that this node speaks on and another that is up listens to."""
         hearers = {end.node for end in (*wire.hearers(leg), *self.wiring.overhearers)}
         return leg.publisher.node == self.name and bool(hearers - self.without)
-
-
-def _stamp(attachment: bytes | None) -> tuple[int, int]:
-    """Epoch and step of an attachment; (-1, -1) for one that is none of this testbed's nodes."""
-    if attachment is None or len(attachment) != ATTACHMENT.size:
-        return -1, -1
-    mark, epoch, step = ATTACHMENT.unpack(attachment)
-    return (epoch, step) if mark == MARK else (-1, -1)

@@ -12,7 +12,7 @@ from launched import Launched, Observer, eventually
 
 from mast_zenoh import codec
 from mast_zenoh.messages import Header
-from mast_zenoh.runtime.mesh import ATTACHMENT, MARK
+from mast_zenoh.runtime.stamp import ATTACHMENT, MARK
 from mast_zenoh.states import ObjectStates
 
 pytestmark = pytest.mark.mesh

@@ -20,7 +20,7 @@ from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, Sta
 from mast_zenoh.launch import asking
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.runtime.mesh import ATTACHMENT
+from mast_zenoh.runtime.stamp import ATTACHMENT
 from mast_zenoh.tables import read_table
 
 pytestmark = pytest.mark.mesh

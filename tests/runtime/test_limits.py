@@ -21,7 +21,8 @@ from mast_zenoh.runtime.driver import SETTLE_EVERY
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.inbox import Inbox
 from mast_zenoh.runtime.limits import DELAYED, EARLY, HELD, INBOX, Limit, Room
-from mast_zenoh.runtime.mesh import ATTACHMENT, MARK, MeshNode
+from mast_zenoh.runtime.mesh import MeshNode
+from mast_zenoh.runtime.stamp import ATTACHMENT, MARK
 from mast_zenoh.states import ObjectStates
 from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
 
