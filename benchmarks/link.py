@@ -32,6 +32,7 @@ import numpy as np
 import zenoh
 
 from mast_zenoh import bundle, codec, endpoints, keyexpr, links, loading, registry
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.links import Chain, Passage, Rule
 from mast_zenoh.messages import Header
 from mast_zenoh.runtime.mesh import MeshNode, prefix
@@ -123,7 +124,8 @@ def link(endpoint: str, way: str) -> None:
     with open_client(endpoint) as session:
         built = tuple(registry.build(rule, Rule, way) for rule in rules(way))
         node = link_class()("ego", built)
-        hosted = MeshNode(way, "link_ego", node, wiring(), 0, session, period_ns=PERIOD_NS, lockstep=False)
+        more = {"signatures": Signatures(way), "period_ns": PERIOD_NS, "lockstep": False}
+        hosted = MeshNode(way, "link_ego", node, wiring(), 0, session, **more)
         hosted.note_arrivals()
         gc.freeze()  # as runtime/process.py does
         gc.set_threshold(50_000, 20, 20)

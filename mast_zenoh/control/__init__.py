@@ -9,6 +9,7 @@ files          fetch, file: what a node on another host gets from the launcher a
 interception   intercept, release: what a user asks of a run
 reports        failed, result: what a node tells the launcher of itself
 invalid        counts what was refused
+signatures     who a message is from: those of the driver and the launcher are signed above the level "open"
 
 CONTROLS is the table of all keys below mast/{run}/@control/. security/access.py gives nobody more rights than it says.
 """
@@ -17,7 +18,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-NODE, DRIVER, LAUNCHER, USER = "node", "driver", "launcher", "user"
+from mast_zenoh.security.control_keys import DRIVER, LAUNCHER
+
+NODE, USER = "node", "user"
 
 
 class Control(NamedTuple):
@@ -32,6 +35,11 @@ class Control(NamedTuple):
     receivers: tuple[str, ...]
     own: bool
     max_bytes: int
+
+    @property
+    def signed(self) -> bool:
+        """Whether it is signed above the level "open": if only the driver or the launcher may send it."""
+        return {*self.senders} <= {DRIVER, LAUNCHER}
 
 
 _KIB, _MIB = 1 << 10, 1 << 20

@@ -25,6 +25,7 @@ _COMMON = (
     "first_rejected",
     "foreign",
     "invalid",
+    "unsigned",
     "process",
     "failures",
     "last_frame",
@@ -83,6 +84,7 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
             fields.text(key, f"result: {part}")
             fields.whole(number, f"result: {part}", first)
             fields.text(reason, f"result: {part}", most)
+    fields.whole(found["unsigned"], "result: unsigned")
     fields.text(found["process"], "result: process", 64)
     entries = fields.listed(found["failures"], "result: failures")
     if len(entries) > MAX_HANDLERS:

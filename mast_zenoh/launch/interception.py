@@ -213,7 +213,7 @@ class Interceptions:
         self._session.get(
             f"{self._base}/@control/rewire",
             handler,
-            payload=flow.encode_rewire(wiring, join, leave),
+            payload=self._launch.signatures.sign("rewire", flow.encode_rewire(wiring, join, leave)),
             timeout=_DRIVER_TIMEOUT_S,
         )
         yield from self._until(over.is_set)
@@ -229,7 +229,8 @@ class Interceptions:
         """Have a process leave; end it when it does not."""
         child.meant = True
         child.notes.append(why)
-        self._session.put(f"{self._base}/@control/leave/{child.name}", why)
+        told = self._launch.signatures.sign(f"leave/{child.name}", why.encode())
+        self._session.put(f"{self._base}/@control/leave/{child.name}", told)
         deadline = time.monotonic() + _LEAVE_GRACE_S
         while child.exit is None and time.monotonic() < deadline:
             yield

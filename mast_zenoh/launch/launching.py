@@ -13,7 +13,9 @@ from typing import Any
 import zenoh
 from rich.markup import escape
 
+from mast_zenoh.control import flow
 from mast_zenoh.control.invalid import InvalidMessages
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import (
     BackendError,
     ImplausibleCounts,
@@ -79,12 +81,14 @@ class Launch:
     depot: Depot | None = None
     # Not a SimpleQueue: its `get` never returns if a signal is still being handled when the timeout is over.
     _asked: queue.Queue[bytes] = field(default_factory=lambda: queue.Queue(_MAX_ASKED))
+    signatures: Signatures = field(init=False)
     reports: Reports = field(init=False)
     invalid: InvalidMessages = field(init=False)
     _to_say: queue.SimpleQueue[str] = field(default_factory=queue.SimpleQueue)  # by threads that are not the main one
 
     def __post_init__(self) -> None:
         self.invalid = InvalidMessages(self._to_say.put)
+        self.signatures = Signatures(self.record["id"])
 
     def run(self) -> None:
         """Start the nodes, watch them to the end, write the results. Raises RunError for a run that failed."""
@@ -92,11 +96,12 @@ class Launch:
         timetable = Timetable(self.resolved, lockstep=self.resolved.mode == "lockstep")
 
         def leave(name: str) -> None:
-            session.put(f"{prefix(self.record['id'])}/@control/leave/{name}", "leave")
+            session.put(f"{control}/leave/{name}", self.signatures.sign(f"leave/{name}", b"leave"))
 
         with ExitStack() as stack:
             session, supervisor = self._join(stack)
             self.session = session
+            self.signatures = Signatures(self.record["id"], self.deployment.control if self.deployment else None)
             control = f"{prefix(self.record['id'])}/@control"
             self.reports = Reports(session, control, supervisor.children, self.invalid)
             declared = self._declare(session)
@@ -224,7 +229,8 @@ class Launch:
                 self._mind(self.hosts)
             if self.stopping_since is not None:
                 # Again and again: who is still starting, or was cut off, has not heard it.
-                session.put(f"{prefix(self.record['id'])}/@control/stop", self._why)
+                stop = self.signatures.sign("stop", self._why.encode())
+                session.put(f"{prefix(self.record['id'])}/@control/stop", stop)
                 if interrupted > 1:
                     return
                 supervisor.resume(supervisor.running())  # who stands still cannot hear that it is to stop
@@ -241,7 +247,7 @@ class Launch:
             asked = self._asked.get(timeout=_POLL_S)
             if self.stopping_since is None:
                 try:
-                    steps.carry_out(asked)
+                    steps.carry_out(*self.signatures.open("act", asked, flow.decode_act))
                 except MessageError as error:
                     self.invalid.note("act", error)
 
@@ -347,6 +353,8 @@ class Launch:
         gone = [child for child in supervisor.children.values() if not child.handed_in and not child.meant]
         self.record["message"] = "; ".join(f"{child.name} {child.ended}" for child in gone)
         self.record["invalid_control"] = self.invalid.entry()
+        unsigned = [outcome["unsigned"] for outcome in outcomes.values()]
+        self.record["unsigned_control"] = self.signatures.obeyed + sum(unsigned)
         handed_in = {name: outcome["results"] for name, outcome in outcomes.items()}
         measured: dict[str, Any] = {}
         if self.resolved.mode == "realtime":

@@ -185,6 +185,7 @@ def _nodes_inproc(
             "first_rejected": host.first_rejected,
             "foreign": {},
             "invalid_control": {},
+            "unsigned_control": 0,
             "failures": failed.get(name, []),
         }
     return nodes

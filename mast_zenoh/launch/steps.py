@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from mast_zenoh.control import flow
 from mast_zenoh.errors import BackendError, MessageError
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.resolved import NodeSpec, Resolved
@@ -58,9 +57,11 @@ class Steps:
         there = {name: spec for name, spec in self._nodes.items() if name not in self._absent}
         self._supervisor.start_all(there, self._absent)
 
-    def carry_out(self, asked: bytes) -> None:
-        """What the driver asks for; raises MessageError for what the scenario does not say."""
-        frame, group = flow.decode_act(asked)
+    def carry_out(self, frame: int, group: Sequence[tuple[str, str]]) -> None:
+        """What the driver asks for before a frame: (action, node) of each step.
+
+        Raises MessageError for what the scenario does not say.
+        """
         wanted = Counter((frame, action, node) for action, node in group)
         if beyond := wanted - self._planned:
             _, action, node = min(beyond)

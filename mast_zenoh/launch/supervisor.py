@@ -166,6 +166,7 @@ class Supervisor(ABC, Generic[C]):
                 "log": f"logs/{name}.log",
                 **{key: reports.get(name, {}).get(key) for key in reported},
                 "invalid_control": reports.get(name, {}).get("invalid"),
+                "unsigned_control": reports.get(name, {}).get("unsigned"),
                 **{key: reports[name][key] for key in ("clock", "versions") if key in reports.get(name, {})},
             }
             for name, child in self.children.items()

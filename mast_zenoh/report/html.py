@@ -206,6 +206,8 @@ def _facts(run: RunFolder) -> list[str]:
     facts += [_frames(run)] if "frames" in run.metrics else []
     facts += [f"seed {run.run['seed']}"] if "seed" in run.run else []
     facts += [f"{run.run['mode']} on {run.run.get('runtime', 'mesh')}"] if "mode" in run.run else []
+    unsigned = run.run.get("unsigned_control")
+    facts += [f"{unsigned} control messages obeyed without a signature"] if unsigned else []
     speed = run.run.get("timings", {}).get("frames_per_second")
     facts += [f"{speed:.0f} frames/s"] if speed else []
     latency = run.metrics.get("latency_ms", {}).get("sim_to_picture", {})

@@ -16,6 +16,7 @@ import zenoh
 
 from mast_zenoh.control import flow
 from mast_zenoh.control.flow import WiringUpdate
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.churn import BACK, LOST
@@ -57,6 +58,7 @@ class Driver(MeshNode):
         seed: int,
         session: zenoh.Session,
         *,
+        signatures: Signatures,
         expected: dict[str, str],
         period_ns: int,
         lockstep: bool,
@@ -67,8 +69,8 @@ class Driver(MeshNode):
         start_timeout_s: float = 60.0,
         stall_timeout_s: float = 30.0,
     ) -> None:
-        limits: Any = {"without": without, "timespan": timespan}
-        super().__init__(run, name, node, wiring, seed, session, period_ns=period_ns, lockstep=lockstep, **limits)
+        more: Any = {"period_ns": period_ns, "lockstep": lockstep, "without": without, "timespan": timespan}
+        super().__init__(run, name, node, wiring, seed, session, signatures=signatures, **more)
         self.source = node
         self.pacer = Pacer(wiring)
         self.expected = expected
@@ -119,7 +121,7 @@ class Driver(MeshNode):
         reason = self._gather() or self._play()
         if self.stop_reason is None:
             self.stop_reason = reason[:MAX_REASON]
-            self._stop.put(self.stop_reason)
+            self._stop.put(self.signatures.sign("stop", self.stop_reason.encode()))
         self.hand_in()
         alive.undeclare()
 
@@ -194,7 +196,8 @@ class Driver(MeshNode):
             return reason
         for group in self.timetable.before(self.frames, self.alive if self.lockstep else None):
             self._leaving |= {step.node for step in group if step.action in LEAVING}
-            self._act.put(flow.encode_act(self.frames, [(step.action, step.node) for step in group]))
+            act = flow.encode_act(self.frames, [(step.action, step.node) for step in group])
+            self._act.put(self.signatures.sign("act", act))
             if self.lockstep and (reason := self._await_done(group)):
                 return reason
         return ""
@@ -308,7 +311,7 @@ class Driver(MeshNode):
         epoch = self.pacer.begin_epoch(members)
         self._sent.clear()
         told = self.rewirer.told
-        self._epoch.put(flow.encode_epoch(epoch, members, told))
+        self._epoch.put(self.signatures.sign("epoch", flow.encode_epoch(epoch, members, told)))
         self._enter_epoch(epoch, members, told)
         self._report_self()
 

@@ -69,7 +69,7 @@ def main() -> None:
     parser.add_argument("--run", required=True, help="id of the run: all keys begin with mast/RUN/")
     parser.add_argument("--name", help="which node of the scenario this is")
     parser.add_argument("--endpoint", help="of the router, e.g. tcp/router:7447")
-    parser.add_argument("--credentials", type=Path, help="folder of ca.pem, certificate.pem and key.pem: a secure mesh")
+    parser.add_argument("--credentials", type=Path, help="folder of credentials: a secure mesh")
     parser.add_argument("--router", action="store_true", help="be the router of the run")
     parser.add_argument("--listen", default="tcp/0.0.0.0:7447", help="where the router listens")
     parser.add_argument("--settings", type=Path, help="the router's further settings: a JSON file")
@@ -113,7 +113,8 @@ def _host(arguments: argparse.Namespace) -> None:
             if resolved.mode == "lockstep":
                 hosting.compute_in_peace()
             built = hosting.build(resolved, name)
-            hosted = hosting.host(resolved, run, name, built, session, without)
+            signatures = hosting.signatures(run, credentials)
+            hosted = hosting.host(resolved, run, name, built, session, without, signatures)
             hosted.of_host = {"versions": release.versions(), "clock": depot.clock}
 
             def orphaned() -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import zenoh
 
 from mast_zenoh import loading, registry
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError
 from mast_zenoh.node import Node, Source
 from mast_zenoh.resolved import Resolved
@@ -21,7 +22,8 @@ from mast_zenoh.runtime.mesh import MeshNode
 from mast_zenoh.runtime.session import open_client
 from mast_zenoh.runtime.timetable import Timetable
 from mast_zenoh.security import explain
-from mast_zenoh.security.credentials import Credentials
+from mast_zenoh.security.control_keys import ControlKeys
+from mast_zenoh.security.credentials import CONTROL, Credentials
 from mast_zenoh.wiring import Wiring
 
 #: Nobody waits for a node that only listens, so it leaves the processor to those who are waited for.
@@ -45,8 +47,19 @@ def join(endpoint: str, credentials: Path | Credentials | None, *, patient: bool
         return open_client(endpoint, patient=patient)
     if reasons := explain(credentials):
         raise CredentialsError("; ".join(reasons))
-    own = Credentials.read(credentials) if isinstance(credentials, Path) else credentials
-    return open_client(endpoint, own, patient=patient)
+    return open_client(endpoint, _own(credentials), patient=patient)
+
+
+def signatures(run: str, credentials: Path | Credentials | None) -> Signatures:
+    """How control messages are signed and checked by who has these credentials; raises CredentialsError."""
+    if credentials is None:
+        return Signatures(run)
+    where = f"{credentials}/{CONTROL}" if isinstance(credentials, Path) else CONTROL
+    return Signatures(run, ControlKeys.from_json(_own(credentials).control, where))
+
+
+def _own(credentials: Path | Credentials) -> Credentials:
+    return Credentials.read(credentials) if isinstance(credentials, Path) else credentials
 
 
 def compute_in_peace() -> None:
@@ -61,14 +74,20 @@ def compute_in_peace() -> None:
 
 
 def host(
-    resolved: Resolved, run: str, name: str, built: Any, session: zenoh.Session, without: Collection[str]
+    resolved: Resolved,
+    run: str,
+    name: str,
+    built: Any,
+    session: zenoh.Session,
+    without: Collection[str],
+    signatures: Signatures,
 ) -> MeshNode:
     """The node on the mesh, before its life begins. From now on SIGTERM asks it to leave."""
     wiring = Wiring.from_json(resolved.wiring)
     lockstep = resolved.mode == "lockstep"
     common = (run, name, built, wiring, resolved.seed, session)
-    more: dict[str, Any] = {"period_ns": resolved.period_ns, "lockstep": lockstep, "without": without}
-    more["timespan"] = resolved.timespan
+    more: dict[str, Any] = {"signatures": signatures, "period_ns": resolved.period_ns, "lockstep": lockstep}
+    more |= {"without": without, "timespan": resolved.timespan}
     if isinstance(built, Source):
         roles = {other: spec.role for other, spec in resolved.nodes.items()}
         timetable = Timetable(resolved, lockstep=lockstep)

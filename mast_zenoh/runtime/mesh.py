@@ -8,7 +8,7 @@ under mast/{run}/@control/, a verbatim chunk, where no wildcard sees it:
     epoch            driver → all      who takes part from now on; counters start anew
     counts/{node}    node → driver     messages sent and handled by key, whenever the inbox is empty
     failed/{node}    node → launcher   a handler has failed: its process, and an entry of mast_zenoh.runtime.failures
-    stop             anyone → all      finish, hand in results, leave
+    stop             driver, launcher → all   finish, hand in results, leave
     leave/{node}     launcher → node   the same, for one of them
     act              driver → launcher what the scenario does to processes before this frame
     result/{node}    node → launcher   a query: the results, acknowledged by the reply
@@ -17,7 +17,8 @@ under mast/{run}/@control/, a verbatim chunk, where no wildcard sees it:
     launcher         launcher          its liveliness token
     drain/{node}     node → node       see mast_zenoh.runtime.rewiring
 
-mast_zenoh.control has their schemas. What is none of these messages is counted, logged once for each key, and dropped.
+mast_zenoh.control has their schemas, and says which of them are signed. What is none of these messages is counted,
+logged once for each key, and dropped.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ import zenoh
 from mast_zenoh.control import files, flow, reports
 from mast_zenoh.control.flow import WiringUpdate
 from mast_zenoh.control.invalid import InvalidMessages
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import SCHEMAS, Header
 from mast_zenoh.node import Node
@@ -64,6 +66,7 @@ def prefix(run: str) -> str:
 class MeshNode:
     """One node on the mesh; `run_until_stopped` is its life. See the module's docstring.
 
+    signatures: of the control messages of this run
     period_ns: of the scene's frames; lockstep: whether time goes by frames; without: nodes that are not up now
     timespan: the frames and times that messages can have; None: any
     """
@@ -77,6 +80,7 @@ class MeshNode:
         seed: int,
         session: zenoh.Session,
         *,
+        signatures: Signatures,
         period_ns: int,
         lockstep: bool,
         without: Collection[str] = (),
@@ -100,6 +104,7 @@ class MeshNode:
             timespan=timespan,
         )
         self.session = session
+        self.signatures = signatures
         self.inbox = Inbox()
         self.members: dict[str, str] = {}
         self.epoch = 0
@@ -213,6 +218,7 @@ class MeshNode:
             "first_rejected": self.host.first_rejected,
             "foreign": dict(self.foreign),
             "invalid": self.invalid.entry(),
+            "unsigned": self.signatures.obeyed,
             "process": self._process,
             "failures": [failure.entry() for failure in self.host.failures.values()],
             "last_frame": self.host.frame,
@@ -293,7 +299,7 @@ class MeshNode:
 
     def _take_epoch(self, payload: bytes) -> None:
         try:
-            epoch = flow.decode_epoch(payload)
+            epoch = self.signatures.open("epoch", payload, flow.decode_epoch)
         except MessageError as error:
             self.invalid.note("epoch", error)
         else:
@@ -301,7 +307,7 @@ class MeshNode:
 
     def _take_stop(self, key: str, payload: bytes) -> None:
         try:
-            self.stop_reason = flow.decode_stop(payload)
+            self.stop_reason = self.signatures.open(key, payload, flow.decode_stop)
         except MessageError as error:
             self.invalid.note(key, error)
 

@@ -114,11 +114,13 @@ class Rewiring:
             self._go_on(*rest)
 
     def _take_question(self, query: zenoh.Query) -> None:
-        """Somebody asks whether all is passed on; nobody is answered who asks for what this node does not hear."""
+        """Somebody asks whether all is passed on: while this node is to leave, whoever sends it something may ask."""
         try:
             key = flow.decode_drain(query.payload.to_bytes() if query.payload else b"")
-            if key not in self._node.host.hears:
-                raise MessageError(f"drain: found {key!r:.80}, which {self._node.name} does not hear")
+            if not self.leaving:
+                raise MessageError(f"drain: {self._node.name} has not been told to leave")
+            if key not in taps_into(self._node.wiring, (self._node.name,)):
+                raise MessageError(f"drain: found {key!r:.80}, which {self._node.name} is not on")
             if len(self._asked) >= MAX_ASKED:
                 raise MessageError(f"drain: more than {MAX_ASKED} questions wait")
         except MessageError as error:
@@ -267,7 +269,8 @@ class Rewirer:
     def ask(self, query: zenoh.Query) -> None:
         """Take up a change as soon as those before it are done."""
         try:
-            told = flow.decode_rewire(query.payload.to_bytes() if query.payload else b"")
+            payload = query.payload.to_bytes() if query.payload else b""
+            told = self._driver.signatures.open("rewire", payload, flow.decode_rewire)
             if len(self._asked) >= MAX_ASKED:
                 raise MessageError(f"rewire: more than {MAX_ASKED} changes wait")
         except MessageError as error:

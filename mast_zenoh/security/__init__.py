@@ -2,7 +2,8 @@
 
 levels       open, tls, mtls, acl: what each means as Zenoh settings
 authority    one certificate authority per deployment, a certificate per node
-credentials  what a process trusts and shows: three PEM files
+credentials  what a process trusts and shows: a folder of files
+control_keys what control messages are signed with, and checked against
 access       the wiring as Zenoh's access control: default deny
 deployment   all of it for one run
 diagnosis    why a certificate is refused

@@ -1,4 +1,4 @@
-"""What a process trusts, and what it shows of itself: a folder of three PEM files, or the same in memory."""
+"""What a process trusts, and what it shows of itself: a folder of files, or the same in memory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mast_zenoh.errors import CredentialsError
 
-AUTHORITY, CERTIFICATE, KEY = "ca.pem", "certificate.pem", "key.pem"
+AUTHORITY, CERTIFICATE, KEY, CONTROL = "ca.pem", "certificate.pem", "key.pem", "control.json"
 
 #: In what is said of a router that may be there later: the only reason that time may take away.
 UNREACHED = "cannot be reached"
@@ -35,15 +35,17 @@ def common_name(run: str, name: str) -> str:
 
 @dataclass(frozen=True)
 class Credentials:
-    """PEM texts; the key is never shown.
+    """PEM texts, and one in JSON; keys are never shown.
 
     authority:   certificate of the authority whose word is taken
     certificate: this process's own, and key: its private key; both empty for one that shows none
+    control:     the keys of control messages, see `control_keys`; empty for a router, which checks none
     """
 
     authority: bytes
     certificate: bytes = b""
     key: bytes = field(default=b"", repr=False)
+    control: bytes = field(default=b"", repr=False)
 
     @classmethod
     def read(cls, folder: Path) -> Credentials:
@@ -55,14 +57,16 @@ class Credentials:
             except OSError as error:
                 raise CredentialsError(f"{folder / name}: {error.strerror}") from None
 
+        control = content(CONTROL) if (folder / CONTROL).exists() else b""
         if not (folder / CERTIFICATE).exists() and not (folder / KEY).exists():
-            return cls(content(AUTHORITY))
-        return cls(content(AUTHORITY), content(CERTIFICATE), content(KEY))
+            return cls(content(AUTHORITY), control=control)
+        return cls(content(AUTHORITY), content(CERTIFICATE), content(KEY), control)
 
     def write(self, folder: Path) -> Path:
         """Into a folder of its own that nobody else may enter (0700); the key is nobody else's to read (0600)."""
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        for name, content in ((AUTHORITY, self.authority), (CERTIFICATE, self.certificate), (KEY, self.key)):
+        names = (AUTHORITY, CERTIFICATE, KEY, CONTROL)
+        for name, content in zip(names, (self.authority, self.certificate, self.key, self.control), strict=True):
             if content:
                 handle = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
                 with os.fdopen(handle, "wb") as file:
@@ -71,4 +75,4 @@ class Credentials:
 
     def without_certificate(self) -> Credentials:
         """The same trust, and nothing to show."""
-        return Credentials(self.authority)
+        return Credentials(self.authority, control=self.control)

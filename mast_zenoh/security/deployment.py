@@ -5,12 +5,14 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mast_zenoh.security import levels
+from mast_zenoh.security import control_keys, levels
 from mast_zenoh.security.access import access_control
+from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.credentials import LAUNCHER, LIFETIME, ROUTER, Credentials, common_name
 from mast_zenoh.wiring import Wiring
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Deployment:
-    """Certificates for everybody in one run, and what the router is to know.
+    """Certificates and control keys for everybody in one run, and what the router is to know.
 
     level:  one of `levels.LEVELS`; "open" makes nothing at all
     run, prefix: id of the run, and what all its keys begin with
@@ -48,6 +50,7 @@ class Deployment:
         self.authority: Authority | None = None
         self.router: dict[str, Any] = {}
         self.launcher: Credentials | None = None
+        self.control: ControlKeys | None = None  # the launcher's
         if level == "open":
             return
         from mast_zenoh.security.authority import Authority  # slow to load; an open run does without
@@ -58,11 +61,14 @@ class Deployment:
         access = access_control(wiring, names, prefix=prefix, driver=driver) if level == "acl" else None
         self.router = levels.router_settings(level, self.authority.issue(ROUTER, hosts), access)
         self.launcher = self._issue(LAUNCHER)
+        control = control_keys.make()
+        self.control = control[control_keys.LAUNCHER]
         self.folder = folder or Path(tempfile.mkdtemp(prefix="mast-keys-"))
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.folder.chmod(0o700)
         for name in nodes:
-            self._issue(name).write(self.folder / name)
+            keys = control[control_keys.DRIVER if name == driver else ""]
+            replace(self._issue(name), control=keys.to_json()).write(self.folder / name)
 
     def of(self, name: str) -> Path | None:
         """The folder with a node's credentials; None on an open mesh."""

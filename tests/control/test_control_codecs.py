@@ -52,6 +52,7 @@ OUTCOME = {
     "first_rejected": {"clock": [3, "not MessagePack"]},
     "foreign": {"clock": 1},
     "invalid": {"epoch": [1, "rubbish"]},
+    "unsigned": 3,
     "process": "0123456789abcdef",
     "failures": [ENTRY],
     "last_frame": 11,

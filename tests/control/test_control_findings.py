@@ -15,6 +15,7 @@ from rich.console import Console
 from mast_zenoh.control import CONTROLS, flow
 from mast_zenoh.control.files import encode
 from mast_zenoh.control.invalid import MAX_KEYS, OTHERS, InvalidMessages
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, ServiceDied
 from mast_zenoh.launch.depot import Depot
 from mast_zenoh.launch.display import Display
@@ -68,6 +69,17 @@ class Ego(Node):
         """Do nothing."""
 
 
+class Eve(Node):
+    """A node on a wire, that passes nothing on."""
+
+    role = "adversary"
+    inputs = {"heard": "status"}
+    outputs = {"status": "status"}
+
+    def on_heard(self, received: Any, context: Any) -> None:
+        """Do nothing."""
+
+
 class Sim(Source):
     """A node that drives a scene that never ends."""
 
@@ -100,13 +112,14 @@ class Query:
 
 @pytest.fixture
 def ego() -> MeshNode:
-    return MeshNode("x", "ego", Ego(), WIRING, 1, MagicMock(), period_ns=1, lockstep=True)
+    return MeshNode("x", "ego", Ego(), WIRING, 1, MagicMock(), signatures=Signatures("x"), period_ns=1, lockstep=True)
 
 
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
     made = Driver(
         *("x", "sim", Sim(), WIRING, 1, MagicMock()),
+        signatures=Signatures("x"),
         expected=dict(ROLES),
         period_ns=1,
         lockstep=True,
@@ -148,20 +161,43 @@ def test_a_stop_that_is_no_text_costs_a_node_one_message(ego: MeshNode, key: str
     assert ego.stop_reason == "end"
 
 
-@pytest.mark.parametrize("payload", [b"\xff\xfe", b"", b"a//b", b"**", b"agent/other/status", b"x" * 5000])
-def test_a_drain_for_no_key_of_the_node_is_refused_at_once(ego: MeshNode, payload: bytes) -> None:
-    query = Query("drain/ego", payload)
-    ego.handle(("drain", query))
+TAP = "agent/ego/status/@tap/0"
+
+
+@pytest.fixture
+def eve() -> MeshNode:
+    """A node on the wire of ego's status."""
+    legs = (Leg(TAP, Endpoint("ego", "status"), (Endpoint("eve", "heard"),)),)
+    legs += (Leg("agent/ego/status", Endpoint("eve", "status"), (Endpoint("watch", "status"),)),)
+    wiring = Wiring((WIRING.wires[0], Wire("agent/ego/status", "ego", "status", legs)))
+    more: Any = {"signatures": Signatures("x"), "period_ns": 1, "lockstep": True}
+    return MeshNode("x", "eve", Eve(), wiring, 1, MagicMock(), **more)
+
+
+def told_to_leave(node: MeshNode) -> None:
+    """A change of the wiring has begun, after which the node is not there any more."""
+    update = flow.WiringUpdate(WIRING, False, (node.name,))
+    node.handle(("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update)))
+
+
+@pytest.mark.parametrize("payload", [b"\xff\xfe", b"", b"a//b", b"**", b"agent/other/status", b"x" * 5000, b"clock"])
+def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
+    told_to_leave(eve)
+    query = Query("drain/eve", payload)
+    eve.handle(("drain", query))
     assert query.dropped
     assert query.answers == []
-    assert not ego.rewiring.asked
-    assert ego.invalid.counts == {"drain/ego": 1}
+    assert not eve.rewiring.asked
+    assert eve.invalid.counts == {"drain/eve": 1}
 
 
-def test_a_drain_for_a_key_that_the_node_hears_is_answered(ego: MeshNode) -> None:
-    query = Query("drain/ego", b"clock")
-    ego.handle(("drain", query))
-    assert query.answers == [("ok", b"")]
+def test_a_drain_is_answered_by_a_node_that_is_to_leave_and_by_no_other(eve: MeshNode) -> None:
+    early, due = Query("drain/eve", TAP.encode()), Query("drain/eve", TAP.encode())
+    eve.handle(("drain", early))
+    assert (early.answers, early.dropped, eve.invalid.counts) == ([], True, {"drain/eve": 1})
+    told_to_leave(eve)
+    eve.handle(("drain", due))
+    assert due.answers == [("ok", b"")]
 
 
 # -- the driver ------------------------------------------------------------------------------------------------------

@@ -22,6 +22,8 @@ from mast_zenoh.resolved import Resolved
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "deploy" / "compose"
 
+CREDENTIALS = {"ca.pem", "certificate.pem", "key.pem", "control.json"}
+
 TEXT = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FFF, exclude_categories=["Cc", "Cf", "Cs", "Zl", "Zp"]))
 PLAIN = st.one_of(st.booleans(), st.integers(-5, 5), st.floats(allow_nan=False, allow_infinity=False), TEXT)
 KEYS = TEXT.filter(bool)
@@ -90,10 +92,8 @@ def test_every_node_gets_its_own_credentials_and_no_others() -> None:
     content = document.document(resolved(), "r", image="i", secure="acl")
     for name, service in content["services"].items():
         if name != "router":
-            assert {secret["source"] for secret in service["secrets"]} == {
-                f"{name}_{file}" for file in ("ca.pem", "certificate.pem", "key.pem")
-            }
-            assert {secret["target"] for secret in service["secrets"]} == {"ca.pem", "certificate.pem", "key.pem"}
+            assert {secret["source"] for secret in service["secrets"]} == {f"{name}_{file}" for file in CREDENTIALS}
+            assert {secret["target"] for secret in service["secrets"]} == CREDENTIALS
     assert content["secrets"]["ego_key.pem"] == {"file": "./credentials/ego/key.pem"}
 
 

@@ -104,7 +104,7 @@ def test_the_router_and_whom_the_scenario_kills_are_on_the_launchers_machine(res
 def test_secrets_are_for_the_processes_user_alone_and_named_by_their_files(resolved: Resolved) -> None:
     content = stacked(resolved, secure="acl")
     for name, service in content["services"].items():
-        names = {"router.json"} if name == "router" else {"ca.pem", "certificate.pem", "key.pem"}
+        names = {"router.json"} if name == "router" else {"ca.pem", "certificate.pem", "key.pem", "control.json"}
         assert {secret["target"] for secret in service["secrets"]} == names
         assert {(s["uid"], s["gid"], s["mode"]) for s in service["secrets"]} == {("10001", "10001", 0o600)}
         assert all(content["secrets"][secret["source"]]["file"].startswith("./") for secret in service["secrets"])

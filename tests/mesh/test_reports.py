@@ -35,6 +35,7 @@ OUTCOME = {
     "rejected": {},
     "first_rejected": {},
     "foreign": {},
+    "unsigned": 0,
     "invalid": {},
     "process": "b",
     "failures": [],

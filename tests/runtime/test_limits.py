@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from tiny_world import tracks
 
 from mast_zenoh import codec
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.messages import SCHEMAS, Header, Message, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.context import Outgoing
@@ -165,7 +166,8 @@ class Session:
 
 
 def on_no_mesh(node: Node) -> MeshNode:
-    mesh = MeshNode("run", "relay", node, WIRING, 0, Session(), period_ns=10**8, lockstep=True)
+    more = {"signatures": Signatures("run"), "period_ns": 10**8, "lockstep": True}
+    mesh = MeshNode("run", "relay", node, WIRING, 0, Session(), **more)
     mesh._enter_epoch(1, {"relay": "link", "a": "agent"})
     return mesh
 

@@ -17,7 +17,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.resolved import NodeSpec, Resolved
 from mast_zenoh.runtime.elsewhere import UP
 from mast_zenoh.security import levels
-from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, KEY
+from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, CONTROL, KEY
 
 FILE = "compose.yml"
 CREDENTIALS = "credentials"  # folder beside the file
@@ -110,7 +110,7 @@ def document(
     }
     if secure != "open":
         services[ROUTER]["secrets"] = secrets(ROUTER, (ROUTER_SETTINGS,))
-    shown = (AUTHORITY,) if secure == "tls" else (AUTHORITY, CERTIFICATE, KEY)
+    shown = (AUTHORITY, CONTROL) if secure == "tls" else (AUTHORITY, CERTIFICATE, KEY, CONTROL)
     for name in resolved.nodes:
         waits = ["--patience", f"{patience_s + cut_s(resolved, name):g}"]
         command = ["--name", name, "--run", run, "--endpoint", endpoint, *waits]

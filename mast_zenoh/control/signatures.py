@@ -1,0 +1,79 @@
+"""Who a control message is from. Above the level "open", what only the driver or the launcher may say is signed.
+
+A signed message is MessagePack [body, signature]. The Ed25519 signature (RFC 8032) covers the run's id, the key below
+@control/ and the body, so it is worth nothing in another run, on another key or for another node. Nothing in it says
+that it is new: repeated, these messages do nothing. Epochs count up, a step is carried out once, a stop is a stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import msgpack
+
+from mast_zenoh.control import CONTROLS, fields
+from mast_zenoh.errors import MessageError
+from mast_zenoh.security.control_keys import ControlKeys
+
+T = TypeVar("T")
+
+_ENVELOPE = 256  #: bytes that a signature and its wrapping take, at most
+
+
+class Signatures:
+    """Signs and checks the control messages of one run.
+
+    keys:   None on an open mesh, where nothing is signed and everything is obeyed
+    obeyed: how many messages have been taken without a signature
+    """
+
+    def __init__(self, run: str, keys: ControlKeys | None = None) -> None:
+        self.obeyed = 0
+        self._run = run
+        self._keys = keys
+
+    def sign(self, what: str, body: bytes) -> bytes:
+        """A message as it is sent. what: its key below @control/, such as "stop" or "leave/infra_1"."""
+        if self._keys is None:
+            return body
+        from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # slow to load
+
+        key = Ed25519PrivateKey.from_private_bytes(self._keys.private)
+        return bytes(msgpack.packb([body, key.sign(self._covered(what, body))]))
+
+    def open(self, what: str, payload: bytes, decode: Callable[[bytes], T]) -> T:
+        """The message in what was sent.
+
+        Raises MessageError for one that whoever may send it has not signed, and what `decode` raises.
+        """
+        if self._keys is None:
+            message = decode(payload)
+            self.obeyed += 1
+            return message
+        return decode(self._checked(what, payload, self._keys))
+
+    def _checked(self, what: str, payload: bytes, keys: ControlKeys) -> bytes:
+        from cryptography.exceptions import InvalidSignature
+        from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+        kind = what.partition("/")[0]
+        senders, most = CONTROLS[kind].senders, CONTROLS[kind].max_bytes + _ENVELOPE
+        fields.fits(payload, kind, most)
+        try:
+            body, signature = fields.items(fields.unpack(payload, kind, most), 2, kind)
+            signed = type(body) is bytes is type(signature)
+        except MessageError:
+            signed = False
+        if not signed:
+            raise MessageError(f"{kind}: found no signature, expected that of the {' or the '.join(senders)}")
+        for sender in senders:
+            try:
+                Ed25519PublicKey.from_public_bytes(keys.public[sender]).verify(signature, self._covered(what, body))
+            except InvalidSignature:
+                continue
+            return bytes(body)
+        raise MessageError(f"{kind}: found a signature that is not that of the {' or the '.join(senders)}")
+
+    def _covered(self, what: str, body: bytes) -> bytes:
+        return b"\0".join((b"mast control", self._run.encode(), what.encode(), body))

@@ -1,0 +1,56 @@
+"""The keys that control messages are signed with and checked against: Ed25519 (RFC 8032), made anew for every run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from mast_zenoh.errors import CredentialsError
+
+#: Who signs control messages; nobody else has a private key.
+DRIVER, LAUNCHER = "driver", "launcher"
+
+_BYTES = 32  # of a key, private or public
+
+
+@dataclass(frozen=True)
+class ControlKeys:
+    """What one process has of them; raw keys, 32 bytes each.
+
+    public:  by who signs with the key, DRIVER or LAUNCHER
+    private: of the process that signs; empty for one that only checks
+    """
+
+    public: Mapping[str, bytes]
+    private: bytes = field(default=b"", repr=False)
+
+    def to_json(self) -> bytes:
+        """The content of a node's control.json."""
+        told = {name: key.hex() for name, key in self.public.items()}
+        return json.dumps(told | ({"private": self.private.hex()} if self.private else {})).encode()
+
+    @classmethod
+    def from_json(cls, content: bytes, where: str) -> ControlKeys:
+        """What `to_json` made; raises CredentialsError, which names `where`, for anything else."""
+        if not content:
+            raise CredentialsError(f"{where}: is missing")
+        try:
+            keys = {name: bytes.fromhex(key) for name, key in json.loads(content).items()}
+        except (ValueError, TypeError, AttributeError):
+            raise CredentialsError(f"{where}: expected a JSON map of keys in hexadecimal digits") from None
+        private = keys.pop("private", b"")
+        lengths = {len(key) for key in (*keys.values(), *([private] if private else []))}
+        if keys.keys() != {DRIVER, LAUNCHER} or lengths != {_BYTES}:
+            raise CredentialsError(f"{where}: expected the keys {DRIVER} and {LAUNCHER}, of {_BYTES} bytes each")
+        return cls(keys, private)
+
+
+def make() -> dict[str, ControlKeys]:
+    """New keys: those of DRIVER, those of LAUNCHER, and under "" those of everybody else."""
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # slow to load
+
+    keys = {name: Ed25519PrivateKey.generate() for name in (DRIVER, LAUNCHER)}
+    public = {name: key.public_key().public_bytes_raw() for name, key in keys.items()}
+    signing = {name: ControlKeys(public, key.private_bytes_raw()) for name, key in keys.items()}
+    return signing | {"": ControlKeys(public)}

@@ -1,0 +1,111 @@
+"""Above the level "open", what only the driver or the launcher may say counts only if they have signed it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgpack
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mast_zenoh.control import CONTROLS
+from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.errors import CredentialsError, MessageError
+from mast_zenoh.runtime import hosting
+from mast_zenoh.security.control_keys import DRIVER, LAUNCHER, ControlKeys, make
+from mast_zenoh.security.credentials import CONTROL, Credentials
+from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.security.levels import LEVELS
+from mast_zenoh.wiring import Wiring
+
+KEYS = make()
+NODE = Signatures("r", KEYS[""])
+SIGNERS = {name: Signatures("r", KEYS[name]) for name in (DRIVER, LAUNCHER)}
+SIGNED = {name: control for name, control in CONTROLS.items() if control.signed}
+
+
+def refused(signatures: Signatures, what: str, payload: bytes) -> str:
+    """Why a message is refused; its body is never looked at."""
+    with pytest.raises(MessageError) as caught:
+        signatures.open(what, payload, lambda body: pytest.fail("an unsigned body was decoded"))
+    return str(caught.value)
+
+
+def test_what_nobody_but_the_driver_or_the_launcher_may_send_is_signed() -> None:
+    assert {*SIGNED} == {"epoch", "stop", "leave", "act", "rewire"}
+
+
+@pytest.mark.parametrize("what", SIGNED)
+@pytest.mark.parametrize("signer", SIGNERS)
+def test_a_message_counts_if_whoever_may_send_it_has_signed_it(what: str, signer: str) -> None:
+    payload = SIGNERS[signer].sign(what, b"body")
+    if signer in CONTROLS[what].senders:
+        assert NODE.open(what, payload, bytes) == b"body"
+        assert NODE.obeyed == 0
+    else:
+        assert "expected" not in (said := refused(NODE, what, payload))
+        assert said.startswith(f"{what}: found a signature that is not that of the")
+
+
+def test_a_signature_is_worth_nothing_elsewhere() -> None:
+    leave = SIGNERS[LAUNCHER].sign("leave/ego", b"leave")
+    assert NODE.open("leave/ego", leave, bytes) == b"leave"
+    refused(NODE, "leave/infra_1", leave)
+    refused(NODE, "stop", leave)
+    refused(Signatures("another", KEYS[""]), "leave/ego", leave)
+    refused(Signatures("r", make()[""]), "leave/ego", leave)
+    body, signature = msgpack.unpackb(leave)
+    refused(NODE, "leave/ego", msgpack.packb([body + b" now", signature]))
+
+
+@given(
+    st.binary(max_size=200)
+    | st.recursive(st.none() | st.integers(0, 9) | st.binary(max_size=64), st.lists).map(msgpack.packb)
+)
+def test_whatever_else_comes_is_refused(payload: bytes) -> None:
+    refused(NODE, "stop", payload)
+
+
+@pytest.mark.parametrize("place", range(0, 90, 7))
+def test_one_bit_makes_a_signed_message_worthless(place: int) -> None:
+    payload = bytearray(SIGNERS[DRIVER].sign("epoch", b"0123456789"))
+    payload[place % len(payload)] ^= 1
+    refused(NODE, "epoch", bytes(payload))
+
+
+def test_a_message_that_is_too_long_is_refused_before_anything_is_checked() -> None:
+    assert "bytes, expected at most" in refused(NODE, "stop", SIGNERS[DRIVER].sign("stop", b"x" * 10_000))
+
+
+def test_on_an_open_mesh_everything_is_obeyed_and_counted_but_what_is_malformed() -> None:
+    plain = Signatures("r")
+    assert plain.sign("stop", b"end") == b"end"
+    assert plain.open("stop", b"end", bytes.decode) == "end"
+    with pytest.raises(UnicodeDecodeError):
+        plain.open("stop", b"\xff", bytes.decode)
+    assert plain.obeyed == 1
+
+
+@pytest.mark.parametrize("level", LEVELS[1:])
+def test_every_node_can_check_and_only_the_driver_and_the_launcher_can_sign(tmp_path: Path, level: str) -> None:
+    common = {"prefix": "mast/r", "driver": "sim", "hosts": ["127.0.0.1"], "folder": tmp_path / "keys"}
+    with Deployment(level, "r", Wiring(()), ["sim", "ego"], **common) as deployment:
+        ego, sim = (hosting.signatures("r", deployment.of(name)) for name in ("ego", "sim"))
+        assert deployment.control is not None
+        stop = Signatures("r", deployment.control).sign("stop", b"end")
+        assert [each.open("stop", stop, bytes) for each in (ego, sim)] == [b"end", b"end"]
+        assert ego.open("epoch", sim.sign("epoch", b"1"), bytes) == b"1"
+        told = ControlKeys.from_json(Credentials.read(tmp_path / "keys" / "ego").control, "")
+        assert told.private == b""
+        assert (tmp_path / "keys" / "ego" / CONTROL).stat().st_mode & 0o077 == 0
+    assert "private" not in repr(KEYS[DRIVER])
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"[]", b"{}", b'{"driver": 1, "launcher": ""}', b'{"driver": "00", "launcher": "00"}']
+)
+def test_keys_that_are_none_are_refused_with_their_place(tmp_path: Path, content: bytes) -> None:
+    folder = Credentials(b"authority", control=content).write(tmp_path / "ego")
+    with pytest.raises(CredentialsError, match=CONTROL):
+        hosting.signatures("r", folder)

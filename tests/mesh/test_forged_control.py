@@ -1,0 +1,83 @@
+"""Who may put anything on any key of a mesh, but cannot sign, leads nobody astray; on an open mesh it is counted."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import psutil
+import pytest
+from launched import Launched, eventually
+
+from mast_zenoh import scenario
+from mast_zenoh.control import flow
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.runtime.session import open_client
+from mast_zenoh.security.credentials import Credentials
+from mast_zenoh.wiring import Wiring
+
+pytestmark = pytest.mark.mesh
+WHAT = ("baseline", "--frames", "20", "--set", "n_infrastructure=1")
+
+
+def credentials(record: dict) -> Credentials:
+    """Those of infra_1, stolen."""
+    command = psutil.Process(record["nodes"]["infra_1"]["pid"]).cmdline()
+    return Credentials.read(Path(command[command.index("--credentials") + 1]))
+
+
+@pytest.mark.parametrize("level", ["tls", "mtls"])
+def test_what_is_not_signed_changes_nothing_and_is_counted(launch, tmp_path: Path, level: str) -> None:
+    run: Launched = launch(*WHAT, "--secure", level)
+    record = run.started()
+    thief = credentials(record)
+    run.until(run.recorded, "frames are played")
+    driver = record["nodes"]["simulator"]["pid"]
+    os.kill(driver, signal.SIGSTOP)  # so that the run waits until all this is sent
+    wiring = Wiring.from_json(json.loads((run.out / "wiring.json").read_text()))
+    control = f"mast/{record['id']}/@control"
+    with open_client(record["endpoint"], thief) as session:
+        session.put(f"{control}/epoch", flow.encode_epoch(999, {"ego": "agent"}, None))
+        session.put(f"{control}/stop", "end")
+        session.put(f"{control}/leave/broker", "leave")
+        session.put(f"{control}/act", flow.encode_act(3, [("kill", "ego")]))
+        rewired = session.get(f"{control}/rewire", payload=flow.encode_rewire(wiring, {}, ["broker"]), timeout=5.0)
+        drained = session.get(f"{control}/drain/ego", payload="clock", timeout=5.0)
+        assert list(drained) == []
+        os.kill(driver, signal.SIGCONT)
+        assert list(rewired) == []
+        code, output = run.end()
+    assert code == 0, output
+    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
+    sound = local.run(scenario.resolve(path, loaded, frames=20, record=True), tmp_path / "sound", runtime="inproc")
+    found = compare(sound.folder, run.out)
+    assert found.first is None
+    assert found.equal > 0
+    ended = run.record()
+    assert ended["unsigned_control"] == 0
+    assert {key: count for key, (count, _) in ended["invalid_control"].items()} == {"act": 1}
+    for name, node in ended["nodes"].items():
+        expected = {"epoch": 1, "stop": 1}
+        expected |= {"broker": {"leave/broker": 1}, "ego": {"drain/ego": 1}, "simulator": {"rewire": 1}}.get(name, {})
+        assert {key: count for key, (count, _) in node["invalid_control"].items()} == expected, name
+        assert "found no signature" in node["invalid_control"]["stop"][1]
+    assert "invalid control messages refused" in output
+
+
+def test_an_open_run_says_how_many_unsigned_messages_it_has_obeyed(launch) -> None:
+    run: Launched = launch(*WHAT, "--mode", "realtime")
+    record = run.started()
+    run.until(run.recorded, "frames are played")
+    with open_client(record["endpoint"]) as session:
+        session.put(f"mast/{record['id']}/@control/leave/evaluator", "leave")
+        eventually(
+            lambda: not psutil.pid_exists(record["nodes"]["evaluator"]["pid"]) or run.process.poll() is not None,
+            "it leaves",
+        )
+    run.end()
+    ended = run.record()
+    assert ended["nodes"]["evaluator"]["unsigned_control"] >= 2, "at least an epoch, and what made it leave"
+    assert ended["unsigned_control"] == sum(node["unsigned_control"] for node in ended["nodes"].values())
