@@ -242,8 +242,7 @@ class Driver(MeshNode):
         deadline = time.monotonic() + self.stall_timeout_s
         while not self.pacer.quiet(everyone=everyone):
             if not self._wait(min(deadline, time.monotonic() + SUSPECT_S)):
-                if who := self.pacer.implausible():
-                    return self._or_stopped(f"implausible: {who}")
+                self.complaint = self.complaint or self.pacer.implausible()
                 if self._over or time.monotonic() >= deadline:
                     return self._or_stopped(f"stall: {'; '.join(list(self.pacer.owing())[:5])}")
             self.pacer.drop(self.pacer.members.keys() - self.alive)
