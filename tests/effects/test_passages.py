@@ -11,7 +11,7 @@ from mast_zenoh import codec
 from mast_zenoh.effects.message_effects import Interval
 from mast_zenoh.effects.passages import KNOWN_FRAMES, REMEMBERED, PassageMeter
 from mast_zenoh.messages import Header
-from mast_zenoh.node import Overheard
+from mast_zenoh.received import Overheard
 from mast_zenoh.states import ObjectStates
 from mast_zenoh.wiring import Input, Passage
 

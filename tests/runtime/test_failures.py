@@ -70,7 +70,10 @@ def test_an_error_raised_in_a_library_or_the_runtime_is_located_at_its_caller() 
     def in_json() -> None:
         json.loads("{")
 
-    for call in (in_numpy, in_json):
+    def in_received() -> None:
+        _ = Overheard("s", Input("everything", "", "clock", "simulator"), b"rubbish", 0).header
+
+    for call in (in_numpy, in_json, in_received):
         assert failures.location(raised(call), call) == f"{__file__}:{call.__code__.co_firstlineno + 1}"
 
 
