@@ -25,7 +25,9 @@ def main() -> None:
     failure = standard_streams.failed_output()
     if failure is not None:
         sys.stderr.write(f"error: standard output: {failure.strerror}: some of what was printed is lost\n")
-        code = code or 28
+        from mast_zenoh.errors import DiskFull
+
+        code = code or DiskFull.exit_code
     sys.exit(code)
 
 

@@ -193,7 +193,7 @@ def diff(
     taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
 ) -> None:
     """Compare the messages of two runs: exit 0 when equal, 1 when they differ, 2 when they cannot be compared."""
-    from mast_zenoh.messagelog.churned import comparable
+    from mast_zenoh.messagelog.churn import comparable
     from mast_zenoh.messagelog.difference import compare
     from mast_zenoh.messagelog.explain import explain
 

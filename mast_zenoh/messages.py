@@ -41,6 +41,13 @@ class Message(NamedTuple):
     body: Body
 
 
+def same_columns(one: Body, other: Body) -> bool:
+    """Whether two bodies of one message type are the same to the last bit."""
+    return all(
+        column.shape == other[name].shape and column.tobytes() == other[name].tobytes() for name, column in one.items()
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """One column: dtype is a NumPy name or `str`; shape as in the module's docstring."""

@@ -9,6 +9,7 @@ import msgpack
 from mast_zenoh.control import fields
 from mast_zenoh.control.files import versions
 from mast_zenoh.errors import MessageError
+from mast_zenoh.messagelog.churn import BACK, LOST
 from mast_zenoh.runtime import results
 from mast_zenoh.runtime.failures import Entry
 
@@ -111,13 +112,13 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
 
 
 def _churn(value: object) -> None:
-    """Who was lost and who came back, see runtime.churn."""
+    """Who was lost and who came back, see messagelog.churn."""
     for event in fields.listed(value, "result: churn"):
         found = fields.fields(event, ("frame", "node", "what"), "result: churn")
         fields.whole(found["frame"], "result: churn: frame")
         fields.text(found["node"], "result: churn: node", fields.MAX_NAME)
-        if found["what"] not in ("lost", "back"):
-            raise MessageError(f"result: churn: found {fields.shown(found['what'])}, expected lost or back")
+        if found["what"] not in (LOST, BACK):
+            raise MessageError(f"result: churn: found {fields.shown(found['what'])}, expected {LOST} or {BACK}")
 
 
 def _few(value: object, what: str) -> dict[str, Any]:

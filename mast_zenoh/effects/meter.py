@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from mast_zenoh.effects.message_effects import Interval
 from mast_zenoh.effects.passages import PassageMeter
-from mast_zenoh.node import Overheard
+from mast_zenoh.received import Overheard
 from mast_zenoh.wiring import Passage, Wiring
 
 

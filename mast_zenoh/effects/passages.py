@@ -5,27 +5,20 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-import numpy as np
-
-from mast_zenoh.effects import objects
 from mast_zenoh.effects.damaged import Id, resembled
 from mast_zenoh.effects.message_effects import (
     CHANGE_FRAMES,
     CORRUPTED,
-    DELAYED,
     DROPPED,
     FORGED,
-    REFRAMED,
     REPEATED,
-    RESTAMPED,
     UNSETTLED,
     Interval,
-    MessageEffect,
-    Spoof,
 )
-from mast_zenoh.effects.objects import ObjectChanges, Passed
+from mast_zenoh.effects.passage_effects import PassageEffects
 from mast_zenoh.errors import MessageError
-from mast_zenoh.node import Overheard, same_columns
+from mast_zenoh.messages import same_columns
+from mast_zenoh.received import Overheard
 from mast_zenoh.wiring import Passage
 
 #: Messages of one passage that wait for their counterpart; beyond these the oldest is judged without it.
@@ -37,27 +30,18 @@ REMEMBERED, KNOWN_FRAMES = 128, 64
 USUAL_SHARE = 0.05
 #: Numbers of messages that were sent on, that are remembered.
 MOST_NUMBERS = 65_536
-#: Changed messages that are compared at once.
-BATCH = 64
-
-#: ns; a message whose time is changed by more is of no use for its frame: its objects count as withheld. That is so
-#: where the receiver goes by the time in the header; for detections, poses and the clock it goes by the frame.
-RESTAMPED_NS = 50_000_000
-TIMED = ("tracks", "picture")
 
 
 class PassageMeter:
     """Compares what one interposer sends on a wire with what it receives there, in whatever order both are heard.
 
-    effects: on messages; objects: on the objects in them; spoofs: on poses; received: how many messages came in
+    effects: what it did to them; received: how many messages came in
     """
 
     def __init__(self, passage: Passage, interval: Interval) -> None:
         self.passage = passage
         self.interval = interval
-        self.effects: list[MessageEffect] = []
-        self.objects: list[ObjectChanges] = []
-        self.spoofs: list[Spoof] = []
+        self.effects = PassageEffects(passage.message)
         self.received = 0
         self._waiting: dict[Id, list[Overheard]] = {}  # received, and not sent on yet
         self._early: dict[Id, list[Overheard]] = {}  # sent, and not known to have been received
@@ -65,7 +49,6 @@ class PassageMeter:
         self._passed_on: dict[Id, int] = {}  # when those were received that were sent on long ago
         self._again: dict[Id, tuple[int, Overheard]] = {}  # the same of those that were sent again
         self._unreadable: tuple[list[Overheard], list[Overheard]] = [], []  # received and sent
-        self._passed: list[Passed] = []  # sent on changed, and not compared yet
         self._first_sent: dict[int, Id] = {}  # by frame the number of the message about it that was sent first
         self._rivals: dict[int, Overheard] = {}  # by frame the message that another one forestalled
         self._late: Counter[int] = Counter()  # messages by how many frames late they were sent on
@@ -88,7 +71,7 @@ class PassageMeter:
         self._waiting.setdefault(id_, []).append(message)
         if len(self._waiting) > MOST_WAITING:
             for oldest in self._waiting.pop(next(iter(self._waiting))):
-                self._withheld(DROPPED, oldest)
+                self.effects.withhold(DROPPED, oldest)
 
     def take_sent(self, message: Overheard) -> None:
         """The interposer has sent a message."""
@@ -117,22 +100,21 @@ class PassageMeter:
 
     def close(self, last_step: int) -> None:
         """The run is over, its last frame was `last_step`: judge what has found no counterpart."""
-        self._settle()
+        self.effects.settle()
         self._pair_unreadable()
         for id_, messages in self._early.items():
             self._surplus(id_, messages)
-        self._settle()
         late = self._usual_delay()
         for messages in self._waiting.values():
             for message in messages:
                 if self.interval.near_change(message.step):
-                    self._note(UNSETTLED, message)
+                    self.effects.note(UNSETTLED, message)
                 elif self._rivals.get(message.header.frame) is message:
-                    self._note(DROPPED, message)  # its subscribers had another one in its place: see `_forged`
+                    self.effects.note(DROPPED, message)  # its subscribers had the forged one in its place
                 elif message.step + late > last_step:
-                    self._withheld(UNSETTLED, message)  # nobody can tell whether it would still have come
+                    self.effects.withhold(UNSETTLED, message)  # nobody can tell whether it would still have come
                 else:
-                    self._withheld(DROPPED, message)
+                    self.effects.withhold(DROPPED, message)
         self._waiting.clear()
         self._early.clear()
 
@@ -146,14 +128,13 @@ class PassageMeter:
 
     def _renumbered(self, sent: Overheard) -> bool:
         """Whether a message that was received was sent on as this one, under another number: nobody can tell."""
-        header = sent.header
-        rivals = [id_ for id_, held in self._waiting.items() if id_[0] == header.frame and _same_content(held[0], sent)]
-        for id_ in rivals[:1]:
-            received = _first(self._waiting, id_)
-            self.effects.append(MessageEffect(REFRAMED, *id_, received.step, columns=("seq",)))
-            if (late := sent.step - received.step) > 0:
-                self._withheld(DELAYED, received, frames_late=late)
-        return bool(rivals)
+        frame = sent.header.frame
+        waiting = (id_ for id_, held in self._waiting.items() if id_[0] == frame and _same_content(held[0], sent))
+        id_ = next(waiting, None)
+        if id_ is None:
+            return False
+        self.effects.renumber(id_, _first(self._waiting, id_), sent)
+        return True
 
     def _pair(self, id_: Id, received: Overheard, sent: Overheard) -> None:
         """Compare a message with what became of it."""
@@ -165,51 +146,10 @@ class PassageMeter:
             self._passed_on[oldest] = self._sent.pop(oldest)[0]
             if len(self._passed_on) > MOST_NUMBERS:
                 del self._passed_on[next(iter(self._passed_on))]
-        late = sent.step - received.step
-        if late > 0:
+        if late := self.effects.hold_up(received, sent):
             self._late[late] += 1
-            self._withheld(DELAYED, received, frames_late=late)
         if not received.same_bytes(sent):
-            self._compare(received, sent)
-
-    def _compare(self, received: Overheard, sent: Overheard) -> None:
-        header, changed = received.header, sent.header
-        try:
-            before = received.body
-        except MessageError:  # no subscriber would have taken it anyway
-            self._note(CORRUPTED, received)
-            return
-        try:
-            after = sent.body
-        except MessageError:
-            self._withheld(CORRUPTED, received)
-            return
-        if changed.time_ns != header.time_ns:
-            shift_ns = changed.time_ns - header.time_ns
-            self._note(RESTAMPED, received, time_ns=shift_ns)
-            if abs(shift_ns) > RESTAMPED_NS and self.passage.message in TIMED:
-                self._whole(received, received=True)
-        self._passed.append(Passed(header.frame, header.seq, received.step, before, after))
-        if len(self._passed) >= BATCH:
-            self._settle()
-
-    def _settle(self) -> None:
-        """Compare the bodies of the messages that were sent on changed; then they need not be kept."""
-        if not self._passed:
-            return
-        changes, others = objects.changed(self.passage.message, self._passed)
-        self.objects.append(changes)
-        for each, names in zip(self._passed, others, strict=True):
-            self._note_pose(each, names)
-            if names:
-                self.effects.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
-        self._passed = []
-
-    def _note_pose(self, passed: Passed, names: tuple[str, ...]) -> None:
-        """An agent was told another pose than its own."""
-        if names and self.passage.message == "pose":
-            before, after = ([body[name].copy() for name in ("position", "rotation")] for body in passed[3:])
-            self.spoofs.append(Spoof(passed.frame, *before, *after))
+            self.effects.compare(received, sent)
 
     def _forestalled(self, frame: int, message: Overheard) -> None:
         """Another message about its frame was sent before this one."""
@@ -235,55 +175,18 @@ class PassageMeter:
         for message in messages:
             if self._of_change(message):
                 continue
-            if id_ in self._passed_on:
-                step = self._passed_on[id_]
-                self.effects.append(MessageEffect(REPEATED, *id_, step, max(0, message.step - step)))
-            elif known is None and self._renumbered(message):
-                continue
-            elif known is None or not known[1].same_bytes(message):
-                self._forged(message)
-            else:
-                step = known[0]
-                self.effects.append(MessageEffect(REPEATED, *id_, step, max(0, message.step - step)))
-
-    def _withheld(self, effect: str, message: Overheard, frames_late: int = 0) -> None:
-        """A message was received, and its subscribers got nothing that they could read, or got it too late."""
-        self._note(effect, message, frames_late=frames_late)
-        self._whole(message, received=True, frames_late=frames_late)
+            received_step = self._passed_on.get(id_)
+            if received_step is None and known is not None and known[1].same_bytes(message):
+                received_step = known[0]
+            if received_step is not None:
+                self.effects.repeat(id_, received_step, message)
+            elif known is not None or not self._renumbered(message):
+                forestalls = self._first_sent.get(message.header.frame) == id_
+                self.effects.forge(message, self._rivals.get(message.header.frame) if forestalls else None)
 
     def _of_change(self, message: Overheard) -> bool:
         """Whether a message may have gone past the passage while it came or went."""
         return self.interval.near_change(message.step) and abs(message.header.frame - message.step) <= CHANGE_FRAMES
-
-    def _forged(self, message: Overheard) -> None:
-        """A message was sent that had not been received.
-
-        Subscribers take the first message about a frame: one that forestalls another changes all that differs.
-        """
-        self._note(FORGED, message)
-        header = message.header
-        rival = self._rivals.get(header.frame)
-        if rival is None or self._first_sent.get(header.frame) != (header.frame, header.seq):
-            self._whole(message, received=False)
-            return
-        try:
-            passed = Passed(header.frame, header.seq, message.step, rival.body, message.body)
-        except MessageError:
-            return
-        changes, (names,) = objects.changed(self.passage.message, [passed])
-        self._note_pose(passed, names)
-        self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
-
-    def _whole(self, message: Overheard, *, received: bool, frames_late: int = 0) -> None:
-        try:
-            header, body = message.header, message.body
-        except MessageError:
-            return
-        bodies = {"received": body if received else None, "sent": None if received else body}
-        made = objects.whole(
-            self.passage.message, header.frame, header.seq, message.step, frames_late=frames_late, **bodies
-        )
-        self.objects.append(made)
 
     def _pair_unreadable(self) -> None:
         """What was sent and cannot be read: passed on as it came, a damaged copy of a message, or rubbish."""
@@ -296,25 +199,15 @@ class PassageMeter:
                 unmatched.remove(same)
                 continue
             if payload in known:
-                self.effects.append(MessageEffect(REPEATED, -1, -1, message.step))
+                self.effects.note_unreadable(REPEATED, message.step)
                 continue
             id_ = resembled(self._waiting, message)
             if id_ is None:
-                self.effects.append(MessageEffect(FORGED, -1, -1, message.step))
+                self.effects.note_unreadable(FORGED, message.step)
                 continue
-            self._withheld(CORRUPTED, _first(self._waiting, id_))
-        self.effects += [MessageEffect(DROPPED, -1, -1, step) for _, step in unmatched]
-
-    def _note(
-        self,
-        effect: str,
-        message: Overheard,
-        *,
-        frames_late: int = 0,
-        time_ns: int = 0,
-    ) -> None:
-        header = message.header
-        self.effects.append(MessageEffect(effect, header.frame, header.seq, message.step, frames_late, time_ns))
+            self.effects.withhold(CORRUPTED, _first(self._waiting, id_))
+        for _, step in unmatched:
+            self.effects.note_unreadable(DROPPED, step)
 
 
 def _same_content(a: Overheard, b: Overheard) -> bool:

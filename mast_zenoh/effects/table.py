@@ -107,24 +107,25 @@ _EMPTY: dict[str, np.ndarray] = {
 
 def _messages(index: int, meter: PassageMeter) -> dict[str, np.ndarray]:
     """The effects on whole messages of one passage."""
-    n = len(meter.effects)
+    n = len(meter.effects.messages)
     columns = {name: np.full(n, -1, np.int64) for name in ("id",)} | {"passage": np.full(n, index, np.int64)}
-    columns["code"] = np.array([CODE[each.effect] for each in meter.effects], np.int64)
+    columns["code"] = np.array([CODE[each.effect] for each in meter.effects.messages], np.int64)
     for name in ("frame", "seq", "step", "frames_late", "time_ns"):
-        columns[name] = np.array([getattr(each, name) for each in meter.effects], np.int64)
-    columns["columns"] = _texts([" ".join(each.columns) for each in meter.effects])
+        columns[name] = np.array([getattr(each, name) for each in meter.effects.messages], np.int64)
+    columns["columns"] = _texts([" ".join(each.columns) for each in meter.effects.messages])
     nowhere = {name: np.full((n, 3), np.nan) for name in ("before", "after", "velocity")}
     return columns | nowhere | {"whole": np.zeros(n, bool)}
 
 
 def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndarray]:
     """The effects on objects of one passage."""
-    if not meter.objects:
+    objects = meter.effects.objects
+    if not objects:
         return dict(_EMPTY)
     names = ("frame", "seq", "step", "effect", "columns", "id", "before", "after", "velocity", "whole", "frames_late")
-    columns = {name: np.concatenate([getattr(part, name) for part in meter.objects]) for name in names}
-    references = np.concatenate([part.references for part in meter.objects], axis=1)
-    of_agent = meter.objects[0].of_agent
+    columns = {name: np.concatenate([getattr(part, name) for part in objects]) for name in names}
+    references = np.concatenate([part.references for part in objects], axis=1)
+    of_agent = objects[0].of_agent
     frames = [_frames(references[side], of_agent, columns["frame"], poses, meter.passage.subject) for side in (0, 1)]
     for name, (origin, turn) in zip(("before", "after"), frames, strict=True):
         columns[name] = _turned(turn, columns[name]) + origin

@@ -86,7 +86,7 @@ class Evaluation:
             heard.period_s,
             away,
         )
-        spoofs, agents = [meter.spoofs for meter in heard.meter.meters], heard.record.agents
+        spoofs, agents = [meter.effects.spoofs for meter in heard.meter.meters], heard.record.agents
         lasts = round(Limits().coast_s / heard.period_s)
         done = with_poses(done, effects, spoofs, truth, agents, scores.frames, self.scorer.min_points, lasts)
         severed = self._severed(heard, scores, truth, effects)

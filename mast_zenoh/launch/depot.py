@@ -1,4 +1,4 @@
-"""What the launcher keeps for nodes that live elsewhere, and takes from them: the other end of runtime.elsewhere.
+"""What the launcher keeps for nodes that live elsewhere, and takes from them: the other end of runtime.file_client.
 
 A node gets scenario.json and wiring.json, the scene if it drives it, and the user's Python files that it is made of:
 its own and those that define algorithms, with what they import from beside them. It may give the files that its
@@ -27,8 +27,8 @@ from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
 from mast_zenoh.resolved import RECORDING, Resolved
-from mast_zenoh.runtime.elsewhere import written_by
 from mast_zenoh.runtime.failures import described
+from mast_zenoh.runtime.file_client import written_by
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.scenes.recording import Recording
 

@@ -66,7 +66,7 @@ class Display:
             grid.add_row(self._bar)
             grid.add_row(table)
             self._live.update(grid)
-        elif frame >= self._told + max(1, self._frames // 4):
+        elif self._told + max(1, self._frames // 4) <= frame <= self._frames:
             self._told = frame
             self.say(f"{self._title}: frame {frame} of {self._frames} {rate}")
 

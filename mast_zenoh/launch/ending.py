@@ -1,6 +1,6 @@
 """How an ending becomes an error, a status in run.json and an exit code: the one place that decides.
 
-docs/exit_codes.md has the table of all endings.
+docs/endings.md has the tables of all endings, and its tests read them.
 """
 
 from __future__ import annotations

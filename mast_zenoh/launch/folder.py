@@ -21,8 +21,8 @@ import numpy as np
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
+from mast_zenoh.messagelog import churn
 from mast_zenoh.resolved import NodeSpec
-from mast_zenoh.runtime import churn
 from mast_zenoh.runtime.results import EVALUATOR, TABLES, counts_of
 
 #: Takes up room until the final run.json is written: a run that filled the disk can still say so.

@@ -172,7 +172,8 @@ class Launch:
 
         def on_clock(sample: zenoh.Sample) -> None:
             _, frame = stamp_of(sample.attachment.to_bytes() if sample.attachment else None)
-            if not 0 <= frame < max(1, self.resolved.frames):
+            timespan = self.resolved.timespan  # None: of another simulator than ours, which may play on for longer
+            if frame < 0 or (timespan is not None and frame >= max(1, timespan.frames)):
                 return
             self.frame = frame
             if self.hosts is not None:

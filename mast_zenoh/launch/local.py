@@ -22,8 +22,9 @@ from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.launch.nodelogs import NodeLogs
+from mast_zenoh.messagelog import churn
 from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import churn, failures
+from mast_zenoh.runtime import failures
 from mast_zenoh.runtime.inproc import InProcess
 
 

@@ -13,9 +13,9 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.textpath import TextPath
 
+from mast_zenoh.messagelog.churn import LOST
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.style import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, plain
-from mast_zenoh.runtime.churn import LOST
 
 #: Inches: a lane, and the gap between a band and the next one's name. Points: the size of names.
 LANE, _GAP, _POINTS = 0.2, 0.14, 8.5
@@ -56,20 +56,16 @@ def bands(runs: Iterable[RunFolder], *, timed: bool) -> list[Band]:
     """
     found: dict[Band, None] = {}
     for run in runs:
-        unit_s = 1.0 if timed else run.scenario.get("period_ns", 100_000_000) * 1e-9
+        unit_s = 1.0 if timed else run.period_s
+        frame = run.period_s / unit_s
         for each in run.timeline:
             until = np.inf if each.get("until_s") is None else each["until_s"] / unit_s
             found[Band(str(each["label"]), each["kind"] == "attack", each["at_s"] / unit_s, until)] = None
         for node, start, end in _absences(run):
-            found[Band(f"{node} lost", False, start * _frame(run, timed), end * _frame(run, timed))] = None
+            found[Band(f"{node} lost", False, start * frame, end * frame)] = None
     if all(band.attack for band in found):
         return []
     return sorted(found, key=lambda band: (band.start, band.end, band.label))
-
-
-def _frame(run: RunFolder, timed: bool) -> float:
-    """How long a frame is on the axis."""
-    return float(run.scenario.get("period_ns", 100_000_000) * 1e-9) if timed else 1.0
 
 
 def _absences(run: RunFolder) -> list[tuple[str, float, float]]:

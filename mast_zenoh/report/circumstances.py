@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from mast_zenoh.messagelog import churn
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.interposers import failures_of, frames_of, interposers
 from mast_zenoh.report.phrases import capital, count, listed, plural
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.runtime import churn
 
 
 def compromised(run: RunFolder) -> str:

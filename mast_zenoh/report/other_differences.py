@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.report.interposers import failures_of, interposers
+from mast_zenoh.report.phrases import listed
 from mast_zenoh.report.runfolder import RunFolder
 
 #: Roles of nodes that direct or make up an attack, and of those that have no part in the results.
@@ -44,8 +45,7 @@ def other_differences(run: RunFolder, reference: RunFolder) -> tuple[str, ...]:
 def named(differences: tuple[str, ...]) -> str:
     """`a, b, c and 2 more`."""
     shown, more = list(differences[:_MOST_NAMED]), len(differences) - _MOST_NAMED
-    parts = [*shown, f"{more} more"] if more > 0 else shown
-    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
+    return listed([*shown, f"{more} more"] if more > 0 else shown)
 
 
 def hostile_nodes(run: RunFolder) -> frozenset[str]:

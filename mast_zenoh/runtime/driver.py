@@ -18,8 +18,8 @@ from mast_zenoh.control import flow
 from mast_zenoh.control.flow import WiringUpdate
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
+from mast_zenoh.messagelog.churn import BACK, LOST
 from mast_zenoh.node import Source
-from mast_zenoh.runtime.churn import BACK, LOST
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.mesh import NOTED_FRAMES, MeshNode
 from mast_zenoh.runtime.pacer import Pacer
@@ -84,7 +84,7 @@ class Driver(MeshNode):
         self.wall_s = 0.0
         self.sent_ns: dict[int, int] = {}
         self.complaint = ""  # why the run cannot go on: a node's counters cannot be true
-        self.churn: list[dict[str, Any]] = []  # see mast_zenoh.runtime.churn
+        self.churn: list[dict[str, Any]] = []  # see mast_zenoh.messagelog.churn
         self._leaving: set[str] = set()  # those whose end the scenario wants
         self._ready: list[Outgoing] | None = None
         self._sent: Counter[str] = Counter()
@@ -245,8 +245,7 @@ class Driver(MeshNode):
         deadline = time.monotonic() + self.stall_timeout_s
         while not self.pacer.quiet(everyone=everyone):
             if not self._wait(min(deadline, time.monotonic() + SUSPECT_S)):
-                if who := self.pacer.implausible():
-                    return self._or_stopped(f"implausible: {who}")
+                self.complaint = self.complaint or self.pacer.implausible()
                 if self._over or time.monotonic() >= deadline:
                     return self._or_stopped(f"stall: {'; '.join(list(self.pacer.owing())[:5])}")
             self.pacer.drop(self.pacer.members.keys() - self.alive)

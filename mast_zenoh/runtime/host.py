@@ -80,7 +80,9 @@ class Host(NodeContext):
         """Begin: `peers` are the other nodes that are up, name to role. Counts and raises what `start` raises."""
         try:
             self.node.start(self)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # see _guard
             self._note_failure("start", self.node.start, (), error)
             raise
         for peer, role in sorted(peers.items()):

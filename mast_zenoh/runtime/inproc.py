@@ -102,7 +102,9 @@ class InProcess:
         host = self.hosts[name]
         try:
             host.start(self._peers(name))
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # GeneratorExit and CancelledError are no Exception
             (line,) = lines({name: [host.failures["start"].entry()]})
             raise StartError(line) from error
 
@@ -111,7 +113,9 @@ class InProcess:
         assert isinstance(source.node, Source)
         try:
             return source.node.advance(source)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # GeneratorExit and CancelledError are no Exception
             where = location(error, source.node.advance)
             what = f"{source.name}.advance failed before frame {frame}"
             raise NodeDied(f"{what}: {described(error)} ({where})") from error

@@ -39,11 +39,8 @@ class Pacer:
         self._flows = list(wiring.flows())
         self._publishers = {leg.publisher.node for _, leg in wiring.legs()}
         self._causes = [flow for flow in self._flows if flow[2] in self._publishers]
-        for (
-            key,
-            publisher,
-            subscriber,
-        ) in self._flows:  # those of wirings before stay: what they did counts
+        # Keys of earlier wirings stay: what was sent and handled on them counts.
+        for key, publisher, subscriber in self._flows:
             self._hears[subscriber].add(key)
             self._speaks[publisher].add(key)
         for _, leg in wiring.legs():

@@ -10,6 +10,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
+from control_samples import DRIVEN, ENTRY, OUTCOME
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -37,37 +38,6 @@ WIRING = Wiring(
     (Endpoint("recorder", "everything"),),
 )
 MEMBERS = {"simulator": "simulator", "ego": "agent"}
-ENTRY = {
-    "handler": "on_tracks",
-    "count": 1,
-    "frames": 1,
-    "first_frame": 3,
-    "last_frame": 3,
-    "exception": "KeyError: 'x'",
-    "where": "/a/node.py:3",
-}
-OUTCOME = {
-    "results": {"n": 1, "tables": {"mine": {"a": np.arange(3), "b": np.array(["x", "y", "z"])}}},
-    "rejected": {"clock: clock": 2},
-    "first_rejected": {"clock": [3, "not MessagePack"]},
-    "foreign": {"clock": 1},
-    "invalid": {"epoch": [1, "rubbish"]},
-    "unsigned": 3,
-    "process": "0123456789abcdef",
-    "failures": [ENTRY],
-    "last_frame": 11,
-    "cpu_s": 0.5,
-    "arrived_ns": {"clock": {0: 1_700_000_000_000_000_000}},
-    "versions": {"numpy": "2.0"},
-    "clock": {"offset_ms": -1.5, "round_trip_ms": 0.1},
-}
-DRIVEN = OUTCOME | {
-    "frames": 12,
-    "wall_s": 1.5,
-    "stop_reason": "end",
-    "sent_ns": {0: 1_700_000_000_000_000_000},
-    "churn": [],
-}
 PLACE = {"wire": "clock", "input": "in", "output": "out", "hears": {"clock": "clock"}, "says": []}
 SPEC = {"file": "/a/eve.py", "type": "Eve", "role": "adversary", "config": {"gain": 2.0}, "on_exit": "continue"}
 INTERCEPT = {"do": "intercept", "number": "ab", "name": "eve", "spec": SPEC, "place": PLACE}

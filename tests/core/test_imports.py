@@ -37,6 +37,7 @@ LAYERS = (
         "flaws",
         "columns",
         "messages",
+        "received",
         "bundle",
         "tables",
         "timespan",

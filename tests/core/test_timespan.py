@@ -10,7 +10,7 @@ from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
 from mast_zenoh.links import ClockSkew
 from mast_zenoh.messages import Header
-from mast_zenoh.node import Overheard
+from mast_zenoh.received import Overheard
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.timespan import Timespan
 from mast_zenoh.wiring import Ports

@@ -17,7 +17,7 @@ from mast_zenoh.launch import local
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.runtime.elsewhere import UP
+from mast_zenoh.runtime.launcher_watch import UP
 
 pytestmark = [pytest.mark.mesh, pytest.mark.timeout(600)]
 SMALL = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1")

@@ -22,7 +22,7 @@ from mast_zenoh.launch import local
 from mast_zenoh.launch.depot import belongings, with_neighbours
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime.elsewhere import _below, written_by
+from mast_zenoh.runtime.file_client import _below, written_by
 
 
 def small(name: str = "baseline") -> Resolved:

@@ -11,7 +11,7 @@ from mast_zenoh import codec
 from mast_zenoh.effects.message_effects import Interval
 from mast_zenoh.effects.passages import KNOWN_FRAMES, REMEMBERED, PassageMeter
 from mast_zenoh.messages import Header
-from mast_zenoh.node import Overheard
+from mast_zenoh.received import Overheard
 from mast_zenoh.states import ObjectStates
 from mast_zenoh.wiring import Input, Passage
 
@@ -41,12 +41,12 @@ def pose(frame: int, *, seq: int, x: float = 0.0):
 
 
 def effects(metered: PassageMeter) -> Counter[str]:
-    return Counter(each.effect for each in metered.effects)
+    return Counter(each.effect for each in metered.effects.messages)
 
 
 def changed(metered: PassageMeter) -> int:
     """How many objects were changed in any way."""
-    return sum(len(each.frame) for each in metered.objects)
+    return sum(len(each.frame) for each in metered.effects.objects)
 
 
 @pytest.mark.parametrize("late", [0, 2])
@@ -57,7 +57,7 @@ def test_a_message_under_another_number_is_the_same_to_its_subscribers(late: int
         metered.take_sent(tracks(frame, seq=frame + 100, step=frame + late))
     metered.close(100)
     assert effects(metered) == Counter({"reframed": 5} | ({"delayed": 5} if late else {}))
-    assert {each.columns for each in metered.effects if each.effect == "reframed"} == {("seq",)}
+    assert {each.columns for each in metered.effects.messages if each.effect == "reframed"} == {("seq",)}
     assert changed(metered) == (15 if late else 0)
 
 
@@ -80,7 +80,7 @@ def test_a_pose_that_is_forged_before_the_true_one_is_a_false_pose(passed_on: bo
         if passed_on:
             metered.take_sent(pose(frame, seq=frame))
     metered.close(100)
-    assert [(each.frame, each.position[0], each.false_position[0]) for each in metered.spoofs] == [
+    assert [(each.frame, each.position[0], each.false_position[0]) for each in metered.effects.spoofs] == [
         (frame, 0.0, 15.0) for frame in range(5)
     ]
 

@@ -54,12 +54,16 @@ def test_a_run_ends_with_an_exit_code_of_its_own_and_the_failures_of_one_process
     assert (run.out / "metrics.json").is_file() == (name != "evaluator"), "the results are evidence"
 
 
-def test_a_node_whose_start_fails_ends_the_run_on_a_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("error", ["FileNotFoundError", "GeneratorExit", "CancelledError"])
+def test_a_node_whose_start_fails_ends_the_run_on_a_mesh_and_in_one_process(launch, tmp_path: Path, error: str) -> None:
     path = failing.write("start", tmp_path)
+    node = tmp_path / "idle.py"
+    imported = "from asyncio import CancelledError\n" if error == "CancelledError" else ""
+    node.write_text(imported + node.read_text().replace("FileNotFoundError", error))
     run: Launched = launch(str(path), "--frames", str(FRAMES), "--no-record", "--allow-failures")
     code, output = run.end()
     assert code == 21, output
-    said = "eve.start failed once before the first frame: FileNotFoundError: no weights ("
+    said = f"eve.start failed once before the first frame: {error}: no weights ("
     assert f"StartError: {said}" in output
     record = in_process(path, tmp_path / "inproc")
     assert record["status"] == run.record()["status"] == "failed"

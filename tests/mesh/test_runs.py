@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -168,6 +170,44 @@ def test_a_users_own_node_beside_the_scenario_takes_part(launch, tmp_path: Path)
     agents = json.loads(metrics(run.out))["agents"]
     assert agents["infra_2"]["local"]["tp"]["mean"] == 0
     assert agents["infra_1"]["local"]["tp"]["mean"] > 0
+
+
+def test_a_node_that_dies_after_the_last_recorded_frame_of_a_longer_simulator_is_named_with_its_frame(
+    launch, tmp_path: Path
+) -> None:
+    shutil.copy(Path(__file__).parent / "live" / "simulator.py", tmp_path)
+    (tmp_path / "mortal.py").write_text(
+        "import os\n"
+        "from mast_zenoh.node import Node\n"
+        "class Mortal(Node):\n"
+        "    role = 'adversary'\n"
+        "    inputs = {'clock': 'clock', 'detections': 'detections'}\n"
+        "    outputs = {'detections_out': 'detections'}\n"
+        "    def __init__(self, agent: str):\n"
+        "        self.agent = agent\n"
+        "    def on_clock(self, received, context):\n"
+        "        if received.frame == 25:\n"
+        "            os._exit(9)\n"
+        "    def on_detections(self, received, context):\n"
+        "        context.relay('detections_out', received)\n"
+    )
+    (tmp_path / "longer.py").write_text(
+        "from mast_zenoh import loading\n"
+        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
+        "def scenario():\n"
+        "    return baseline(n_infrastructure=1) | dict(\n"
+        "        adversaries=dict(mallory=dict(file='mortal.py', agent='infra_1', on_exit='fail')),\n"
+        "        keyexpr=dict(map='testbed.toml', rewrites=['on_detections.toml']),\n"
+        "    )\n"
+    )
+    run: Launched = launch(str(tmp_path / "longer.py"), "--frames", "10", "--no-record")
+    code, output = run.end()
+    assert code == 22, output
+    died = re.search(r"mallory exit code 9 at frame (\d+)", output)
+    assert died, output
+    assert int(died[1]) >= 25
+    frames = [int(frame) for frame in re.findall(r"frame (\d+) of 10", output)]
+    assert max(frames) <= 10, "beyond the recording the length is not known"
 
 
 def test_the_terminal_display_is_plain_lines_when_nobody_watches(launch) -> None:

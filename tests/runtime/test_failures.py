@@ -70,7 +70,10 @@ def test_an_error_raised_in_a_library_or_the_runtime_is_located_at_its_caller() 
     def in_json() -> None:
         json.loads("{")
 
-    for call in (in_numpy, in_json):
+    def in_received() -> None:
+        _ = Overheard("s", Input("everything", "", "clock", "simulator"), b"rubbish", 0).header
+
+    for call in (in_numpy, in_json, in_received):
         assert failures.location(raised(call), call) == f"{__file__}:{call.__code__.co_firstlineno + 1}"
 
 
@@ -201,6 +204,7 @@ def test_failures_before_a_kill_count_in_one_process(tmp_path: Path) -> None:
     assert (entry["count"], entry["first_frame"], entry["last_frame"]) == (5, 5, 11)
 
 
+@pytest.mark.parametrize("raised", [RuntimeError, SystemExit, GeneratorExit, asyncio.CancelledError])
 @pytest.mark.parametrize(
     ("method", "error", "words"),
     [
@@ -209,16 +213,29 @@ def test_failures_before_a_kill_count_in_one_process(tmp_path: Path) -> None:
     ],
 )
 def test_a_node_that_cannot_start_and_a_scene_that_cannot_go_on_end_the_run(
-    method: str, error: type[Exception], words: str, monkeypatch: pytest.MonkeyPatch
+    method: str, error: type[Exception], words: str, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     process = InProcess(tiny("uncoordinated", "n_adversaries=1"))
     name = "adversary_1" if method == "start" else "simulator"
 
     def fail(*_: object) -> None:
-        raise RuntimeError("on purpose")
+        raise raised("on purpose")
 
     monkeypatch.setattr(process.hosts[name].node, method, fail)
     with pytest.raises(
-        error, match=rf"{words.replace('eve', name)}: RuntimeError: on purpose \(.*test_failures.py:\d+\)"
+        error, match=rf"{words.replace('eve', name)}: {raised.__name__}: on purpose \(.*test_failures.py:\d+\)"
     ):
         process.run()
+
+
+@pytest.mark.parametrize("method", ["start", "advance"])
+def test_ctrl_c_in_a_node_is_no_failure_of_the_node(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    process = InProcess(tiny("uncoordinated", "n_adversaries=1"))
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(process.hosts["simulator"].node, method, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        process.run()
+    assert process.failures() == {}

@@ -64,7 +64,7 @@ def test_one_batch_of_an_impossible_time_costs_one_picture(tmp_path: Path, by_ns
     assert run.rejected["command_center"] == {("cc/collated", "time"): 1}
     assert not run.failures
     meter = next(m for m in run.nodes["evaluator"].heard.meter.meters if m.passage.node == "restamper")
-    assert [(e.effect, e.frame) for e in meter.effects] == [(RESTAMPED, WRONG)]
+    assert [(e.effect, e.frame) for e in meter.effects.messages] == [(RESTAMPED, WRONG)]
 
 
 def test_batches_of_a_time_before_the_newest_are_left_out_and_are_no_failure(tmp_path: Path) -> None:

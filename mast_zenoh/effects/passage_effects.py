@@ -1,0 +1,145 @@
+"""The effects of one interposer on one wire: recorded message by message, as it becomes known what became of each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.effects import objects
+from mast_zenoh.effects.damaged import Id
+from mast_zenoh.effects.message_effects import (
+    CORRUPTED,
+    DELAYED,
+    FORGED,
+    REFRAMED,
+    REPEATED,
+    RESTAMPED,
+    MessageEffect,
+    Spoof,
+)
+from mast_zenoh.effects.objects import ObjectChanges, Passed
+from mast_zenoh.errors import MessageError
+from mast_zenoh.received import Overheard
+
+#: Changed messages that are compared at once.
+BATCH = 64
+
+#: ns; a message whose time is changed by more is of no use for its frame: its objects count as withheld. That is so
+#: where the receiver goes by the time in the header; for detections, poses and the clock it goes by the frame.
+RESTAMPED_NS = 50_000_000
+TIMED = ("tracks", "picture")
+
+
+class PassageEffects:
+    """The effects of an interposer on messages of one type.
+
+    messages: on whole messages; objects: on the objects in them; spoofs: on poses
+
+    Bodies are compared some at a time: `settle` compares those that are left, and has to be called at the end.
+    """
+
+    def __init__(self, message: str) -> None:
+        """message: the message type"""
+        self.messages: list[MessageEffect] = []
+        self.objects: list[ObjectChanges] = []
+        self.spoofs: list[Spoof] = []
+        self._type = message
+        self._passed: list[Passed] = []  # sent on changed, and not compared yet
+
+    def note(self, effect: str, message: Overheard, *, frames_late: int = 0, time_ns: int = 0) -> None:
+        """Record an effect on a message, and none on its objects."""
+        header = message.header
+        self.messages.append(MessageEffect(effect, header.frame, header.seq, message.step, frames_late, time_ns))
+
+    def note_unreadable(self, effect: str, step: int) -> None:
+        """Record an effect on a message of which nobody can read the header."""
+        self.messages.append(MessageEffect(effect, -1, -1, step))
+
+    def withhold(self, effect: str, message: Overheard, frames_late: int = 0) -> None:
+        """A message was received, and its subscribers got nothing that they could read, or got it too late."""
+        self.note(effect, message, frames_late=frames_late)
+        self._add_whole(message, received=True, frames_late=frames_late)
+
+    def hold_up(self, received: Overheard, sent: Overheard) -> int:
+        """A message was sent on. Returns by how many frames that was late; 0 if it was not."""
+        late = sent.step - received.step
+        if late > 0:
+            self.withhold(DELAYED, received, frames_late=late)
+        return max(0, late)
+
+    def renumber(self, id_: Id, received: Overheard, sent: Overheard) -> None:
+        """A message was sent on as it was, under another number than `id_`."""
+        self.messages.append(MessageEffect(REFRAMED, *id_, received.step, columns=("seq",)))
+        self.hold_up(received, sent)
+
+    def repeat(self, id_: Id, received_step: int, sent: Overheard) -> None:
+        """A message that was received in a frame, and sent on, was sent again."""
+        self.messages.append(MessageEffect(REPEATED, *id_, received_step, max(0, sent.step - received_step)))
+
+    def forge(self, message: Overheard, rival: Overheard | None) -> None:
+        """A message was sent that had not been received.
+
+        Subscribers take the first message about a frame: one that forestalls another, its `rival`, changes all that
+        differs.
+        """
+        self.note(FORGED, message)
+        if rival is None:
+            self._add_whole(message, received=False)
+            return
+        header = message.header
+        try:
+            passed = Passed(header.frame, header.seq, message.step, rival.body, message.body)
+        except MessageError:
+            return
+        changes, (names,) = objects.changed(self._type, [passed])
+        self._note_pose(passed, names)
+        self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
+
+    def compare(self, received: Overheard, sent: Overheard) -> None:
+        """A message was sent on with other bytes: record what differs, now or when more have come together."""
+        header, changed = received.header, sent.header
+        try:
+            before = received.body
+        except MessageError:  # no subscriber would have taken it anyway
+            self.note(CORRUPTED, received)
+            return
+        try:
+            after = sent.body
+        except MessageError:
+            self.withhold(CORRUPTED, received)
+            return
+        if changed.time_ns != header.time_ns:
+            shift_ns = changed.time_ns - header.time_ns
+            self.note(RESTAMPED, received, time_ns=shift_ns)
+            if abs(shift_ns) > RESTAMPED_NS and self._type in TIMED:
+                self._add_whole(received, received=True)
+        self._passed.append(Passed(header.frame, header.seq, received.step, before, after))
+        if len(self._passed) >= BATCH:
+            self.settle()
+
+    def settle(self) -> None:
+        """Compare the bodies of the messages that were sent on changed; then they need not be kept."""
+        if not self._passed:
+            return
+        changes, others = objects.changed(self._type, self._passed)
+        self.objects.append(changes)
+        for each, names in zip(self._passed, others, strict=True):
+            self._note_pose(each, names)
+            if names:
+                self.messages.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
+        self._passed = []
+
+    def _note_pose(self, passed: Passed, names: tuple[str, ...]) -> None:
+        """An agent was told another pose than its own."""
+        if names and self._type == "pose":
+            before, after = ([body[name].copy() for name in ("position", "rotation")] for body in passed[3:])
+            self.spoofs.append(Spoof(passed.frame, *before, *after))
+
+    def _add_whole(self, message: Overheard, *, received: bool, frames_late: int = 0) -> None:
+        """Record the effect on all objects of a message that was only received, or only sent."""
+        try:
+            header, body = message.header, message.body
+        except MessageError:
+            return
+        bodies = {"received": body if received else None, "sent": None if received else body}
+        whole = objects.whole(self._type, header.frame, header.seq, message.step, frames_late=frames_late, **bodies)
+        self.objects.append(whole)

@@ -1,0 +1,157 @@
+"""The files of a node that lives elsewhere: fetched from the launcher, and handed in to it while they grow.
+
+A node asks for what it needs under @control/fetch/{node}, and gives what it has written under @control/file/{node};
+both are queries of MessagePack maps:
+
+    fetch  {do: "join", version, versions}   → {files: {path: bytes}, without: [nodes], written: [paths]}, or refused
+    fetch  {do: "clock"}                     → {now_ns}
+    fetch  {do: "piece", path, offset}       → {piece: bytes}
+    file   {path, offset, piece}             → {}
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import zenoh
+
+from mast_zenoh import release
+from mast_zenoh.control import files
+from mast_zenoh.control.files import PIECE_BYTES
+from mast_zenoh.errors import MessageError, RunError
+from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.runtime.mesh import prefix
+
+_HAND_IN_EVERY_S = 1.0
+_HAND_IN_TIMEOUT_S = 20.0
+_PROBES = 5
+
+log = logging.getLogger("mast")
+
+A = TypeVar("A")
+
+
+class FileClient:
+    """Asks the launcher for the files of one node, and hands in what the node writes.
+
+    clock: offset_ms, this host's clock minus the launcher's, and round_trip_ms, within which it was measured
+    """
+
+    def __init__(self, session: zenoh.Session, run: str, name: str) -> None:
+        self._session = session
+        self._base = f"{prefix(run)}/@control"
+        self._name = name
+        self.clock: dict[str, float] = {}
+
+    def fetch(self, folder: Path, patience_s: float) -> list[str]:
+        """All files of this node into a folder; returns who is not up now. Raises what the launcher refuses it for."""
+        asked = {"do": "join", "version": release.named(), "versions": release.versions()}
+        told = self.ask("fetch", asked, patience_s, files.decode_belongings)
+        for path, size in told.files.items():
+            target = _below(folder, path)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with target.open("wb") as file:
+                while file.tell() < size:
+                    wanted = {"do": "piece", "path": path, "offset": file.tell()}
+                    piece = self.ask("fetch", wanted, patience_s, files.decode_piece)
+                    if not piece:
+                        raise RunError(f"{path}: the launcher has {file.tell()} bytes of it, expected {size}")
+                    file.write(piece)
+        for path in told.written:
+            _below(folder, path).touch()  # who is started again must not begin anew what it has written before
+        self._compare_clocks(patience_s)
+        return told.without
+
+    def hand_in(self, path: str, offset: int, piece: bytes, seconds: float) -> None:
+        """Append to a file of the run folder."""
+        self.ask("file", {"path": path, "offset": offset, "piece": piece}, seconds, files.decode_nothing)
+
+    def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], A]) -> A:
+        """The launcher's answer; asks again while nobody answers. Raises what it refuses it with, RunError for time.
+
+        decode: of the answer; one that it raises MessageError for is none
+        """
+        deadline = time.monotonic() + seconds
+        payload = files.encode(request)
+        while True:
+            for reply in self._session.get(f"{self._base}/{what}/{self._name}", payload=payload, timeout=5.0):
+                if reply.ok is not None:
+                    try:
+                        return decode(reply.ok.payload.to_bytes())
+                    except MessageError as error:
+                        log.warning("no answer of the launcher (%s): %s", what, error)
+                if reply.err is not None and (refusal := files.decode_refusal(reply.err.payload.to_bytes())):
+                    raise refusal
+            if time.monotonic() > deadline:
+                raise RunError(f"{self._name}: the launcher has not answered ({what}) within {seconds:.0f} s")
+            threading.Event().wait(0.1)
+
+    def _compare_clocks(self, seconds: float) -> None:
+        """As NTP does; of several the quickest answer counts."""
+        measured = []
+        for _ in range(_PROBES):
+            sent = time.time_ns()
+            theirs = self.ask("fetch", {"do": "clock"}, seconds, files.decode_clock)
+            came = time.time_ns()
+            measured.append((came - sent, (sent + came) // 2 - theirs))
+        round_trip, offset = min(measured)
+        self.clock = {"offset_ms": round(offset * 1e-6, 3), "round_trip_ms": round(round_trip * 1e-6, 3)}
+
+
+class HandIn:
+    """Gives files to the launcher while they grow, and what is left when the node has ended: a context."""
+
+    def __init__(self, client: FileClient, folder: Path, paths: tuple[str, ...]) -> None:
+        self._client = client
+        self._folder = folder
+        self._offsets = dict.fromkeys(paths, 0)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._follow, daemon=True)
+
+    def __enter__(self) -> HandIn:
+        if self._offsets:
+            self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._over.set()
+        if self._offsets:
+            self._thread.join()
+            if kind is None:
+                self._send()
+
+    def _follow(self) -> None:
+        while not self._over.wait(_HAND_IN_EVERY_S):
+            try:
+                self._send()
+            except Exception as error:  # the end tries again, and says so
+                log.warning("what is written could not be handed in yet: %s", error)
+
+    def _send(self) -> None:
+        for path in self._offsets:
+            with contextlib.suppress(FileNotFoundError), (self._folder / path).open("rb") as file:
+                file.seek(self._offsets[path])
+                while piece := file.read(PIECE_BYTES):
+                    self._client.hand_in(path, self._offsets[path], piece, _HAND_IN_TIMEOUT_S)
+                    self._offsets[path] += len(piece)
+
+
+def written_by(resolved: Resolved, name: str, built: Any = None) -> tuple[str, ...]:
+    """The files that a node writes: the logs among its parameters, as values or as its attributes."""
+    values = [*resolved.nodes[name].config.values(), *(vars(built).values() if built is not None else ())]
+    return tuple(dict.fromkeys(str(value.path) for value in values if isinstance(value, MessageLog)))
+
+
+def _below(folder: Path, path: str) -> Path:
+    """A path in a folder; raises RunError for one that leads out of it."""
+    target = (folder / path).resolve()
+    if not target.is_relative_to(folder.resolve()):
+        raise RunError(f"{path}: leads out of the folder of the run")
+    return target
