@@ -9,8 +9,10 @@ PIP := pip install --quiet --disable-pip-version-check
 run: .venv/ready
 	$(BIN)/mast study case_study
 
+# Three at a time, also on two cores: tests that start processes wait for most of their time. Those of a file share what is
+# slow to make, so they stay together.
 test: .venv/ready
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(TESTS)
 
 lint: .venv/ready
 	$(BIN)/ruff check .

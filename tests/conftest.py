@@ -19,6 +19,11 @@ settings.load_profile("untimed")
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that start processes come first: they wait for most of their time, and others fill it."""
+    items.sort(key=lambda item: item.get_closest_marker("mesh") is None)
+
+
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Launched]]:
     """Starts runs by command, each in a folder of its own; kills those that the test has left running.
