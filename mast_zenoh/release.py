@@ -14,7 +14,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 #: What no node runs, or what is given to each node with the run.
 _OUTSIDE = {"bundled", "study", "report", "launch", "deploy", "checks"}
-_OUTSIDE |= {"cli.py", "options.py", "deploying.py", "documentation.py", "__main__.py"}
+_OUTSIDE |= {"cli.py", "options.py", "deploying.py", "live_commands.py", "documentation.py", "__main__.py"}
 
 
 @cache

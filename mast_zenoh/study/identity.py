@@ -17,7 +17,7 @@ from mast_zenoh import bundle, kernels, scenes
 
 #: Packages whose versions decide over the numbers, and parts of this one that do not.
 _PACKAGES = ("mast-zenoh", "numpy", "scipy", "filterpy", "msgpack")
-_OUTSIDE = {"study", "report", "launch", "cli.py", "documentation.py", "__main__.py"}
+_OUTSIDE = {"study", "report", "launch", "cli.py", "live_commands.py", "documentation.py", "__main__.py"}
 
 
 @cache

@@ -10,7 +10,7 @@ PACKAGE = ROOT / "mast_zenoh"
 
 #: From the top down. Modules of one line may import each other.
 LAYERS = (
-    ("__main__", "standard_streams", "cli", "deploying", "options", "documentation"),
+    ("__main__", "standard_streams", "cli", "deploying", "live_commands", "options", "documentation"),
     ("study",),
     ("report",),
     ("deploy",),

@@ -206,7 +206,7 @@ class Engine:
         monkeypatch.setattr(services, "docker", self.docker)
         self.router = Task("r1", "router", "here", "running", "running", "")
         monkeypatch.setattr(tasks, "of", lambda stack: {"infra_2": list(self.tasks), "router": [self.router]})
-        monkeypatch.setattr(services, "keep_log", lambda task, path, refused: self.told.append(("log", task)))
+        monkeypatch.setattr(services, "keep_logs", lambda logs: self.told.extend(("log", task) for task, *_ in logs))
         monkeypatch.setattr(services.time, "monotonic", lambda: self.now)
 
     def docker(self, *words: str, **_: Any) -> str:

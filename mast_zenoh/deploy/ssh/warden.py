@@ -20,7 +20,6 @@ liveliness token (a node keeps $TMPDIR/mast-up while it sees it). Its own death 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import math
 import os
@@ -28,37 +27,20 @@ import selectors
 import shutil
 import signal
 import socket
-import subprocess
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.deploy.ssh.host_processes import HostProcesses
+
 CONTROL = "control"
 
-
-_UP = "mast-up"  # as mast_zenoh.runtime.elsewhere touches it; that module is not imported: this process stays small
 _TICK_S = 0.2
 _TOUCH_EVERY_S = 15.0
 _LAST_GRACE_S = 3.0
 _PIECE = 1 << 16
-_DRAIN_S = 5.0  # for who is attached to hear the last of it
 _MOST_WAITING = 1 << 20  # bytes for one connection; logs wait beyond that
-_PR_SET_PDEATHSIG = 1
-
-
-class Node:
-    """A process; start: id of the command that has started it."""
-
-    def __init__(self, name: str, start: str, process: subprocess.Popen[bytes]) -> None:
-        self.name = name
-        self.start = start
-        self.process = process
-        self.told = False
-
-    def state(self) -> dict[str, Any]:
-        """As it is told."""
-        return {"node": self.name, "start": self.start, "pid": self.process.pid, "exit": self.process.poll()}
 
 
 class Connection:
@@ -82,13 +64,12 @@ class Warden:
     def __init__(self, folder: Path, patience_s: float) -> None:
         self.folder = folder
         self.patience_s = patience_s
-        self.nodes: dict[str, Node] = {}
+        self.processes = HostProcesses(folder)
         self.answers: dict[str, dict[str, Any]] = {}
         self.connections: list[Connection] = []
         self.heard = self.touched = time.monotonic()
         self.ending: list[tuple[float, str]] = []  # when who still runs is killed, and which command is then answered
         self.leaving: str | None = None
-        self.left_at = 0.0
         self.told_to_leave = False
         self.selector = selectors.DefaultSelector()
         self.listener = socket.socket(socket.AF_UNIX)
@@ -120,9 +101,7 @@ class Warden:
                 self._end_who_is_late()
                 self._tell_news()
         finally:
-            self._signal(self.nodes.values(), signal.SIGKILL)
-            for node in self.nodes.values():
-                node.process.wait()
+            self.processes.kill()
             shutil.rmtree(self.folder, ignore_errors=True)
             with contextlib.suppress(OSError):
                 self.folder.parent.rmdir()  # by whoever is the last
@@ -163,8 +142,8 @@ class Warden:
             connection.launcher = said["as"] == "launcher"
             connection.offsets = said["logs"]
             connection.tell({"warden": os.getpid()})
-            for node in self.nodes.values():
-                connection.tell(node.state())
+            for state in self.processes.states():
+                connection.tell(state)
         if connection.launcher:
             self.heard = time.monotonic()
         if "id" not in said:
@@ -186,71 +165,38 @@ class Warden:
     def _do(self, said: dict[str, Any]) -> dict[str, Any] | None:
         """What is answered; None for what takes its time."""
         if said["do"] == "start":
-            return self._start(said)
+            return self.processes.start(said["name"], said["id"], said["argv"], said["env"])
         if said["do"] == "signal":
-            self._signal([self.nodes[name] for name in said["names"] if name in self.nodes], said["number"])
+            self.processes.signal(said["number"], said["names"])
         elif said["do"] in ("end", "leave"):
             if said["do"] == "leave":
                 self.leaving = said["id"]
             self._end(said["grace_s"], said["id"])
             return None
-        return {"nodes": [node.state() for node in self.nodes.values()]}
-
-    def _start(self, said: dict[str, Any]) -> dict[str, Any]:
-        name = said["name"]
-        before = self.nodes.get(name)
-        if before is not None and before.process.poll() is None:
-            return {"error": f"{name} runs already"}
-        own = self.folder / "tmp" / name
-        shutil.rmtree(own, ignore_errors=True)  # of one that was killed
-        own.mkdir(parents=True)
-        with (self.folder / "logs" / f"{name}.log").open("ab") as log:
-            try:
-                process = subprocess.Popen(
-                    said["argv"],
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=log,
-                    cwd=self.folder,
-                    env={**os.environ, **said["env"], "TMPDIR": str(own)},
-                    start_new_session=True,
-                    preexec_fn=_die_with_parent,  # this process has one thread
-                )
-            except OSError as error:
-                return {"error": f"{name}: {error}"}
-        self.nodes[name] = Node(name, said["id"], process)
-        return {"pid": process.pid}
-
-    def _signal(self, nodes: Any, number: int) -> None:
-        for node in nodes:
-            if node.process.poll() is None:
-                node.process.send_signal(number)
+        return {"nodes": self.processes.states()}
 
     def _end(self, grace_s: float, which: str) -> None:
-        self._signal(self.nodes.values(), signal.SIGCONT)
-        self._signal(self.nodes.values(), signal.SIGTERM)
+        self.processes.signal(signal.SIGCONT)
+        self.processes.signal(signal.SIGTERM)
         self.ending.append((time.monotonic() + grace_s, which))
 
     def _end_who_is_late(self) -> None:
         for due, which in list(self.ending):
-            running = [node for node in self.nodes.values() if node.process.poll() is None]
-            if running and time.monotonic() > due:
-                self._signal(running, signal.SIGKILL)
-                for node in running:
-                    node.process.wait()
-            if not running or time.monotonic() > due:
-                self.ending.remove((due, which))
-                self._tell_news()  # how they have ended, and their last words, before the answer
-                self._answer(which, {})
+            if self.processes.running():
+                if time.monotonic() <= due:
+                    continue
+                self.processes.kill()
+            self.ending.remove((due, which))
+            self._tell_news()  # how they have ended, and their last words, before the answer
+            self._answer(which, {})
 
     def _watch_launcher(self) -> None:
         now = time.monotonic()
         if now - self.touched > _TOUCH_EVERY_S:
             self.touched = now
             os.utime(CONTROL)
-        for node in self.nodes.values():
-            if (self.folder / "tmp" / node.name / _UP).exists() and _moves(node.process):
-                self.heard = now
+        if self.processes.see_launcher():
+            self.heard = now
         if self.leaving is None and (self.told_to_leave or now - self.heard > self.patience_s):
             self.leaving = "by itself"
             self._end(_LAST_GRACE_S, self.leaving)
@@ -264,7 +210,7 @@ class Warden:
     # -- what is told --------------------------------------------------------------------------------------------
 
     def _tell_news(self) -> None:
-        ended = [node for node in self.nodes.values() if not node.told and node.process.poll() is not None]
+        ended = self.processes.newly_ended()
         for connection in list(self.connections):
             self._tell_logs(connection, _MOST_WAITING)
             for node in ended:
@@ -283,7 +229,7 @@ class Warden:
         """What has been written since, of each in turn, as long as no more than so many bytes wait."""
         if connection.offsets is None:
             return
-        more = set(self.nodes)
+        more = self.processes.names()
         while more and len(connection.waiting) < most:
             more = {name for name in more if self._tell_log(connection, connection.offsets, name)}
 
@@ -296,21 +242,6 @@ class Warden:
             connection.tell({"log": name, "offset": offset, "text": piece.decode("latin-1")})  # a character a byte
             offsets[name] = offset + len(piece)
         return bool(piece)
-
-
-def _moves(process: subprocess.Popen[bytes]) -> bool:
-    """Whether a process runs and does not stand still: who does sees nothing (proc(5), field 3 of stat)."""
-    if process.poll() is not None:
-        return False
-    try:
-        return Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[0] != "T"
-    except OSError:
-        return True
-
-
-def _die_with_parent() -> None:
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
 
 
 def serve(folder: Path, patience_s: float) -> None:

@@ -22,7 +22,8 @@ from mast_zenoh.deploy.docker import docker
 from mast_zenoh.deploy.joining import join
 from mast_zenoh.deploy.swarm import document, placement, tasks
 from mast_zenoh.deploy.swarm import stack as stacks
-from mast_zenoh.deploy.swarm.services import Services, keep_log
+from mast_zenoh.deploy.swarm.logs import keep_log
+from mast_zenoh.deploy.swarm.services import Services
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.engine import Engine

@@ -6,30 +6,27 @@ goes on at once; what the scenario does itself, it does by scaling the service, 
 
 from __future__ import annotations
 
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.deploy.swarm import tasks
 from mast_zenoh.deploy.swarm.document import ROUTER, STOP_GRACE_S, router_exit
+from mast_zenoh.deploy.swarm.logs import keep_logs
 from mast_zenoh.deploy.swarm.tasks import Task
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
 from mast_zenoh.resolved import NodeSpec
 
 _LOOK_EVERY_S = 0.5
-_AT_A_TIME = 4  # commands to the engine
 _CHANGED_S = 60.0  # for Docker to carry out what it was told, at most
 _AGAIN_S = 5.0  # until it is told again
 _UNPLACED_S = 30.0  # for Docker to find a machine for a node, at most
 _SILENT_S = 30.0  # without a word of Docker, at most
 _ROUTERLESS_S = 5.0  # from the router's end to another task for it, where Docker makes one
-_LOG_S = 30.0
 
 
 class Service(Child):
@@ -280,25 +277,4 @@ class Services(Supervisor[Service]):
                 self._kept.add(child.task.id)
                 wanted.append((child.task.id, self._logs / f"{child.name}.log", child.task.refused))
         if wanted:
-            with ThreadPoolExecutor(_AT_A_TIME) as pool:
-                list(pool.map(lambda each: keep_log(*each), wanted))
-
-
-def keep_log(task: str, path: Path, refused: str = "") -> None:
-    """Append what a task, or a service, has said to a file, and why Docker has not started it."""
-    with path.open("ab") as log:
-        if refused:
-            log.write(f"{refused}\n".encode())
-            return
-        try:
-            subprocess.run(
-                ["docker", "service", "logs", "--raw", task],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                check=False,
-                timeout=_LOG_S,
-                start_new_session=True,
-            )
-        except subprocess.TimeoutExpired:
-            log.write(b"(Docker has not given all of it)\n")
+            keep_logs(wanted)

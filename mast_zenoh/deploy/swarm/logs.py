@@ -1,0 +1,37 @@
+"""What tasks and services have said, appended to files."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+_AT_A_TIME = 4  # commands to the engine
+_LOG_S = 30.0
+
+
+def keep_logs(wanted: Iterable[tuple[str, Path, str]]) -> None:
+    """`keep_log` for each (task, path, refused), several at a time."""
+    with ThreadPoolExecutor(_AT_A_TIME) as pool:
+        list(pool.map(lambda each: keep_log(*each), wanted))
+
+
+def keep_log(task: str, path: Path, refused: str = "") -> None:
+    """Append what a task, or a service, has said to a file, and why Docker has not started it."""
+    with path.open("ab") as log:
+        if refused:
+            log.write(f"{refused}\n".encode())
+            return
+        try:
+            subprocess.run(
+                ["docker", "service", "logs", "--raw", task],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                check=False,
+                timeout=_LOG_S,
+                start_new_session=True,
+            )
+        except subprocess.TimeoutExpired:
+            log.write(b"(Docker has not given all of it)\n")
