@@ -39,7 +39,7 @@ def test_a_node_that_intercepts_is_measured_from_then_on_and_no_other_adversary_
     (tmp_path / "shover.py").write_text(SHOVER)
     settings = ("n_infrastructure=1", "n_adversaries=1", "attack_start_s=1000")
     options = [word for setting in settings for word in ("--set", setting)]
-    run = launch("uncoordinated", *options, "--mode", "realtime", "--rate", "4", "--frames", "150")
+    run = launch("uncoordinated", *options, "--mode", "realtime", "--rate", "2", "--frames", "150")
     observer = Observer(run.started())
     try:
         eventually(lambda: observer.frame() > 3, "the run is on its way")
@@ -54,7 +54,8 @@ def test_a_node_that_intercepts_is_measured_from_then_on_and_no_other_adversary_
     assert set(attacks["interposer"]) == {"mallory"}
     assert set(attacks["wire"]) == {"agent/infra_1/tracks"}
     moved = attacks["effect"] == "moved"
-    assert attacks["frame"][moved].min() >= done["frame"]
+    first = done["frame"] - 1  # what an agent says of a frame may be late, and go the new way
+    assert attacks["frame"][moved].min() >= first
     assert attacks["frame"][moved].max() >= 148, "up to the end"
     offset = np.column_stack([attacks[f"after_{axis}"] - attacks[f"before_{axis}"] for axis in "xyz"])[moved]
     np.testing.assert_allclose(offset, np.tile([0.0, 5.0, 0.0], (len(offset), 1)), atol=1e-9)
@@ -62,6 +63,6 @@ def test_a_node_that_intercepts_is_measured_from_then_on_and_no_other_adversary_
     assert verdicts == {"adversary_1": "nothing to report", "mallory": "silent"}
     blamed = objects["by"] != ""
     assert set(objects["by"][blamed]) == {"mallory"}
-    assert objects["frame"][blamed].min() >= done["frame"]
+    assert objects["frame"][blamed].min() >= first
     assert metrics["agents"]["infra_1"]["received"]["fp_split"]["attack"] > 0.0
     assert metrics["agents"]["infra_1"]["local"]["fp_split"]["attack"] == 0.0
