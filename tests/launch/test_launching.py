@@ -12,7 +12,7 @@ from mast_zenoh.launch.launching import _POLL_S, Launch
 
 def test_a_signal_that_is_noted_slowly_does_not_hold_up_the_launcher() -> None:
     nothing: Any = None
-    launch = Launch(nothing, Path(), {}, nothing, None, "")
+    launch = Launch(nothing, Path(), {"id": "r"}, nothing, None, "")
     with stop_signals.noted() as received:
 
         def note(number: int, _: object) -> None:

@@ -47,8 +47,8 @@ def test_keys_of_a_secure_run_are_nobody_elses_to_read(start: Callable[..., Laun
     secret = stat.S_IMODE((run.out / SECRET_FILE).stat().st_mode)
     code, output = run.end()
     assert code == 0, output
-    files = {path: mode for path, mode in during.items() if path.suffix == ".pem"}
-    assert {path.name for path in files} == {"ca.pem", "certificate.pem", "key.pem"}
+    files = {path: mode for path, mode in during.items() if path.suffix}
+    assert {path.name for path in files} == {"ca.pem", "certificate.pem", "key.pem", "control.json"}
     assert set(files.values()) == {0o600}
     folders = {path: mode for path, mode in during.items() if path not in files}
     assert {path.name for path in folders} > {"ego", "infra_1", "simulator", "broker", "command_center"}
