@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from fuzzing import Fuzzing
 from hypothesis import HealthCheck, settings
 from launched import Launched
 
@@ -17,6 +18,21 @@ settings.load_profile("untimed")
 
 # Whoever starts the tests under nohup has all commands inherit that a hangup is ignored.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--fuzz", action="store_true", help="send many more malformed messages in the fuzz tests")
+    parser.addoption("--fuzz-seed", type=int, default=0, help="what the fuzz tests draw from (default: 0)")
+
+
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    return [f"fuzz tests: seed {config.getoption('fuzz_seed')}"] if config.getoption("fuzz") else []
+
+
+@pytest.fixture
+def fuzzing(request: pytest.FixtureRequest) -> Fuzzing:
+    """How many malformed messages a fuzz test sends, and from which seed."""
+    return Fuzzing(request.config.getoption("fuzz"), request.config.getoption("fuzz_seed"))
 
 
 @pytest.fixture
