@@ -17,7 +17,7 @@ from launched import MAST
 
 from mast_zenoh.messagelog.reader import read
 
-STAGED = (sys.executable, str(Path(__file__).parent / "at_stage.py"))
+STAGED = (sys.executable, "-m", "at_stage")  # as a module, as MAST is: Python ends scripts in another way
 RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "30", "--no-report", "--out")
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
@@ -27,7 +27,10 @@ class Ended:
 
     def __init__(self, out: Path, command: Sequence[str], **options: object) -> None:
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        done = subprocess.run([*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | options))
+        beside = {"env": {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}}
+        done = subprocess.run(
+            [*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | beside | options)
+        )
         self.out, self.code = out, done.returncode
         self.text = (done.stdout or "") + (done.stderr or "")
 
@@ -82,6 +85,31 @@ def test_a_signal_while_the_command_line_is_imported_is_answered_in_one_line(out
     ended = Ended(out, (sys.executable, "-c", script, *RUN))
     ended.is_as(ending("signal before the run folder exists"))
     assert "error: Interrupted" in ended.text
+
+
+INTERRUPTED_CLASS = (
+    "import signal, sys\n"
+    "when = sys.argv.pop(1)\n"
+    "class Raiser:\n"
+    "    def __set_name__(self, owner, name): signal.raise_signal(signal.SIGTERM)\n"
+    "    def find_spec(self, name, path=None, target=None):\n"
+    "        if name == when: make()\n"
+    "def make(*_, **__): type('Made', (), {'field': Raiser()})\n"
+    "sys.meta_path.insert(0, Raiser())\n"
+    "from mast_zenoh import __main__ as process\n"
+    "if when == 'resolving':\n"
+    "    from mast_zenoh import scenario\n"
+    "    scenario.resolve = make\n"
+    "process.main()"
+)
+
+
+@pytest.mark.parametrize("when", ["mast_zenoh.stop_signals", "mast_zenoh.cli", "resolving"])
+def test_a_signal_while_a_class_is_made_is_answered_in_one_line(out: Path, when: str) -> None:
+    """Python 3.11 turns an exception in `__set_name__` into a RuntimeError."""
+    Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN)).is_as(
+        ending("signal before the run folder exists")
+    )
 
 
 def test_a_signal_while_nodes_start(out: Path) -> None:
