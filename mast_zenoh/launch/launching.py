@@ -13,6 +13,7 @@ from typing import Any
 import zenoh
 from rich.markup import escape
 
+from mast_zenoh.control import flow
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import (
     BackendError,
@@ -174,8 +175,12 @@ class Launch:
                 self.hosts.begin()
 
         def on_ask(sample: zenoh.Sample) -> None:
+            payload = sample.payload.to_bytes()
             try:
-                self._asked.put_nowait(sample.payload.to_bytes())
+                flow.decode_act(payload)  # what is none takes no room
+                self._asked.put_nowait(payload)
+            except MessageError as error:
+                self.invalid.note("act", error)
             except queue.Full:
                 self.invalid.note("act", f"more than {_MAX_ASKED} wait")
 

@@ -197,6 +197,8 @@ def bomb(shape: list[int], dtype: str = "<f8", raw: bytes = b"") -> msgpack.ExtT
         bomb([1], "<M8[s]", bytes(8)),
         bomb([1], "<f8,<f8", bytes(16)),
         bomb([1], "nonsense", bytes(8)),
+        bomb([1], "a8", bytes(8)),
+        bomb([1], "d", bytes(8)),
         bomb([1] * 40, raw=bytes(8)),
         msgpack.ExtType(2, packed([1, 2])),
         msgpack.ExtType(2, packed(7)),

@@ -325,7 +325,7 @@ def test_a_depot_that_has_died_ends_the_run_and_is_named(
     launch._check_depot()
     assert launch.problem is None
     monkeypatch.setattr(depot, "_refuse", MagicMock(side_effect=SystemExit))
-    depot._asked.put((MagicMock(key_expr="mast/x/@control/file/ego"), 0))
+    depot._asked.put((MagicMock(key_expr="mast/x/@control/file/ego"), None, 0))
     depot._thread.join(10.0)
     launch._check_depot()
     assert isinstance(launch.problem, ServiceDied)
