@@ -31,7 +31,7 @@ class Ended:
         done = subprocess.run(
             [*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | beside | options)
         )
-        self.out, self.code = out, done.returncode
+        self.out, self.code = out, done.returncode if done.returncode >= 0 else 128 - done.returncode  # as a shell does
         self.text = (done.stdout or "") + (done.stderr or "")
 
     @property
@@ -44,7 +44,8 @@ class Ended:
         """Check what is said of it in a row of the table, and what holds for all of them."""
         assert (self.status, self.code) == row, self.text
         assert "Traceback" not in self.text
-        assert not [path.name for path in self.out.glob(".*")], "no temporary file is left"
+        reserve = {".reserve"} if row.status == "running" else set()  # kept for a run.json that was never written
+        assert {path.name for path in self.out.glob(".*")} <= reserve, "no temporary file is left"
         if (self.out / "messages.mcap").is_file():
             list(read(self.out))
 
@@ -142,6 +143,25 @@ def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path) -> None:
     assert f"mast report {out}" in ended.text.replace("\n", "")
     assert (out / "metrics.json").is_file()
     assert not (out / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("stage", "what"),
+    [
+        ("loading", "launcher killed before the run folder exists"),
+        ("building", "launcher killed (SIGKILL)"),
+        ("playing", "launcher killed (SIGKILL)"),
+        ("collecting", "launcher killed (SIGKILL)"),
+        ("reporting", "launcher killed while the report is drawn"),
+    ],
+)
+def test_a_launcher_killed_at_any_stage_leaves_what_can_be_read(out: Path, stage: str, what: str) -> None:
+    Ended(out, at(stage, "SIGKILL", run=with_report())).is_as(ending(what))
+    assert out.exists() == (stage != "loading")
+    if stage in ("playing", "collecting", "reporting"):
+        told = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
+        assert told.returncode == 0, told.stderr
+        assert (out / "report.html").is_file()
 
 
 def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:

@@ -26,6 +26,13 @@ def gate(out: Path) -> Path:
     return out.with_suffix(".frames")
 
 
+def allow(out: Path, frames: int) -> None:
+    """Let so many frames begin."""
+    written = gate(out).with_suffix(".next")
+    written.write_text(str(frames))
+    written.replace(gate(out))
+
+
 def hold_back(file: str) -> None:
     """From now on the driver of this process begins no frame before the file allows it."""
     carry_out = Driver._carry_out
@@ -45,12 +52,14 @@ def resolved(file: str) -> Resolved:
 
 
 def main() -> None:
-    """Run it; an error is printed, and exit code 1."""
+    """Run it; an error is printed, and its exit code given."""
     file, out = sys.argv[1], Path(sys.argv[2])
     here = [str(Path(__file__).parent), *sys.path]
     wait = f"__import__('sys').path[:0] = {here!r}; __import__('held_back').hold_back({str(gate(out))!r})"
     ended = local.run(resolved(file), out, engine=Beside({"simulator": wait}))
-    sys.exit(f"{type(ended.error).__name__}: {ended.error}" if ended.error else 0)
+    if ended.error:
+        print(f"{type(ended.error).__name__}: {ended.error}", file=sys.stderr)
+        sys.exit(ended.error.exit_code)
 
 
 if __name__ == "__main__":

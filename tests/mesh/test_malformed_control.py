@@ -18,7 +18,7 @@ import psutil
 import pytest
 import zenoh
 from fuzzing import Fuzzing
-from held_back import gate, resolved
+from held_back import allow, resolved
 from launched import Launched, Observer, eventually
 from malformed_control import malformed
 from sound_controls import CODECS, packed
@@ -145,17 +145,10 @@ def begin(start: Callable[..., Launched], tmp_path: Path) -> Callable[[int], Lau
     def launch(frames: int) -> Launched:
         path = os.pathsep.join(sys.path)
         script = Path(__file__).parent / "held_back.py"
-        gate(tmp_path / "run_0").write_text(str(frames))
+        allow(tmp_path / "run_0", frames)
         return start(sys.executable, str(script), str(tmp_path / "fuzzed.py"), PYTHONPATH=path)
 
     return launch
-
-
-def allow(run: Launched, frames: int) -> None:
-    """Let so many frames begin."""
-    written = gate(run.out).with_suffix(".next")
-    written.write_text(str(frames))
-    written.replace(gate(run.out))
 
 
 def ended_as_if_nothing_had_been(run: Launched, tmp_path: Path) -> dict[str, Any]:
@@ -193,13 +186,13 @@ def test_each_malformed_control_message_is_refused_and_counted_once_by_each_rece
         for number in range(total):
             frames = 2 + number * (FRAMES - 2) // total  # all but the last
             if frames > sender.observer.frame():
-                allow(run, frames)
+                allow(run.out, frames)
                 run.until(lambda: sender.observer.frame() >= frames, f"frame {frames}")  # noqa: B023
             sender.send()
         sender.settle()
         processes = [run.process.pid, *(child.pid for child in psutil.Process(run.process.pid).children())]
         peaks = {pid: peak_mb(pid) for pid in processes}
-        allow(run, FRAMES + 1)  # and what comes after the last
+        allow(run.out, FRAMES + 1)  # and what comes after the last
         record = ended_as_if_nothing_had_been(run, tmp_path)
     finally:
         sender.observer.close()
