@@ -4,7 +4,7 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run test lint bench docs lock dist clean
+.PHONY: run test fuzz lint bench docs lock dist clean
 
 run: .venv/ready
 	$(BIN)/mast study case_study
@@ -13,6 +13,11 @@ run: .venv/ready
 # slow to make, so they stay together.
 test: .venv/ready
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(TESTS)
+
+# `make fuzz SEED=7` draws what an earlier run with that seed has drawn.
+fuzz: SEED ?= $(shell $(PYTHON) -c 'import random; print(random.randrange(1 << 24))')
+fuzz: .venv/ready
+	$(BIN)/python -m pytest --fuzz --fuzz-seed $(SEED) --timeout 1800 tests/runtime/test_malformed_input.py tests/mesh/test_malformed_control.py
 
 lint: .venv/ready
 	$(BIN)/ruff check .

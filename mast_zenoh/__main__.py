@@ -3,20 +3,37 @@
 It handles signals and its standard streams before anything that takes time is imported.
 """
 
+import os
 import signal
 import sys
 
-from mast_zenoh import standard_streams, stop_signals
+
+def _end_at_once(number: int, frame: object) -> None:
+    """Answer a stop signal while nothing has been started: end, whatever Python is in the middle of.
+
+    An exception would not do: what is imported may turn it into another one.
+    """
+    try:
+        os.write(2, f"error: Interrupted: stopped by {signal.Signals(number).name}\n".encode())
+    finally:
+        os._exit(130)
+
+
+for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    if _number != signal.SIGHUP or signal.getsignal(_number) != signal.SIG_IGN:
+        signal.signal(_number, _end_at_once)
+
+from mast_zenoh import standard_streams, stop_signals  # noqa: E402  # these import what takes time
 
 
 def main() -> None:
     """Carry out the command, and end the process with its exit code; see docs/exit_codes.md."""
+    standard_streams.replace()
+    from mast_zenoh import cli
+
     code = stop_signals.EXIT_CODE
     try:
         with stop_signals.interrupting():
-            standard_streams.replace()
-            from mast_zenoh import cli
-
             code = cli.carry_out()
     except KeyboardInterrupt:
         sys.stderr.write("error: Interrupted: stopped before anything was started\n")
@@ -28,6 +45,9 @@ def main() -> None:
         from mast_zenoh.errors import DiskFull
 
         code = code or DiskFull.exit_code
+    # Python ends a process by SIGINT if a KeyboardInterrupt has ever left code that was executed from a text, such as
+    # that of a dataclass, whoever has caught it since: until the next such code.
+    exec("")
     sys.exit(code)
 
 

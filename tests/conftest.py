@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from fuzzing import Fuzzing
 from hypothesis import HealthCheck, settings
 from launched import Launched
 
@@ -22,6 +23,21 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests that start processes come first: they wait for most of their time, and others fill it."""
     items.sort(key=lambda item: item.get_closest_marker("mesh") is None)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--fuzz", action="store_true", help="send many more malformed messages in the fuzz tests")
+    parser.addoption("--fuzz-seed", type=int, default=0, help="what the fuzz tests draw from (default: 0)")
+
+
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    return [f"fuzz tests: seed {config.getoption('fuzz_seed')}"] if config.getoption("fuzz") else []
+
+
+@pytest.fixture
+def fuzzing(request: pytest.FixtureRequest) -> Fuzzing:
+    """How many malformed messages a fuzz test sends, and from which seed."""
+    return Fuzzing(request.config.getoption("fuzz"), request.config.getoption("fuzz_seed"))
 
 
 @pytest.fixture

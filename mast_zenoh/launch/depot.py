@@ -35,6 +35,8 @@ from mast_zenoh.scenes.recording import Recording
 #: Questions of one node that may wait; it asks one at a time, and again after five seconds.
 MAX_WAITING = 16
 
+Request = files.Join | files.Clock | files.Piece | files.Written
+
 
 class Depot:
     """Serves all nodes of one run, in a thread of its own, from when it is made until it is closed.
@@ -66,7 +68,7 @@ class Depot:
         self._closed = False
         self.death = ""  # what its thread has ended of, when nobody had closed it
         self._kept: dict[str, dict[str, bytes | Path]] = {}
-        self._asked: queue.SimpleQueue[tuple[zenoh.Query, int] | None] = queue.SimpleQueue()
+        self._asked: queue.SimpleQueue[tuple[zenoh.Query, Request, int] | None] = queue.SimpleQueue()
         handler: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         base = f"{prefix(run)}/@control"
         self._declared = [session.declare_queryable(f"{base}/{what}/*", handler) for what in ("fetch", "file")]
@@ -93,32 +95,38 @@ class Depot:
             self.death = described(error)
 
     def _on_query(self, query: zenoh.Query) -> None:
-        node = _sender(query)
-        known = node in self._resolved().nodes
-        with self._lock:
-            full = self._waiting[node] >= MAX_WAITING if known else True
-            if not full:
+        """Take up a question, in Zenoh's thread: what is none takes nobody's room."""
+        (what, node), came_ns = _asked(query), time.time_ns()
+        try:
+            if node not in self._resolved().nodes:
+                raise MessageError(f"there is no node {node!r:.80} in this run")
+            payload = query.payload.to_bytes() if query.payload else b""
+            request = files.decode_file(payload) if what == "file" else files.decode_fetch(payload)
+            with self._lock:
+                if self._waiting[node] >= MAX_WAITING:
+                    raise MessageError(f"more than {MAX_WAITING} wait")
                 self._waiting[node] += 1
-        if full:
-            why = f"more than {MAX_WAITING} wait" if known else f"there is no node {node!r:.80} in this run"
-            self._refuse(query, "fetch", node, MessageError(why))
+        except MessageError as error:
+            self._refuse(query, what, node, error)
         else:
-            self._asked.put((query, time.time_ns()))
+            self._asked.put((query, request, came_ns))
 
     def _serve(self) -> None:
         while (asked := self._asked.get()) is not None:
-            query, came_ns = asked
-            what, node = str(query.key_expr).rpartition("/@control/")[2].partition("/")[0], _sender(query)
+            query, request, came_ns = asked
+            what, node = _asked(query)
             with self._lock:
                 self._waiting[node] -= 1
             try:
-                payload = query.payload.to_bytes() if query.payload else b""
-                answer = self._take(node, payload) if what == "file" else self._give(node, payload, came_ns)
+                if isinstance(request, files.Written):
+                    answer = self._take(node, request)
+                else:
+                    answer = self._give(node, request, came_ns)
                 query.reply(query.key_expr, files.encode(answer))
                 query.drop()
             except Exception as error:  # whatever a node asks, the others are served
                 self._refuse(query, what, node, error)
-            del query
+            del asked, query
 
     def _refuse(self, query: zenoh.Query, what: str, node: str, error: Exception) -> None:
         """Answer with an error; count it, unless it says what a sound node has to know."""
@@ -129,8 +137,7 @@ class Depot:
             query.reply_err(files.encode_refusal(told))
             query.drop()
 
-    def _give(self, node: str, payload: bytes, came_ns: int) -> dict[str, Any]:
-        request = files.decode_fetch(payload)
+    def _give(self, node: str, request: files.Join | files.Clock | files.Piece, came_ns: int) -> dict[str, Any]:
         if isinstance(request, files.Clock):
             return {"now_ns": came_ns}
         if isinstance(request, files.Join):
@@ -156,8 +163,8 @@ class Depot:
         written = [path for path in written_by(resolved, node) if (self._folder / path).exists()]
         return {"files": sizes, "without": self._without(node), "written": written}
 
-    def _take(self, node: str, payload: bytes) -> dict[str, Any]:
-        path, offset, piece = files.decode_file(payload)
+    def _take(self, node: str, written: files.Written) -> dict[str, Any]:
+        path, offset, piece = written
         if path not in written_by(self._resolved(), node):
             raise MessageError(f"{node} has no file {path!r:.80} to give")
         target = self._folder / path
@@ -170,9 +177,10 @@ class Depot:
         return {}
 
 
-def _sender(query: zenoh.Query) -> str:
-    """Who asks: the last chunk of the key."""
-    return str(query.key_expr).rpartition("/")[2]
+def _asked(query: zenoh.Query) -> tuple[str, str]:
+    """For what, and for which node: the last two chunks of the key."""
+    what, node = str(query.key_expr).rsplit("/", 2)[1:]
+    return what, node
 
 
 def belongings(resolved: Resolved, node: str, folder: Path) -> Iterator[tuple[str, bytes | Path]]:

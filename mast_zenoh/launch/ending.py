@@ -45,6 +45,8 @@ def from_exception(caught: BaseException, doing: str = "") -> MastError | None:
         return DiskFull(_sentence(full, doing))
     if isinstance(caught, MastError):
         return caught
+    if isinstance(caught.__cause__, KeyboardInterrupt):  # Python 3.11: of one in a class body that is executed
+        caught = caught.__cause__
     if isinstance(caught, KeyboardInterrupt):
         return Interrupted(f"stopped by {_NAMES.get(str(caught), caught)}")
     if isinstance(caught, OSError):

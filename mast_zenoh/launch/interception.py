@@ -72,7 +72,8 @@ class Interceptions:
         self._file = launch.folder / SECRET_FILE
         self._file.touch(mode=0o600)
         self._file.write_bytes(self._secret)
-        self._requests: queue.Queue[zenoh.Query] = queue.Queue(MAX_WAITING)
+        self._requests: queue.Queue[tuple[zenoh.Query, str, control.Intercept | control.Release]]
+        self._requests = queue.Queue(MAX_WAITING)
         self._served: set[str] = set()
         self._work: Generator[None] | None = None
         self._inserted: set[str] = set()
@@ -104,11 +105,22 @@ class Interceptions:
         self._file.unlink(missing_ok=True)
 
     def _on_query(self, query: zenoh.Query) -> None:
+        """Take up a request, in Zenoh's thread: what is none takes nobody's room."""
         try:
-            self._requests.put_nowait(query)
+            request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
+            number, what = fields.text(request.get("number"), "intercept: number", 64), control.request_of(request)
+            self._requests.put_nowait((query, number, what))
         except queue.Full:
-            self._launch.invalid.note("intercept", f"more than {MAX_WAITING} requests wait")
-            query.drop()
+            self._refuse(query, MessageError(f"more than {MAX_WAITING} requests wait"))
+        except MessageError as error:
+            self._refuse(query, error)
+
+    def _refuse(self, query: zenoh.Query, error: Exception) -> None:
+        if not isinstance(error, MastError) or isinstance(error, MessageError):
+            self._launch.invalid.note("intercept", described(error))
+        with suppress(zenoh.ZError):
+            query.reply_err(files.encode_refusal(error))
+        query.drop()
 
     def _note(self, token: zenoh.Sample) -> None:
         name = str(token.key_expr).rpartition("/")[2]
@@ -119,12 +131,10 @@ class Interceptions:
             child = self._supervisor.children[name]
             if child.exit is not None and not child.meant and self._launch.stopping_since is None:
                 return self._heal(child)
-        return None if self._requests.empty() else self._serve(self._requests.get())
+        return None if self._requests.empty() else self._serve(*self._requests.get())
 
-    def _serve(self, query: zenoh.Query) -> Generator[None]:
+    def _serve(self, query: zenoh.Query, number: str, what: control.Intercept | control.Release) -> Generator[None]:
         try:
-            request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
-            number, what = fields.text(request.get("number"), "intercept: number", 64), control.request_of(request)
             if number in self._served:
                 raise MessageError("a request that was made before")
             self._served.add(number)
@@ -134,13 +144,10 @@ class Interceptions:
             else:
                 answer = yield from self._release(*what)
         except Exception as error:  # whatever is asked, the run goes on
-            if not isinstance(error, MastError) or isinstance(error, MessageError):
-                self._launch.invalid.note("intercept", described(error))
-            with suppress(zenoh.ZError):
-                query.reply_err(files.encode_refusal(error))
+            self._refuse(query, error)
         else:
             query.reply(query.key_expr, msgpack.packb(answer))
-        query.drop()
+            query.drop()
 
     def _intercept(self, name: str, spec: NodeSpec, place: Place) -> Work:
         """Start a node, and put it on its wire when it is there."""

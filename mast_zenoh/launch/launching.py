@@ -80,7 +80,7 @@ class Launch:
     session: zenoh.Session | None = None
     depot: Depot | None = None
     # Not a SimpleQueue: its `get` never returns if a signal is still being handled when the timeout is over.
-    _asked: queue.Queue[bytes] = field(default_factory=lambda: queue.Queue(_MAX_ASKED))
+    _asked: queue.Queue[flow.Act] = field(default_factory=lambda: queue.Queue(_MAX_ASKED))
     signatures: Signatures = field(init=False)
     reports: Reports = field(init=False)
     invalid: InvalidMessages = field(init=False)
@@ -179,16 +179,12 @@ class Launch:
             if self.hosts is not None:
                 self.hosts.begin()
 
-        def on_ask(sample: zenoh.Sample) -> None:
-            try:
-                self._asked.put_nowait(sample.payload.to_bytes())
-            except queue.Full:
-                self.invalid.note("act", f"more than {_MAX_ASKED} wait")
-
         direct = zenoh.handlers.Callback
         return [
             session.declare_subscriber(f"{base}/clock", direct(on_clock, indirect=False)),
-            session.declare_subscriber(f"{base}/@control/act", direct(on_ask, indirect=False)),
+            session.declare_subscriber(
+                f"{base}/@control/act", direct(lambda sample: self._ask(sample.payload.to_bytes()), indirect=False)
+            ),
         ]
 
     def _keep_depot(self, session: zenoh.Session, supervisor: Supervisor[Any], stack: ExitStack) -> Any:
@@ -242,13 +238,22 @@ class Launch:
                     return
             self.display.update(self.frame + 1, self._states(supervisor))
 
+    def _ask(self, payload: bytes) -> None:
+        """The driver asks for something, in Zenoh's thread: what is none of its messages takes no room."""
+        try:
+            self._asked.put_nowait(self.signatures.open("act", payload, flow.decode_act))
+        except MessageError as error:
+            self.invalid.note("act", error)
+        except queue.Full:
+            self.invalid.note("act", f"more than {_MAX_ASKED} wait")
+
     def _act(self, steps: Steps) -> None:
         """Wait a little for the driver to ask for something, and do it, unless all is to end anyway."""
         with suppress(queue.Empty):
             asked = self._asked.get(timeout=_POLL_S)
             if self.stopping_since is None:
                 try:
-                    steps.carry_out(*self.signatures.open("act", asked, flow.decode_act))
+                    steps.carry_out(*asked)
                 except MessageError as error:
                     self.invalid.note("act", error)
 

@@ -51,7 +51,7 @@ class Reports:
         self._invalid = invalid
         self._failures: dict[str, dict[str, dict[str, Entry]]] = {}  # by node, process and handler
         self._taken: dict[str, bytes] = {}  # by node the digest of what it has handed in
-        self._came: queue.SimpleQueue[tuple[str, str, bytes]] = queue.SimpleQueue()
+        self._came: queue.SimpleQueue[tuple[str, str, Any]] = queue.SimpleQueue()
         self._waiting: Counter[tuple[str, str]] = Counter()
         self._lock = threading.Lock()
         direct = zenoh.handlers.Callback
@@ -70,11 +70,11 @@ class Reports:
     def take(self) -> Iterator[Report]:
         """The reports that have come since the last call, in their order."""
         while not self._came.empty():
-            what, node, payload = self._came.get()
+            what, node, report = self._came.get()
             with self._lock:
                 self._waiting[what, node] -= 1
             try:
-                yield from self._take_failure(node, payload) if what == "failed" else self._take_result(node, payload)
+                yield from (self._take_failure if what == "failed" else self._take_result)(node, *report)
             except MessageError as error:
                 self._invalid.note(f"{what}/{node}", error)
 
@@ -86,14 +86,16 @@ class Reports:
             for node in self._children
         }
 
+    # Reports are decoded in Zenoh's threads, where they come: what is none takes nobody's room.
+
     def _on_result(self, query: zenoh.Query) -> None:
         with query:
             node = str(query.key_expr).rpartition("/")[2]
             payload = query.payload.to_bytes() if query.payload else b""
             try:
-                if len(payload) > (most := control.max_result(node)):
-                    raise MessageError(f"result: found {len(payload)} bytes, expected at most {most}")
-                self._put("result", node, payload)
+                drives = self._child("result", node).spec.role == _DRIVER
+                outcome = control.decode_result(payload, node, drives=drives)
+                self._put("result", node, (outcome, hashlib.sha256(payload).digest()))
             except MessageError as error:
                 self._refuse("result", node, error)
                 query.reply_err(files.encode_refusal(error))
@@ -103,25 +105,28 @@ class Reports:
     def _on_failed(self, sample: zenoh.Sample) -> None:
         node = str(sample.key_expr).rpartition("/")[2]
         try:
-            self._put("failed", node, sample.payload.to_bytes())
+            self._child("failed", node)
+            self._put("failed", node, control.decode_failure(sample.payload.to_bytes()))
         except MessageError as error:
             self._refuse("failed", node, error)
 
-    def _put(self, what: str, node: str, payload: bytes) -> None:
-        """Keep a report until the launcher's loop takes it."""
+    def _child(self, what: str, node: str) -> Child:
         if node not in self._children:
             raise MessageError(f"{what}: there is no node {node!r:.80} in this run")
+        return self._children[node]
+
+    def _put(self, what: str, node: str, report: tuple[Any, ...]) -> None:
+        """Keep a report until the launcher's loop takes it."""
         with self._lock:
             if self._waiting[what, node] >= MAX_WAITING[what]:
                 raise MessageError(f"{what}: more than {MAX_WAITING[what]} wait to be looked at")
             self._waiting[what, node] += 1
-        self._came.put((what, node, payload))
+        self._came.put((what, node, report))
 
     def _refuse(self, what: str, node: str, error: MessageError) -> None:
         self._invalid.note(f"{what}/{node if node in self._children else '*'}", error)
 
-    def _take_failure(self, node: str, payload: bytes) -> Iterator[Report]:
-        process, entry = control.decode_failure(payload)
+    def _take_failure(self, node: str, process: str, entry: Entry) -> Iterator[Report]:
         of_process = self._of_process(node, process)
         first = entry["handler"] not in of_process
         if first and len(of_process) >= control.MAX_HANDLERS:
@@ -130,14 +135,13 @@ class Reports:
         if first:
             yield Report(node, entry)
 
-    def _take_result(self, node: str, payload: bytes) -> Iterator[Report]:
+    def _take_result(self, node: str, outcome: dict[str, Any], digest: bytes) -> Iterator[Report]:
         """The results of a node: one per life of it. The same again is a question whose answer got lost."""
-        child, digest = self._children[node], hashlib.sha256(payload).digest()
+        child = self._children[node]
         if child.handed_in:
             if self._taken.get(node) != digest:
                 raise MessageError("result: it has handed in its results before")
             return
-        outcome = control.decode_result(payload, node, drives=child.spec.role == _DRIVER)
         self._of_process(node, outcome["process"]).update({entry["handler"]: entry for entry in outcome["failures"]})
         self.outcomes[node], self._taken[node] = outcome, digest
         child.handed_in = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,6 +23,8 @@ MAX_VALUES = 1 << 20  #: items of lists and maps in a result; arrays count as on
 MAX_DEPTH = 32  #: of lists and maps in each other
 _MAX_EMPTY = 1 << 24  # rows and columns of an array without elements
 _MAX_DIMENSIONS = 8
+
+_DTYPE = re.compile(r"[<>|][biuf](1|2|4|8|12|16)")  # as NumPy spells those of numbers, and nothing else that it reads
 
 _ARRAY = 1
 _TEXTS = 2
@@ -135,11 +138,10 @@ def _decode(code: int, data: bytes) -> Any:
     if code != _ARRAY:
         raise MessageError(f"a result: found extension {code}, expected an array")
     dtype, shape, raw = msgpack.unpackb(data)
+    if type(dtype) is not str or not _DTYPE.fullmatch(dtype):
+        raise MessageError(f"a result: found an array of {dtype!r:.40}, expected numbers")
     if type(shape) is not list or len(shape) > _MAX_DIMENSIONS or any(type(n) is not int or n < 0 for n in shape):
         raise MessageError("a result: found an array without a shape")
     if math.prod(n for n in shape if n) > max(_MAX_EMPTY, len(raw)):
         raise MessageError(f"a result: found an array of {len(raw)} bytes whose shape is larger")
-    array = np.frombuffer(raw, dtype=dtype).reshape(shape)
-    if array.dtype.kind not in "biuf":
-        raise MessageError(f"a result: found an array of {array.dtype}, expected numbers")
-    return array
+    return np.frombuffer(raw, dtype=dtype).reshape(shape)

@@ -267,7 +267,7 @@ def steps_of(launch: Launch) -> Steps:
 )
 def test_an_act_that_the_scenario_does_not_say_costs_the_launcher_one_message(launch: Launch, payload: bytes) -> None:
     steps = steps_of(launch)
-    launch._asked.put(payload)
+    launch._ask(payload)
     launch._act(steps)
     assert launch.invalid.counts == {"act": 1}
     assert steps.done == []
@@ -277,7 +277,7 @@ def test_an_act_that_the_scenario_does_not_say_costs_the_launcher_one_message(la
 def test_what_the_scenario_says_is_done_once(launch: Launch) -> None:
     steps = steps_of(launch)
     for _ in range(2):
-        launch._asked.put(flow.encode_act(5, [("start", "ego")]))
+        launch._ask(flow.encode_act(5, [("start", "ego")]))
         launch._act(steps)
     assert steps.done == [{"frame": 5, "action": "start", "node": "ego"}]
     assert launch.invalid.counts == {"act": 1}
@@ -361,7 +361,7 @@ def test_a_depot_that_has_died_ends_the_run_and_is_named(
     launch._check_depot()
     assert launch.problem is None
     monkeypatch.setattr(depot, "_refuse", MagicMock(side_effect=SystemExit))
-    depot._asked.put((MagicMock(key_expr="mast/x/@control/file/ego"), 0))
+    depot._asked.put((MagicMock(key_expr="mast/x/@control/file/ego"), None, 0))
     depot._thread.join(10.0)
     launch._check_depot()
     assert isinstance(launch.problem, ServiceDied)

@@ -1,6 +1,6 @@
 """`mast`, in whose own process something happens the first time that it comes to a stage.
 
-    python at_stage.py STAGE WHAT… -- run baseline …
+    python -m at_stage STAGE WHAT… -- run baseline …
 
 What happens: signals by name (SIGINT SIGINT), or the path of a file that is made as large as its disk has room.
 """
@@ -31,10 +31,10 @@ def fill(path: Path) -> None:
 
 
 def happen(words: list[str]) -> None:
-    """What is to happen."""
+    """What is to happen. Signals come in code that is executed from a text, as that of a dataclass is."""
     for word in words:
         if word.startswith("SIG"):
-            signal.raise_signal(signal.Signals[word])
+            exec("come(word)", {"come": signal.raise_signal, "word": signal.Signals[word]})
         else:
             fill(Path(word))
 

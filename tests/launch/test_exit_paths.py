@@ -17,7 +17,7 @@ from launched import MAST
 
 from mast_zenoh.messagelog.reader import read
 
-STAGED = (sys.executable, str(Path(__file__).parent / "at_stage.py"))
+STAGED = (sys.executable, "-m", "at_stage")  # as a module, as MAST is: Python ends scripts in another way
 RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "30", "--no-report", "--out")
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
@@ -27,8 +27,11 @@ class Ended:
 
     def __init__(self, out: Path, command: Sequence[str], **options: object) -> None:
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        done = subprocess.run([*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | options))
-        self.out, self.code = out, done.returncode
+        beside = {"env": {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}}
+        done = subprocess.run(
+            [*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | beside | options)
+        )
+        self.out, self.code = out, done.returncode if done.returncode >= 0 else 128 - done.returncode  # as a shell does
         self.text = (done.stdout or "") + (done.stderr or "")
 
     @property
@@ -41,7 +44,8 @@ class Ended:
         """Check what is said of it in a row of the table, and what holds for all of them."""
         assert (self.status, self.code) == row, self.text
         assert "Traceback" not in self.text
-        assert not [path.name for path in self.out.glob(".*")], "no temporary file is left"
+        reserve = {".reserve"} if row.status == "running" else set()  # kept for a run.json that was never written
+        assert {path.name for path in self.out.glob(".*")} <= reserve, "no temporary file is left"
         if (self.out / "messages.mcap").is_file():
             list(read(self.out))
 
@@ -84,6 +88,31 @@ def test_a_signal_while_the_command_line_is_imported_is_answered_in_one_line(out
     assert "error: Interrupted" in ended.text
 
 
+INTERRUPTED_CLASS = (
+    "import signal, sys\n"
+    "when = sys.argv.pop(1)\n"
+    "class Raiser:\n"
+    "    def __set_name__(self, owner, name): signal.raise_signal(signal.SIGTERM)\n"
+    "    def find_spec(self, name, path=None, target=None):\n"
+    "        if name == when: make()\n"
+    "def make(*_, **__): type('Made', (), {'field': Raiser()})\n"
+    "sys.meta_path.insert(0, Raiser())\n"
+    "from mast_zenoh import __main__ as process\n"
+    "if when == 'resolving':\n"
+    "    from mast_zenoh import scenario\n"
+    "    scenario.resolve = make\n"
+    "process.main()"
+)
+
+
+@pytest.mark.parametrize("when", ["mast_zenoh.stop_signals", "mast_zenoh.cli", "resolving"])
+def test_a_signal_while_a_class_is_made_is_answered_in_one_line(out: Path, when: str) -> None:
+    """Python 3.11 turns an exception in `__set_name__` into a RuntimeError."""
+    Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN)).is_as(
+        ending("signal before the run folder exists")
+    )
+
+
 def test_a_signal_while_nodes_start(out: Path) -> None:
     Ended(out, at("starting", "SIGHUP")).is_as(ending("signal while nodes start"))
 
@@ -114,6 +143,25 @@ def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path) -> None:
     assert f"mast report {out}" in ended.text.replace("\n", "")
     assert (out / "metrics.json").is_file()
     assert not (out / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("stage", "what"),
+    [
+        ("loading", "launcher killed before the run folder exists"),
+        ("building", "launcher killed (SIGKILL)"),
+        ("playing", "launcher killed (SIGKILL)"),
+        ("collecting", "launcher killed (SIGKILL)"),
+        ("reporting", "launcher killed while the report is drawn"),
+    ],
+)
+def test_a_launcher_killed_at_any_stage_leaves_what_can_be_read(out: Path, stage: str, what: str) -> None:
+    Ended(out, at(stage, "SIGKILL", run=with_report())).is_as(ending(what))
+    assert out.exists() == (stage != "loading")
+    if stage in ("playing", "collecting", "reporting"):
+        told = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
+        assert told.returncode == 0, told.stderr
+        assert (out / "report.html").is_file()
 
 
 def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:

@@ -6,15 +6,20 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
+import held_back
 import psutil
 import pytest
 from endings_table import ending
+from held_back import allow
 from launched import MAST, Launched, Observer, alive, eventually
 
 from mast_zenoh import codec
+from mast_zenoh.launch.liveness import seen_now
 from mast_zenoh.messagelog.reader import read
 
 pytestmark = pytest.mark.mesh
@@ -142,24 +147,72 @@ def test_a_signal_while_nodes_start_ends_them(launch) -> None:
     assert "Traceback" not in output
 
 
-@pytest.mark.parametrize(
-    ("seconds", "what"),
-    [
-        (0.5, "launcher suspended for less than 2 s and resumed (Ctrl-Z, SIGSTOP)"),
-        (3.0, "launcher suspended for longer and resumed"),
-    ],
-)
-def test_a_launcher_that_was_suspended_goes_on_or_says_that_it_could_not(launch, seconds: float, what: str) -> None:
-    run: Launched = launch("baseline", "--frames", "150")
-    at_frame(run, 15)
+def suspend(run: Launched, seconds: float) -> None:
+    """Have the launcher, and with it the router, stand still for a while."""
     run.process.send_signal(signal.SIGSTOP)
     eventually(lambda: psutil.Process(run.process.pid).status() == psutil.STATUS_STOPPED, "it stands still")
     threading.Event().wait(seconds)
     run.process.send_signal(signal.SIGCONT)
+
+
+@pytest.mark.parametrize("seconds", [0.5, 5.0])
+def test_a_launcher_that_was_suspended_goes_on_in_lock_step_as_if_nothing_had_been(launch, seconds: float) -> None:
+    run: Launched = launch("baseline", "--frames", "150")
+    at_frame(run, 15)
+    suspend(run, seconds)
     code, output = run.end()
-    assert (run.record()["status"], code) in (ending(what), ("ok", 0)), output
+    assert (run.record()["status"], code) == ending("launcher suspended and resumed, lock-step (Ctrl-Z, SIGSTOP)")
     assert "Traceback" not in output
+    assert run.record()["churn"] == []
+    assert {message.frame for message in read(run.out)} == set(range(150))
+
+
+def test_a_launcher_that_was_suspended_for_long_in_real_time_says_who_was_lost(launch) -> None:
+    run: Launched = launch("baseline", "--mode", "realtime", "--frames", "120")
+    at_frame(run, 15)
+    suspend(run, 5.0)
+    code, output = run.end()
+    what = "launcher suspended for more than 2 s and resumed, real time"
+    assert (run.record()["status"], code) == ending(what), output
+    assert "Traceback" not in output
+    assert "lost" in {each["what"] for each in run.record()["churn"]}
     list(read(run.out))
+
+
+def test_a_launcher_that_was_suspended_for_long_fails_a_run_whose_nodes_live_elsewhere(
+    start: Callable[..., Launched], tmp_path: Path
+) -> None:
+    allow(tmp_path / "run_0", 20)
+    run = start(sys.executable, held_back.__file__, "baseline", PYTHONPATH=os.pathsep.join(sys.path))
+    at_frame(run, 20)
+    suspend(run, 5.0)
+    allow(run.out, 1000)
+    code, output = run.end()
+    what = "launcher suspended for more than 2 s and resumed, lock-step, nodes elsewhere"
+    assert (run.record()["status"], code) in (ending(what), ("node_lost", 33)), output
+    assert "lost" in {each["what"] for each in run.record()["churn"]}
+    list(read(run.out))
+
+
+@pytest.mark.parametrize("stage", ["starting", "playing", "collecting"])
+def test_a_launcher_killed_at_any_stage_takes_its_nodes_with_it(
+    start: Callable[..., Launched], stage: str, tmp_path: Path
+) -> None:
+    mast = (sys.executable, str(Path(__file__).parents[1] / "launch" / "at_stage.py"), stage, "SIGKILL", "--")
+    run = start(*mast, "run", "baseline", "--frames", "30", "--no-report", "--out")
+    code, output = run.end()
+    assert code == -signal.SIGKILL
+    assert "Traceback" not in output
+
+    def left() -> list[psutil.Process]:
+        processes = psutil.process_iter(["cmdline", "status"])
+        ended = psutil.STATUS_ZOMBIE
+        return [p for p in processes if p.info["status"] != ended and str(run.out) in (p.info["cmdline"] or ())]
+
+    eventually(lambda: not left(), "all nodes have left", seconds=20.0)
+    assert stage == "starting" or seen_now(run.record())["status"] == "killed"
+    if (run.out / "messages.mcap").is_file():
+        list(read(run.out))
 
 
 def test_nodes_that_fill_the_disk_fail_the_run(launch, tiny_disk: Path, tmp_path: Path) -> None:

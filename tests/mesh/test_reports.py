@@ -93,6 +93,17 @@ def test_malformed_reports_and_those_of_nobody_are_counted_and_ignored(mesh: Mes
     assert mesh.reports.by_node()["ego"]["failures"] == [ENTRY], "of the process before"
 
 
+def test_malformed_reports_take_no_room_of_sound_ones(mesh: Mesh) -> None:
+    """Before the launcher's loop looks at any of them."""
+    assert [mesh.ask("ego", b"\xc1") for _ in range(5)] == [[False]] * 5
+    for _ in range(1500):
+        mesh.stranger.put(f"{CONTROL}/failed/ego", b"\xc1", congestion_control=zenoh.CongestionControl.BLOCK)
+    mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb(["a", ENTRY]))
+    assert mesh.ask("ego", results.pack(OUTCOME)) == [True]
+    assert list(mesh.reports.take()) == [Report("ego", ENTRY), Report("ego")]
+    assert mesh.invalid.counts == {"failed/ego": 1500, "result/ego": 5}
+
+
 def test_what_a_process_hands_in_stands_for_what_it_has_reported_before(mesh: Mesh) -> None:
     for count in (1, 2):
         mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb([OUTCOME["process"], ENTRY | {"count": count}]))

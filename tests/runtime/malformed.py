@@ -145,7 +145,7 @@ _KINDS = (
 )
 
 
-def malformed(schema: str, sound: Sequence[bytes], count: int, seed: int) -> Iterator[bytes]:
+def malformed(schema: str, sound: Sequence[bytes], count: int, seed: Sequence[int]) -> Iterator[bytes]:
     """`count` payloads, no two the same, that are no messages of `schema`, made of `sound` ones."""
     rng = np.random.default_rng(seed)
     unpacked = [msgpack.unpackb(payload) for payload in sound]

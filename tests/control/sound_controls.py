@@ -1,0 +1,82 @@
+"""A sound example of every kind of control message, and what decodes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgpack
+from control_samples import DRIVEN, ENTRY, OUTCOME
+
+from mast_zenoh.control import fields, files, flow, interception, reports
+from mast_zenoh.runtime import results
+from mast_zenoh.wiring import Endpoint, Leg, Listener, Wire, Wiring
+
+TAP = "agent/ego/tracks/@tap/0"
+WIRING = Wiring(
+    (
+        Wire("clock", "", "clock", (Leg("clock", Endpoint("simulator", "clock"), (Endpoint("ego", "clock"),)),)),
+        Wire(
+            "agent/ego/tracks",
+            "ego",
+            "tracks",
+            (
+                Leg(TAP, Endpoint("ego", "tracks"), (Endpoint("eve", "tracks"),)),
+                Leg("agent/ego/tracks", Endpoint("eve", "tracks_out"), (Endpoint("broker", "tracks"),)),
+            ),
+            (),
+            (Listener(Endpoint("spy", "tracks"), True),),
+        ),
+    ),
+    (Endpoint("recorder", "everything"),),
+)
+MEMBERS = {"simulator": "simulator", "ego": "agent"}
+PLACE = {"wire": "clock", "input": "in", "output": "out", "hears": {"clock": "clock"}, "says": []}
+SPEC = {"file": "/a/eve.py", "type": "Eve", "role": "adversary", "config": {"gain": 2.0}, "on_exit": "continue"}
+INTERCEPT = {"do": "intercept", "number": "ab", "name": "eve", "spec": SPEC, "place": PLACE}
+
+
+def asked(payload: bytes) -> Any:
+    return interception.request_of(fields.mapping(fields.unpack(payload, "intercept"), "intercept"))
+
+
+def packed(value: Any) -> bytes:
+    return bytes(msgpack.packb(value))
+
+
+#: By name a decoder, and a sound message for it.
+CODECS: dict[str, tuple[Callable[[bytes], Any], bytes]] = {
+    "counts": (flow.decode_counts, flow.encode_counts(1, {"clock": 3}, {TAP: 3})),
+    "epoch": (flow.decode_epoch, flow.encode_epoch(1, MEMBERS, None)),
+    "epoch with a wiring": (
+        flow.decode_epoch,
+        flow.encode_epoch(2, MEMBERS, flow.WiringUpdate(WIRING, True, ("eve",))),
+    ),
+    "act": (flow.decode_act, flow.encode_act(7, [("kill", "ego"), ("start", "eve")])),
+    "stop": (flow.decode_stop, b"end"),
+    "drain": (flow.decode_drain, TAP.encode()),
+    "rewire": (flow.decode_rewire, flow.encode_rewire(WIRING, {"eve": "adversary"}, ["spy"])),
+    "rewired": (flow.decode_rewired, flow.encode_rewired(frame=7, took_ms=1.5)),
+    "not rewired": (flow.decode_rewired, flow.encode_rewired(error="eve is not there")),
+    "join": (files.decode_fetch, packed({"do": "join", "version": "1.0", "versions": {"numpy": "2.0"}})),
+    "clock": (files.decode_fetch, packed({"do": "clock"})),
+    "piece": (files.decode_fetch, packed({"do": "piece", "path": "scenario.json", "offset": 0})),
+    "file": (files.decode_file, packed({"path": "messages.mcap", "offset": 0, "piece": b"abc"})),
+    "belongings": (
+        files.decode_belongings,
+        packed({"files": {"scenario.json": 17}, "without": ["eve"], "written": ["messages.mcap"]}),
+    ),
+    "clock's answer": (files.decode_clock, packed({"now_ns": 1_700_000_000_000_000_000})),
+    "piece's answer": (files.decode_piece, packed({"piece": b"abc"})),
+    "file's answer": (files.decode_nothing, packed({})),
+    "failed": (reports.decode_failure, reports.encode_failure("0123", ENTRY)),
+    "result": (lambda payload: reports.decode_result(payload, "ego", drives=False), results.pack(OUTCOME)),
+    "driver's result": (lambda payload: reports.decode_result(payload, "sim", drives=True), results.pack(DRIVEN)),
+    "intercept": (asked, packed(INTERCEPT)),
+    "release": (asked, packed({"do": "release", "number": "ab", "name": None, "wire": "clock"})),
+    "intercepted": (
+        interception.answer_of,
+        packed({"action": "intercept", "node": "eve", "wires": ["clock"], "frame": 7, "took_ms": 1.5}),
+    ),
+    "sealed": (interception.sealed_parts, packed([b"body", b"digest"])),
+}

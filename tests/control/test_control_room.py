@@ -1,0 +1,60 @@
+"""What is no control message takes no room of those that wait: it is refused where it comes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from unittest.mock import MagicMock
+
+import pytest
+import test_control_findings as findings
+from test_control_findings import RUBBISH, Query
+
+from mast_zenoh.control import flow
+from mast_zenoh.control.files import encode
+from mast_zenoh.launch.depot import Depot
+from mast_zenoh.launch.interception import Interceptions, seal
+from mast_zenoh.launch.launching import Launch
+
+launch, depot = findings.launch, findings.depot  # fixtures
+
+
+def test_malformed_acts_take_no_room_of_what_the_driver_asks_for(launch: Launch) -> None:
+    session, asked = MagicMock(), flow.encode_act(3, [("kill", "ego")])
+    launch._declare(session)
+    on_ask = {str(call.args[0]): call.args[1].callback for call in session.declare_subscriber.call_args_list}[
+        "mast/x/@control/act"
+    ]
+    for payload in [*RUBBISH * 200, asked]:
+        on_ask(MagicMock(payload=MagicMock(to_bytes=lambda: payload)))  # noqa: B023
+    assert launch._asked.get_nowait() == asked
+    assert launch.invalid.counts == {"act": len(RUBBISH) * 200}
+
+
+def test_malformed_requests_take_no_room_of_sound_ones(launch: Launch) -> None:
+    interceptions = Interceptions(launch, MagicMock(), MagicMock(children={}))
+    sound = Query("intercept", seal({"do": "release", "name": "eve", "wire": None}, interceptions._secret))
+    forged = [Query("intercept", payload) for payload in [*RUBBISH * 20, seal({"do": "release"}, b"guessed")]]
+    for query in [*forged, sound]:
+        interceptions._on_query(query)  # type: ignore[arg-type]
+    assert launch.invalid.counts == {"intercept": len(forged)}
+    assert all(query.answers[0][0] == "error" and query.dropped for query in forged)
+    assert interceptions._requests.get_nowait()[0] is sound
+    assert interceptions._requests.empty()
+
+
+def test_malformed_questions_take_no_room_of_sound_ones(
+    depot: Depot, launch: Launch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, give = threading.Event(), depot._give
+    monkeypatch.setattr(depot, "_give", lambda *asked: go_on.wait(10.0) and give(*asked))
+    clock = encode({"do": "clock"})
+    asked = [Query(f"{what}/ego", payload) for what in ("fetch", "file") for payload in [clock, *RUBBISH * 4]]
+    for query in [*asked, last := Query("fetch/ego", clock)]:
+        depot._on_query(query)  # type: ignore[arg-type]
+    go_on.set()
+    deadline = time.monotonic() + 10.0
+    while not last.dropped and time.monotonic() < deadline:
+        go_on.wait(0.01)
+    assert last.answers[0][0] == "ok"
+    assert launch.invalid.counts == {"fetch/ego": len(RUBBISH) * 4, "file/ego": len(RUBBISH) * 4 + 1}

@@ -1,0 +1,66 @@
+"""A lock-step run on an open mesh whose nodes live elsewhere, and whose frames begin when a file says so.
+
+    python held_back.py SCENARIO OUT
+
+OUT.frames holds how many frames may begin; the run waits between two frames, and takes what comes meanwhile.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+from launched_apart import Beside
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import local
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.runtime.driver import Driver
+
+_LOOK_EVERY_S = 0.02
+
+
+def gate(out: Path) -> Path:
+    """The file that holds how many frames may begin."""
+    return out.with_suffix(".frames")
+
+
+def allow(out: Path, frames: int) -> None:
+    """Let so many frames begin."""
+    written = gate(out).with_suffix(".next")
+    written.write_text(str(frames))
+    written.replace(gate(out))
+
+
+def hold_back(file: str) -> None:
+    """From now on the driver of this process begins no frame before the file allows it."""
+    carry_out = Driver._carry_out
+
+    def when_allowed(self: Driver) -> str:
+        while self.frames >= int(Path(file).read_text()) and not self._over:
+            self._wait(time.monotonic() + _LOOK_EVERY_S)
+        return carry_out(self)
+
+    Driver._carry_out = when_allowed  # type: ignore[method-assign]
+
+
+def resolved(file: str) -> Resolved:
+    """What is run."""
+    path, loaded = scenario.load(file, [])
+    return scenario.resolve(path, loaded, record=True)
+
+
+def main() -> None:
+    """Run it; an error is printed, and its exit code given."""
+    file, out = sys.argv[1], Path(sys.argv[2])
+    here = [str(Path(__file__).parent), *sys.path]
+    wait = f"__import__('sys').path[:0] = {here!r}; __import__('held_back').hold_back({str(gate(out))!r})"
+    ended = local.run(resolved(file), out, engine=Beside({"simulator": wait}))
+    if ended.error:
+        print(f"{type(ended.error).__name__}: {ended.error}", file=sys.stderr)
+        sys.exit(ended.error.exit_code)
+
+
+if __name__ == "__main__":
+    main()
