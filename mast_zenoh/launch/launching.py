@@ -179,12 +179,13 @@ class Launch:
             if self.hosts is not None:
                 self.hosts.begin()
 
+        def on_act(sample: zenoh.Sample) -> None:
+            self._ask(sample.payload.to_bytes())
+
         direct = zenoh.handlers.Callback
         return [
             session.declare_subscriber(f"{base}/clock", direct(on_clock, indirect=False)),
-            session.declare_subscriber(
-                f"{base}/@control/act", direct(lambda sample: self._ask(sample.payload.to_bytes()), indirect=False)
-            ),
+            session.declare_subscriber(f"{base}/@control/act", direct(on_act, indirect=False)),
         ]
 
     def _keep_depot(self, session: zenoh.Session, supervisor: Supervisor[Any], stack: ExitStack) -> Any:

@@ -20,14 +20,10 @@ launch, depot = findings.launch, findings.depot  # fixtures
 
 
 def test_malformed_acts_take_no_room_of_what_the_driver_asks_for(launch: Launch) -> None:
-    session, asked = MagicMock(), flow.encode_act(3, [("kill", "ego")])
-    launch._declare(session)
-    on_ask = {str(call.args[0]): call.args[1].callback for call in session.declare_subscriber.call_args_list}[
-        "mast/x/@control/act"
-    ]
+    asked = flow.encode_act(3, [("kill", "ego")])
     for payload in [*RUBBISH * 200, asked]:
-        on_ask(MagicMock(payload=MagicMock(to_bytes=lambda: payload)))  # noqa: B023
-    assert launch._asked.get_nowait() == asked
+        launch._ask(payload)
+    assert launch._asked.get_nowait() == flow.decode_act(asked)
     assert launch.invalid.counts == {"act": len(RUBBISH) * 200}
 
 
