@@ -15,10 +15,12 @@ from typing import Any
 
 import numpy as np
 import zenoh
+from rich.console import Console
 
 from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunError, nearest
 from mast_zenoh.launch import local
+from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.messages import SCHEMAS, Header, Message, text
 from mast_zenoh.resolved import Resolved
@@ -45,17 +47,29 @@ _POLL_S = 0.02
 class Siege:
     """A context: entered, the run has played its first frames; left, it has ended.
 
-    resolved: in real time; level: of its mesh; folder: of its results
+    resolved: the run; level: of its mesh; folder: of its results
     detoured: nodes whose way to the router leads past the outsider
+    engine, console: as for `local.run`
     """
 
-    def __init__(self, resolved: Resolved, folder: Path, level: str, detoured: Collection[str] = ()) -> None:
+    def __init__(
+        self,
+        resolved: Resolved,
+        folder: Path,
+        level: str,
+        detoured: Collection[str] = (),
+        *,
+        engine: Engine | None = None,
+        console: Console | None = None,
+    ) -> None:
         self.level = level
         self.wiring = Wiring.from_json(resolved.wiring)
         self.detours: dict[str, Detour] = {}
         self._resolved = resolved
         self._folder = folder
         self._detoured = detoured
+        self._engine = engine
+        self._console = console
         self._launch: Launch | None = None
         self._ended: local.Run | None = None
         self._thread = threading.Thread(target=self._play, name="siege")
@@ -196,6 +210,11 @@ class Siege:
             pause.wait(_POLL_S)
         return True
 
+    def ended(self, seconds: float) -> local.Run | None:
+        """What has become of the run when it has ended by itself; None when it has not within so many seconds."""
+        self._thread.join(seconds)
+        return self._ended
+
     def end(self) -> local.Run | None:
         """Have the run end, if it has not; what has become of it."""
         if self._thread.is_alive() and self._launch is not None:
@@ -224,7 +243,8 @@ class Siege:
             }
             self._launch = launch
 
-        self._ended = local.run(self._resolved, self._folder, secure=self.level, prepare=prepare)
+        more: dict[str, Any] = {"engine": self._engine, "console": self._console}
+        self._ended = local.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **more)
 
 
 def _port(address: str) -> int:
