@@ -4,13 +4,17 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run test lint bench docs lock dist clean
+.PHONY: run test insiders lint bench docs lock dist clean
 
 run: .venv/ready
 	$(BIN)/mast study case_study
 
 test: .venv/ready
 	$(BIN)/python -m pytest
+
+# What one compromised node of each role can do: 200 messages of each kind on every control key, half an hour.
+insiders: .venv/ready
+	MAST_FORGERIES=200 $(BIN)/python -m pytest tests/deploy/test_insiders.py --timeout=600
 
 lint: .venv/ready
 	$(BIN)/ruff check .

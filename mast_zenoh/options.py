@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -22,8 +23,21 @@ if TYPE_CHECKING:
     from mast_zenoh.report.comparison import Reference
     from mast_zenoh.report.runfolder import RunFolder
 
-out = Console(soft_wrap=True)
-err = Console(stderr=True, soft_wrap=True)
+
+#: All but tab and line feed, and what turns the direction of writing.
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+class PlainConsole(Console):
+    """A console on which a text is only text: control characters, which a node's words may hold, become �."""
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        """See Console."""
+        super().print(*(_CONTROL.sub("�", each) if isinstance(each, str) else each for each in objects), **how)
+
+
+out = PlainConsole(soft_wrap=True)
+err = PlainConsole(stderr=True, soft_wrap=True)
 
 Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")

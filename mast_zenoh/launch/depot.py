@@ -22,7 +22,7 @@ from typing import Any
 import zenoh
 
 from mast_zenoh import release
-from mast_zenoh.control import files
+from mast_zenoh.control import fields, files
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
@@ -93,22 +93,24 @@ class Depot:
             self.death = described(error)
 
     def _on_query(self, query: zenoh.Query) -> None:
-        node = _sender(query)
-        known = node in self._resolved().nodes
-        with self._lock:
-            full = self._waiting[node] >= MAX_WAITING if known else True
-            if not full:
+        what, node = _kind(query), _sender(query)
+        try:
+            fields.fits(query.payload.to_bytes() if query.payload else b"", what)  # what waits is no longer than that
+            if node not in self._resolved().nodes:
+                raise MessageError(f"there is no node {node!r:.80} in this run")
+            with self._lock:
+                if self._waiting[node] >= MAX_WAITING:
+                    raise MessageError(f"more than {MAX_WAITING} wait")
                 self._waiting[node] += 1
-        if full:
-            why = f"more than {MAX_WAITING} wait" if known else f"there is no node {node!r:.80} in this run"
-            self._refuse(query, "fetch", node, MessageError(why))
+        except MessageError as error:
+            self._refuse(query, what, node, error)
         else:
             self._asked.put((query, time.time_ns()))
 
     def _serve(self) -> None:
         while (asked := self._asked.get()) is not None:
             query, came_ns = asked
-            what, node = str(query.key_expr).rpartition("/@control/")[2].partition("/")[0], _sender(query)
+            what, node = _kind(query), _sender(query)
             with self._lock:
                 self._waiting[node] -= 1
             try:
@@ -168,6 +170,11 @@ class Depot:
             file.write(piece)
         self.taken_at = time.monotonic()
         return {}
+
+
+def _kind(query: zenoh.Query) -> str:
+    """What is asked: `fetch` or `file`."""
+    return str(query.key_expr).rpartition("/@control/")[2].partition("/")[0]
 
 
 def _sender(query: zenoh.Query) -> str:

@@ -105,7 +105,11 @@ class Interceptions:
 
     def _on_query(self, query: zenoh.Query) -> None:
         try:
+            fields.fits(query.payload.to_bytes() if query.payload else b"", "intercept")
             self._requests.put_nowait(query)
+        except MessageError as error:
+            self._launch.invalid.note("intercept", error)
+            query.drop()
         except queue.Full:
             self._launch.invalid.note("intercept", f"more than {MAX_WAITING} requests wait")
             query.drop()

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from mast_zenoh.control import files
+from mast_zenoh.control import fields, files
 from mast_zenoh.control import reports as control
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MessageError
@@ -101,9 +101,10 @@ class Reports:
                 query.reply(query.key_expr, b"taken")
 
     def _on_failed(self, sample: zenoh.Sample) -> None:
-        node = str(sample.key_expr).rpartition("/")[2]
+        node, payload = str(sample.key_expr).rpartition("/")[2], sample.payload.to_bytes()
         try:
-            self._put("failed", node, sample.payload.to_bytes())
+            fields.fits(payload, "failed")  # what waits is no longer than that
+            self._put("failed", node, payload)
         except MessageError as error:
             self._refuse("failed", node, error)
 
