@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from io import StringIO
 from pathlib import Path
 
 import failing
 import pytest
 
 from mast_zenoh import cli
+from mast_zenoh.options import PlainConsole
 
 SHORT = ("--frames", "4", "--runtime", "inproc")
 

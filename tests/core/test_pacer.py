@@ -110,7 +110,7 @@ def test_who_has_handled_more_than_was_sent_is_named() -> None:
 
 
 def test_who_has_handled_more_of_the_drivers_messages_than_were_sent_is_the_one_that_is_named() -> None:
-    made = Pacer(Wiring(WIRING.wires[1:] + (wire("clock", "simulator", "agent"),)))
+    made = Pacer(Wiring((*WIRING.wires[1:], wire("clock", "simulator", "agent"))))
     made.begin_epoch(MEMBERS)
     made.report("simulator", 1, {"clock": 3}, {})
     made.report("agent", 1, {}, {"clock": 4})

@@ -190,9 +190,7 @@ def main(folder: Path) -> None:
         watchers[0].start()
 
     try:
-        ended = local.run(
-            run, folder / "run", secure="acl", engine=engine, prepare=prepare, console=Console(width=400)
-        )
+        ended = local.run(run, folder / "run", secure="acl", engine=engine, prepare=prepare, console=Console(width=400))
     finally:
         over.set()
         for watcher in watchers:

@@ -241,5 +241,3 @@ def test_a_node_that_says_that_it_is_of_another_version_fails_the_run_and_is_nam
     assert (ended.code, ended.record["status"]) == (29, "failed")
     assert ended.message.startswith(f"{node} runs mast-zenoh 0.0.0")
     ended.sound()
-
-

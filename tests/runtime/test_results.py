@@ -58,7 +58,9 @@ def test_arrays_of_eight_dimensions_come_out_and_of_nine_do_not() -> None:
         results.unpack(results.pack(np.zeros((1,) * 9)))
 
 
-@pytest.mark.parametrize("array", [np.zeros((1 << 24, 0)), np.zeros(1 << 21, bool), np.array(["x"] * (1 << 21), object)])
+@pytest.mark.parametrize(
+    "array", [np.zeros((1 << 24, 0)), np.zeros(1 << 21, bool), np.array(["x"] * (1 << 21), object)]
+)
 def test_arrays_that_would_be_lists_of_millions_are_for_tables_alone(array: np.ndarray) -> None:
     results.checked({"tables": {"t": {"x": array}}})
     with pytest.raises(TypeError, match="beside those of tables"):

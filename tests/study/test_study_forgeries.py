@@ -1,4 +1,4 @@
-"""What insiders send: the same for the same seed, refused where it is called malformed, taken apart where it is false."""
+"""What insiders send: the same for the same seed, and refused by its decoder where it is called malformed."""
 
 from __future__ import annotations
 

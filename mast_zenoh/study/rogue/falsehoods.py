@@ -184,7 +184,8 @@ def _drain(position: Position) -> Iterator[Any]:
 
 
 def _rewire(position: Position) -> Iterator[Any]:
-    empty, own = {"wires": [], "overhearers": []}, position.wiring
+    own = position.wiring
+    empty: dict[str, Any] = {"wires": [], "overhearers": []}
     spied = own | {"overhearers": [*own["overhearers"], {"node": position.node, "port": "everything"}]}
     for wiring in (own, empty, spied):
         for leave in ([], [position.driver], list(position.others)):

@@ -13,7 +13,7 @@ from mast_zenoh.study.rogue.position import Position
 #: Kinds that are asked by a query; all others are published.
 QUERIES = frozenset({"result", "fetch", "file", "drain", "rewire", "intercept"})
 
-#: How a forgery was made: no decoder takes what is malformed, every one takes what is false, and the rest may be either.
+#: How a forgery was made: malformed ones no decoder takes, false ones are well formed, damaged ones may be either.
 MALFORMED, DAMAGED, FALSE = "malformed", "damaged", "false"
 
 #: From so many forgeries of a kind on, some are heavy.

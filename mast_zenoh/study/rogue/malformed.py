@@ -23,7 +23,10 @@ _INVALID = b"\xc1"  # of all first bytes the one that MessagePack never uses
 _CLAIMED = (b"\xdd", b"\xdf", b"\xdb", b"\xc6", b"\xc9")  # a list, map, text, bytes, extension of four billion
 _NO_INT = (float("nan"), float("inf"), float("-inf"), -5, -(1 << 63), 1 << 62, 1 << 63, (1 << 64) - 1, True, "7", 1.5)
 _NO_FLOAT = (float("nan"), float("inf"), float("-inf"), 1 << 63, 1e300, True, "7")
-_NO_MESSAGE = (None, True, 7, -1, 1.5, float("nan"), "text", b"bytes", [], {}, [1], [[], []], {7: 1}, {"x": {}}, [None] * 9)
+_NO_MESSAGE: tuple[Any, ...] = (
+    *(None, True, 7, -1, 1.5, float("nan"), "text", b"bytes"),
+    *([], {}, [1], [[], []], {7: 1}, {"x": {}}, [None] * 9),
+)
 
 
 def pack(value: Any) -> bytes:

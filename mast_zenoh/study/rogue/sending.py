@@ -38,9 +38,7 @@ def send(session: zenoh.Session, prefix: str, messages: Iterable[Forgery]) -> in
                 session.get(key, handler, payload=message.payload, timeout=_ANSWER_S)
                 waiting += 1
             else:
-                session.put(
-                    key, message.payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True
-                )
+                session.put(key, message.payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True)
         except zenoh.ZError:  # the run is over
             break
         sent += 1
