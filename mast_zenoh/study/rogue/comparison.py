@@ -23,6 +23,9 @@ from mast_zenoh.study.rogue.infiltration import infiltrate
 from mast_zenoh.study.rogue.insiders import Insider
 from mast_zenoh.study.rogue.siege import Siege
 
+#: Of a run with an insider, unless the study says how many: there is one for each insider and level.
+_INSIDER_FRAMES = 60
+
 
 @dataclass(frozen=True)
 class Besieged:
@@ -141,7 +144,9 @@ def _prepared(study: Study, configuration: Configuration, seed: int | None, fram
     seed, frames = study.seed if seed is None else seed, frames or study.frames
     named = loaded | {"name": configuration.label}
     realtime = scenario.resolve(file, named, seed=seed, frames=frames, mode="realtime")
-    lockstep = scenario.resolve(file, named, seed=seed, frames=frames, mode="lockstep", record=True)
+    recorded = named | {"run": named.get("run", {}) | {"record": True}}
+    short = frames or _INSIDER_FRAMES
+    lockstep = scenario.resolve(file, recorded, seed=seed, frames=short, mode="lockstep", record=True)
     for insider in insiders:
         if insider.node not in lockstep.nodes:
             raise ConfigurationError(
