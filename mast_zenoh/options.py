@@ -84,8 +84,14 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
     A comparison that is not possible costs neither the results nor the run's own failure, which is raised first. A twin
     whose handlers failed counts as a failure of the run unless that is allowed.
     """
-    with reporting(ended.folder):
-        refusal, reference = _show(ended, report=report, against=against)
+    try:
+        with reporting(ended.folder):
+            refusal, reference = _show(ended, report=report, against=against)
+    except RunFolderError as error:
+        if ended.error:
+            err.print(f"warning: {error}", style="bold yellow", markup=False, highlight=False)
+            raise ended.error from None
+        raise
     if ended.error:
         if refusal:
             err.print(f"warning: not compared: {refusal}", style="bold yellow", markup=False, highlight=False)
@@ -98,12 +104,18 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
 
 @contextmanager
 def reporting(folder: Path, command: str = "report") -> Iterator[None]:
-    """What ends the drawing of a report costs the report: the error says so, and how to write it."""
+    """What ends the drawing of a report costs the report: the error says so, and how to write it.
+
+    Raises RunFolderError for results that no report can be made of: an evaluator hands in what it likes.
+    """
     again = f"the results in {folder} are complete but for the report: `mast {command} {folder}` writes it"
     try:
         yield
     except (KeyboardInterrupt, OSError) as caught:
         raise ending.explained(caught, again) from None
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as caught:
+        what = failures.described(caught)
+        raise RunFolderError(f"{folder}: no report can be made of what the evaluator has handed in: {what}") from caught
 
 
 def _show(ended: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:

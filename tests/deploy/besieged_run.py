@@ -27,6 +27,7 @@ from mast_zenoh import scenario
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch import local
 from mast_zenoh.launch.launching import Launch
+from mast_zenoh.options import reporting
 from mast_zenoh.report import html
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime.mesh import prefix
@@ -196,7 +197,8 @@ def main(folder: Path) -> None:
         for watcher in watchers:
             watcher.join()
     try:
-        html.write_report(ended.folder)
+        with reporting(ended.folder):
+            html.write_report(ended.folder)
     except MastError as error:
         print(f"no report: {error}")
     (folder / "peaks").write_text(json.dumps(peaks))

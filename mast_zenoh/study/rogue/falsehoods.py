@@ -92,6 +92,8 @@ def false_results(position: Position) -> Iterator[dict[str, Any]]:
     yield _OUTCOME | {"invalid": {key: [_BILLION, f"forged by {name}"] for key in keys}}
     yield _OUTCOME | {"foreign": dict.fromkeys((*position.foreign, "x" * 100_000), _BILLION)}
     yield _OUTCOME | {"rejected": {f"{key}: forged": _BILLION for key in position.foreign}}
+    yield _OUTCOME | {"rejected": {"clock: forged": 1, "": _LATE}, "first_rejected": {}}
+    yield _OUTCOME | {"rejected": {}, "foreign": {}, "invalid": {}, "first_rejected": {}, "arrived_ns": {"": {}}}
     yield _OUTCOME | {"first_rejected": {key: [-1, f"forged by {name}"] for key in position.foreign}}
     yield _OUTCOME | {"arrived_ns": {key: {0: _LATE} for key in (*position.hears, *position.foreign)}}
     yield _OUTCOME | {"process": f"../{MARKER}", "last_frame": _LATE, "cpu_s": -1e15}

@@ -6,7 +6,7 @@ import re
 import tempfile
 from collections.abc import Collection, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import zenoh
@@ -29,7 +29,7 @@ class Finding:
     """What a run leaves behind, beside its undisturbed twin.
 
     node:    the compromised one; others: all other nodes
-    ended:   whether it ended by itself
+    ended:   whether it ended by itself; crash: the exception with which the launcher did, if it did
     failure: why it failed, as run.json and the command line say it; "" for a run that is "ok"
     frames:  that were played; expected: that the scenario has
     changed: wires on which messages are not those of the twin; metrics: whether metrics.json is
@@ -45,12 +45,15 @@ class Finding:
     changed: Collection[str]
     metrics: bool
     strays: Collection[str]
+    crash: str = ""
 
     @property
     def verdict(self) -> str:
         """What the insider has achieved, in words; see `succeeded`."""
         if self.strays:
             return f"succeeds: wrote outside the run folder ({', '.join(sorted(self.strays))})"
+        if self.crash:
+            return f"succeeds: crashed the launcher ({self.crash})"
         if not self.ended:
             return "succeeds: stalled the run"
         if self.failure:
@@ -87,7 +90,8 @@ def infiltrate(resolved: Resolved, folder: Path, level: str, insider: Insider, t
         in_time = ended is not None
         ended = ended or siege.end()
     strays = {str(path) for path in _outside(folder) - before if MARKER in path.name or path.parent == folder.parent}
-    return admitted, sent, _finding(resolved, insider.node, ended, in_time, twin, strays)
+    found = _finding(resolved, insider.node, ended, in_time, twin, strays)
+    return admitted, sent, replace(found, crash=siege.crash)
 
 
 def _finding(

@@ -25,6 +25,7 @@ from mast_zenoh.launch.launching import Launch
 from mast_zenoh.messages import SCHEMAS, Header, Message, text
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import failures
+from mast_zenoh.runtime.failures import described
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_session
 from mast_zenoh.security.authority import Authority
@@ -65,6 +66,7 @@ class Siege:
         self.level = level
         self.wiring = Wiring.from_json(resolved.wiring)
         self.detours: dict[str, Detour] = {}
+        self.crash = ""  # the exception with which the launcher has ended, if it has
         self._resolved = resolved
         self._folder = folder
         self._detoured = detoured
@@ -200,9 +202,9 @@ class Siege:
         """
         pause, deadline = threading.Event(), time.monotonic() + seconds
         while not condition():
-            if self._ended is not None:
-                error = self._ended.error
-                raise RunError(f"the run ended while the outsider was at it: {error or 'all frames are played'}")
+            if not self._thread.is_alive():
+                error = self.crash or (self._ended and self._ended.error)
+                raise RunError(f"the run ended while the attackers were at it: {error or 'all frames are played'}")
             if time.monotonic() > deadline:
                 if what:
                     raise RunError(f"not within {seconds:.0f} s: {what}")
@@ -226,7 +228,7 @@ class Siege:
         """After the end, by node and key: messages without the mark of this run's nodes that have reached its host."""
         ended = self.end()
         if ended is None or (ended.error is not None and not isinstance(ended.error, Interrupted)):
-            raise RunError(f"the run under siege failed: {ended.error if ended else 'it does not end'}")
+            raise RunError(f"the run under siege failed: {ended.error if ended else self.crash or 'it does not end'}")
         if ended.failures:
             raise HandlerFailed(failures.summary(ended.failures, ended.logs))
         found: dict[str, dict[str, int]] = {}
@@ -244,7 +246,10 @@ class Siege:
             self._launch = launch
 
         more: dict[str, Any] = {"engine": self._engine, "console": self._console}
-        self._ended = local.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **more)
+        try:
+            self._ended = local.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **more)
+        except Exception as error:  # a defect, which the attackers may have found
+            self.crash = described(error)
 
 
 def _port(address: str) -> int:
