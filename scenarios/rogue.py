@@ -4,14 +4,13 @@ from coordinated import scenario as coordinated
 
 
 def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
-    """An adversary before the first infrastructure agent, so that there is a tap leg to be heard, and one link."""
+    """An adversary behind the first infrastructure agent, so that there is a tap leg to be heard, and one link."""
     made = coordinated(
-        n_adversaries=1, n_infrastructure=n_infrastructure, scene=scene, scene_index=scene_index, attack_start_s=0.0
+        n_adversaries=1, n_infrastructure=n_infrastructure, scene=scene, scene_index=scene_index, attack_start_s=0.5
     )
     return made | dict(
         name="rogue",
         links={"ego": "wired"},
-        keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml", "coordination.toml"]),
         run=dict(mode="realtime", rate=0.25, seed=0, record=False),
     )
 
@@ -26,7 +25,7 @@ def outsider():
         dict(type="Inject", name="foreign authority", shows="foreign", wire="cc/collated"),
         dict(type="Inject", name="expired certificate", shows="expired", wire="agent/infra_2/detections"),
         dict(type="Inject", name="another node's key", shows="infra_1", wire="cc/picture"),
-        dict(type="Inject", name="another node's tap key", shows="infra_1", wire="agent/infra_1/detections/@tap/0"),
+        dict(type="Inject", name="another node's tap key", shows="infra_2", wire="agent/infra_1/tracks/@tap/0"),
         dict(type="Eavesdrop", name="eavesdrop **", shows="infra_1", keys="**"),
         dict(type="Eavesdrop", name="eavesdrop **/@tap/**", shows="infra_1", keys="**/@tap/**"),
         dict(type="Eavesdrop", name="eavesdrop one key", shows="infra_1", keys="{run}/agent/infra_2/tracks"),
