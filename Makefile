@@ -4,7 +4,7 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run test fuzz lint bench docs lock dist clean
+.PHONY: run test fuzz insiders lint bench docs lock dist clean
 
 run: .venv/ready
 	$(BIN)/mast study case_study
@@ -18,6 +18,10 @@ test: .venv/ready
 fuzz: SEED ?= $(shell $(PYTHON) -c 'import random; print(random.randrange(1 << 24))')
 fuzz: .venv/ready
 	$(BIN)/python -m pytest --fuzz --fuzz-seed $(SEED) --timeout 1800 tests/runtime/test_malformed_input.py tests/mesh/test_malformed_control.py
+
+# What one compromised node of each role can do: 200 messages of each kind on every control key, half an hour.
+insiders: .venv/ready
+	MAST_FORGERIES=200 $(BIN)/python -m pytest tests/deploy/test_insiders.py --timeout=600
 
 lint: .venv/ready
 	$(BIN)/ruff check .

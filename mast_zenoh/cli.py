@@ -234,9 +234,10 @@ def report(
             _err.print(f"warning: {refused}", markup=False, highlight=False)
         _out.print(f"measured: {run_folder / measuring.METRICS}", markup=False, highlight=False)
     other = None if against is None else reference_folder(run_folder, against)
-    if other is not None:
-        terminal.show_run(_out, run_folder, other)
-    _out.print(f"report: {html.write_report(run_folder, frame, other)}", highlight=False)
+    with reporting(run_folder):
+        if other is not None:
+            terminal.show_run(_out, run_folder, other)
+        _out.print(f"report: {html.write_report(run_folder, frame, other)}", highlight=False)
     if warning := terminal.failure(run_folder):
         _err.print(f"warning: {warning}", style="bold yellow", markup=False, highlight=False)
 

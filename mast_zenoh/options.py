@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -22,8 +23,21 @@ if TYPE_CHECKING:
     from mast_zenoh.report.comparison import Reference
     from mast_zenoh.report.runfolder import RunFolder
 
-out = Console(soft_wrap=True)
-err = Console(stderr=True, soft_wrap=True)
+
+#: All but tab and line feed, and what turns the direction of writing.
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+class PlainConsole(Console):
+    """A console on which a text is only text: control characters, which a node's words may hold, become �."""
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        """See Console."""
+        super().print(*(_CONTROL.sub("�", each) if isinstance(each, str) else each for each in objects), **how)
+
+
+out = PlainConsole(soft_wrap=True)
+err = PlainConsole(stderr=True, soft_wrap=True)
 
 Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")
@@ -70,8 +84,14 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
     A comparison that is not possible costs neither the results nor the run's own failure, which is raised first. A twin
     whose handlers failed counts as a failure of the run unless that is allowed.
     """
-    with reporting(ended.folder):
-        refusal, reference = _show(ended, report=report, against=against)
+    try:
+        with reporting(ended.folder):
+            refusal, reference = _show(ended, report=report, against=against)
+    except RunFolderError as error:
+        if ended.error:
+            err.print(f"warning: {error}", style="bold yellow", markup=False, highlight=False)
+            raise ended.error from None
+        raise
     if ended.error:
         if refusal:
             err.print(f"warning: not compared: {refusal}", style="bold yellow", markup=False, highlight=False)
@@ -84,12 +104,18 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
 
 @contextmanager
 def reporting(folder: Path, command: str = "report") -> Iterator[None]:
-    """What ends the drawing of a report costs the report: the error says so, and how to write it."""
+    """What ends the drawing of a report costs the report: the error says so, and how to write it.
+
+    Raises RunFolderError for results that no report can be made of: an evaluator hands in what it likes.
+    """
     again = f"the results in {folder} are complete but for the report: `mast {command} {folder}` writes it"
     try:
         yield
     except (KeyboardInterrupt, OSError) as caught:
         raise ending.explained(caught, again) from None
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as caught:
+        what = failures.described(caught)
+        raise RunFolderError(f"{folder}: no report can be made of what the evaluator has handed in: {what}") from caught
 
 
 def _show(ended: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:

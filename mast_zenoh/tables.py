@@ -67,19 +67,21 @@ def read_arrow(path: Path) -> Any:
 def to_arrow(columns: Mapping[str, Any]) -> Any:
     """Columns as an Arrow table: text as a dictionary, a NaN as a missing value."""
 
-    def column(values: Any) -> Any:
-        array = np.asarray(values)
+    def arrow(values: Any) -> Any:
+        # One long text would make all of an array of text as wide.
+        texts = isinstance(values, (list, tuple)) and any(isinstance(value, str) for value in values)
+        array = np.fromiter(values, object, len(values)) if texts else np.asarray(values)
         if array.dtype.kind == "U":
             array = array.astype(object)
         if array.dtype.kind == "O":
             try:
-                texts = pyarrow.array(array, pyarrow.string())
+                column = pyarrow.array(array, pyarrow.string())
             except (pyarrow.ArrowException, TypeError):  # not all of it is text
-                texts = pyarrow.array([str(value) for value in array], pyarrow.string())
-            return texts.dictionary_encode()
+                column = pyarrow.array([str(value) for value in array], pyarrow.string())
+            return column.dictionary_encode()
         return pyarrow.array(array, from_pandas=True)
 
-    return pyarrow.table({name: column(values) for name, values in columns.items()})
+    return pyarrow.table({name: arrow(values) for name, values in columns.items()})
 
 
 def from_arrow(table: Any, rows: NDArray[Any] | slice = slice(None)) -> dict[str, NDArray[Any]]:

@@ -1,13 +1,18 @@
-"""A small run in real time, and what an outsider tries against it; `mast study rogue` plays it at every level."""
+"""A small run with a node of every role, and what attackers try against it: for `mast study rogue`."""
 
-from uncoordinated import scenario as uncoordinated
+from coordinated import scenario as coordinated
 
 
 def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
-    """Two infrastructure agents; an adversary before the first, so that there is a tap leg to be heard."""
-    return uncoordinated(
-        n_adversaries=1, n_infrastructure=n_infrastructure, scene=scene, scene_index=scene_index, attack_start_s=0.0
-    ) | dict(name="rogue", run=dict(mode="realtime", rate=0.25, seed=0, record=False))
+    """An adversary behind the first infrastructure agent, so that there is a tap leg to be heard, and one link."""
+    made = coordinated(
+        n_adversaries=1, n_infrastructure=n_infrastructure, scene=scene, scene_index=scene_index, attack_start_s=0.5
+    )
+    return made | dict(
+        name="rogue",
+        links={"ego": "wired"},
+        run=dict(mode="realtime", rate=0.25, seed=0, record=False),
+    )
 
 
 def outsider():
@@ -20,7 +25,7 @@ def outsider():
         dict(type="Inject", name="foreign authority", shows="foreign", wire="cc/collated"),
         dict(type="Inject", name="expired certificate", shows="expired", wire="agent/infra_2/detections"),
         dict(type="Inject", name="another node's key", shows="infra_1", wire="cc/picture"),
-        dict(type="Inject", name="another node's tap key", shows="infra_1", wire="agent/infra_1/detections/@tap/0"),
+        dict(type="Inject", name="another node's tap key", shows="infra_2", wire="agent/infra_1/tracks/@tap/0"),
         dict(type="Eavesdrop", name="eavesdrop **", shows="infra_1", keys="**"),
         dict(type="Eavesdrop", name="eavesdrop **/@tap/**", shows="infra_1", keys="**/@tap/**"),
         dict(type="Eavesdrop", name="eavesdrop one key", shows="infra_1", keys="{run}/agent/infra_2/tracks"),
@@ -30,3 +35,21 @@ def outsider():
         ),
         dict(type="RogueRouter", name="rogue router", node="infra_2", wire="agent/infra_2/pose"),
     ]
+
+
+def insiders():
+    """One compromised node of each role but the simulator's: it forges control messages with the node's certificate."""
+    nodes = dict(
+        agent="infra_1",
+        broker="broker",
+        command_center="command_center",
+        adversary="adversary_1",
+        coordinator="coordinator",
+        link="link_ego",
+        evaluator="evaluator",
+        recorder="recorder",
+    )
+    forging = [
+        dict(type="ForgeControls", name=f"{role}: others' control keys", node=node) for role, node in nodes.items()
+    ]
+    return [*forging, dict(type="ForgeControls", name="agent: lies of itself", node="infra_1", own=True)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any
 
 import msgpack
@@ -16,6 +16,7 @@ MAX_NAME = 256  #: characters of the name of a node
 MAX_KEY = 1024  #: characters of a key
 MAX_NUMBER = 1 << 62  #: counters, frames, times in ns: less than this
 MAX_ENTRIES = 1 << 16  #: entries of a list or a map
+MAX_VALUES = 1 << 19  #: lists, maps and their entries in one message
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 _KEY = re.compile(r"[A-Za-z0-9_.\-@]+(/[A-Za-z0-9_.\-@]+)*")
@@ -25,12 +26,31 @@ _ONE_STR, _ONE_INT = {str}, {int}
 def unpack(payload: bytes, what: str, max_bytes: int = 0) -> Any:
     """The value in a control message of the kind `what`; max_bytes: 0 for those of CONTROLS."""
     fits(payload, what, max_bytes)
+    count = at_most(MAX_VALUES, what)
+    limits = {"max_ext_len": 0, "max_map_len": MAX_ENTRIES, "max_array_len": MAX_ENTRIES}
     try:
-        return msgpack.unpackb(
-            payload, strict_map_key=True, max_ext_len=0, max_map_len=MAX_ENTRIES, max_array_len=MAX_ENTRIES
-        )
+        return msgpack.unpackb(payload, strict_map_key=True, object_hook=count, list_hook=count, **limits)
+    except MessageError:
+        raise
     except Exception as error:  # msgpack has several, and UnicodeDecodeError
         raise MessageError(f"{what}: not MessagePack: {type(error).__name__}: {str(error)[:100]}") from None
+
+
+def at_most(values: int, what: str) -> Callable[[Any], Any]:
+    """A hook for msgpack that raises MessageError at the list or map with which there are more values than that.
+
+    An empty list takes a byte on the way and eighty in memory, so a limit of bytes is not enough.
+    """
+    left = values
+
+    def counted(container: Any) -> Any:
+        nonlocal left
+        left -= 1 + len(container)
+        if left < 0:
+            raise MessageError(f"{what}: found more than {values} values")
+        return container
+
+    return counted
 
 
 def fits(payload: bytes, what: str, max_bytes: int = 0) -> None:

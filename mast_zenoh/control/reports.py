@@ -8,6 +8,7 @@ import msgpack
 
 from mast_zenoh.control import fields
 from mast_zenoh.control.files import versions
+from mast_zenoh.control.invalid import OTHERS
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.churn import BACK, LOST
 from mast_zenoh.runtime import results
@@ -78,7 +79,8 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
     except TypeError as error:
         raise MessageError(f"result: {error}") from None
     for part in ("rejected", "foreign"):
-        fields.counters(_few(found[part], f"result: {part}"), f"result: {part}")
+        for key in fields.counters(_few(found[part], f"result: {part}"), f"result: {part}"):
+            fields.text(key, f"result: {part}")
     for part, first, most in (("first_rejected", -1, 200), ("invalid", 1, 200)):
         for key, pair in _few(found[part], f"result: {part}").items():
             number, reason = fields.items(pair, 2, f"result: {part}")
@@ -86,6 +88,8 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
             fields.whole(number, f"result: {part}", first)
             fields.text(reason, f"result: {part}", most)
     fields.whole(found["unsigned"], "result: unsigned")
+    if not drives and (of_others := found["invalid"].keys() - _refused_by(node)):
+        raise MessageError(f"result: invalid: found {fields.shown(min(of_others))}, which {node} does not hear")
     fields.text(found["process"], "result: process", 64)
     entries = fields.listed(found["failures"], "result: failures")
     if len(entries) > MAX_HANDLERS:
@@ -109,6 +113,11 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
         _times(found["sent_ns"], "result: sent_ns")
         _churn(found["churn"])
     return found
+
+
+def _refused_by(node: str) -> set[str]:
+    """Control keys on which a node that does not drive the scene can have refused messages."""
+    return {"epoch", "stop", f"leave/{node}", f"drain/{node}", OTHERS}
 
 
 def _churn(value: object) -> None:

@@ -31,6 +31,7 @@ _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _MOST_WORDS = 300  # characters of what a node says of a problem
 MAX_TABLES = 100  #: that one node may write
+MAX_COLUMNS = 1000  #: of one table
 _EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
 
 
@@ -163,6 +164,8 @@ def _write_named(folder: Path, name: object, table: object) -> str:
         return _EXPECTED_NAME
     if not isinstance(table, Mapping):
         return f"found a {type(table).__name__}, expected a dict of columns"
+    if len(table) > MAX_COLUMNS:
+        return f"found {len(table)} columns, expected at most {MAX_COLUMNS}"
     from mast_zenoh.tables import write_table  # only the launcher writes tables; nodes must not pay for the import
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -180,7 +183,7 @@ def finite(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return finite((value.astype(str) if value.dtype.kind in "OU" else value).tolist())
+        return [str(item) for item in value.tolist()] if value.dtype.kind in "OU" else finite(value.tolist())
     if isinstance(value, (list, tuple)):
         return [finite(item) for item in value]
     if isinstance(value, (float, np.floating)):

@@ -326,6 +326,10 @@ class Launch:
                     self.problem = self.problem or StartError(reason)
                 elif reason.startswith(_IMPLAUSIBLE):
                     self.problem = self.problem or ImplausibleCounts(reason.removeprefix(_IMPLAUSIBLE))
+                elif reason != "end":  # neither the scene's end nor anything of ours
+                    self.problem = self.problem or RunError(
+                        f"told to stop at frame {self.frame}, not by us: {reason!r:.80}"
+                    )
 
     def _show_failure(self, report: Report) -> None:
         """Show the first failure of a handler; one of `start` ends the run."""

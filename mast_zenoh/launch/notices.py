@@ -88,9 +88,11 @@ def _rejected(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
         first += [(frame, key, reason) for key, (frame, reason) in (node.get("first_rejected") or {}).items()]
     if not by_key:
         return 0, ""
-    _, key, reason = min(first)
     what = f"{_number(by_key.total(), 'message')} on {_number(len(by_key), 'key')}"
-    return by_key.total(), f"{what} (first: {key}: {reason})"
+    if first:
+        _, key, reason = min(first)
+        what = f"{what} (first: {key}: {reason})"
+    return by_key.total(), what
 
 
 def _foreign(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:

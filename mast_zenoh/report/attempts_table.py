@@ -1,4 +1,4 @@
-"""The table of an outsider's attempts by level of security: for the terminal, as Markdown and CSV."""
+"""The table of what attackers achieved by level of security: for the terminal, as Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ STRAY = "(anything else)"
 
 
 class AttemptRow(NamedTuple):
-    """One attempt at one level of security.
+    """One attempt of an outsider, or one insider, at one level of security.
 
-    admitted:  whether the outsider got a session on the mesh
+    admitted:  whether the attacker got a session on the mesh
     sent:      messages sent; reached: how often one has reached a node's host, of `expected` if all had
     heard:     samples overheard; lured: nodes that talked to the outsider's router
-    succeeded: whether any of these is more than none
+    succeeded: whether any of these is more than none; of an insider, whether its verdict is that it succeeds
+    verdict:   of an insider, what has come of it, in words
     """
 
     run: str
@@ -33,6 +34,7 @@ class AttemptRow(NamedTuple):
     heard: int = 0
     lured: int = 0
     succeeded: bool = False
+    verdict: str = ""
 
 
 def as_rich(rows: Sequence[AttemptRow]) -> Table:
@@ -82,6 +84,8 @@ def _grid(rows: Sequence[AttemptRow], between: str) -> tuple[list[str], list[lis
 
 def _cell(row: AttemptRow, between: str) -> str:
     """What a reader wants to know at a glance: whether, and how much; with this between the two."""
+    if row.verdict:
+        return f"{row.verdict}{between}(sent {row.sent})"
     counts = []
     if row.expected or row.attempt == STRAY:
         counts.append(f"in {row.reached}" + (f"/{row.expected}" if row.expected else ""))

@@ -7,6 +7,7 @@ dies is dropped at once, and one that comes (back) takes part from the next fram
 from __future__ import annotations
 
 import queue
+import threading
 import time
 from collections import Counter
 from collections.abc import Collection
@@ -21,6 +22,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.churn import BACK, LOST
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.limits import COUNTS, Room
 from mast_zenoh.runtime.mesh import NOTED_FRAMES, MeshNode
 from mast_zenoh.runtime.pacer import Pacer
 from mast_zenoh.runtime.rewiring import Rewirer, counted
@@ -88,6 +90,8 @@ class Driver(MeshNode):
         self._leaving: set[str] = set()  # those whose end the scenario wants
         self._ready: list[Outgoing] | None = None
         self._sent: Counter[str] = Counter()
+        self._counts_room = Room(COUNTS)
+        self._counts_lock = threading.Lock()
         # A queue of their own: in that of the data they would wait for one whom nothing reaches any more.
         urgent: Any = {
             "congestion_control": zenoh.CongestionControl.BLOCK,
@@ -98,12 +102,7 @@ class Driver(MeshNode):
         self._act = session.declare_publisher(f"{self._prefix}/@control/act", **urgent)
         self._stop = session.declare_publisher(f"{self._prefix}/@control/stop", **urgent)
         put = self.inbox.put
-        self._subscribers.append(
-            self.subscribe(
-                "@control/counts/*",
-                lambda s: put(("counts", str(s.key_expr).rpartition("/")[2], s.payload.to_bytes())),
-            )
-        )
+        self._subscribers.append(self.subscribe("@control/counts/*", self._on_counts))
         self.rewirer = Rewirer(self)
         rewire: Any = zenoh.handlers.Callback(lambda query: put(("rewire", query)), indirect=False)
         self._subscribers.append(session.declare_queryable(f"{self._prefix}/@control/rewire", rewire))
@@ -279,11 +278,26 @@ class Driver(MeshNode):
             self._report_self()
         return True
 
+    def _on_counts(self, sample: zenoh.Sample) -> None:
+        """A node's counters have come, in Zenoh's thread: what waits has room."""
+        node, payload = str(sample.key_expr).rpartition("/")[2], sample.payload.to_bytes()
+        with self._counts_lock:
+            has_room = self._counts_room.take(node if node in self.expected else "*", len(payload))
+        if has_room:
+            self.inbox.put(("counts", node, payload))
+        else:
+            self._refuse_counts(node, f"more than {COUNTS} of one node wait")
+
+    def _refuse_counts(self, node: str, why: object) -> None:
+        self.invalid.note(f"counts/{node if node in self.expected else '*'}", why)
+
     def _take_counts(self, node: str, payload: bytes) -> None:
+        with self._counts_lock:
+            self._counts_room.free(node if node in self.expected else "*", len(payload))
         try:
             counts = flow.decode_counts(payload)
         except MessageError as error:
-            self.invalid.note(f"counts/{node if node in self.expected else '*'}", error)
+            self._refuse_counts(node, error)
         else:
             self.complaint = self.complaint or self.pacer.report(node, *counts)
 

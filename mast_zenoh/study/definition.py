@@ -24,7 +24,7 @@ KEYS = {
     "seed": "the first seed",
     "frames": "how many to play, None for all",
     "runtime": "mesh or inproc",
-    "security": "levels at which the outsider of each run's scenario file is let loose on it",
+    "security": "levels at which the attackers that each run's scenario file lists are let loose on it",
 }
 RUN_KEYS = ("scenario", "parameters", "grid")
 RUNTIMES = ("mesh", "inproc")

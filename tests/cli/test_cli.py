@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from io import StringIO
 from pathlib import Path
 
 import failing
 import pytest
 
 from mast_zenoh import cli
+from mast_zenoh.options import PlainConsole
 
 SHORT = ("--frames", "4", "--runtime", "inproc")
 
@@ -246,3 +248,12 @@ def test_a_comparison_that_is_not_possible_is_refused_before_the_run(mast, tmp_p
     code, _, err = mast("report", "long", "--against", "short")
     assert code == 17
     assert "found 5 and 4 frames" in err.replace("\n", " ")
+
+
+def test_no_words_of_a_node_move_the_cursor_or_change_the_terminal() -> None:
+    text = StringIO()
+    console = PlainConsole(file=text, force_terminal=True)
+    console.print("[bold]a\x1b]0;title\x07b\x1b[2J\rc\u202ed", style="red", highlight=False)
+    said = text.getvalue()
+    assert "a�]0;title�b�[2J�c�d" in said
+    assert said.startswith("\x1b["), "what the console itself says of style stays"

@@ -162,6 +162,13 @@ def without(name: str) -> dict[str, Any]:
         ("result", results.pack(OUTCOME | {"stop_reason": "stall: no"})),
         ("result", results.pack(OUTCOME | {"sent_ns": {}})),
         ("result", results.pack(OUTCOME | {"cpu_s": float("nan")})),
+        (
+            "result",
+            results.pack(OUTCOME | {"invalid": {"counts/other": [1, "what the driver alone can have refused"]}}),
+        ),
+        ("result", results.pack(OUTCOME | {"invalid": {"leave/other": [1, "x"]}})),
+        ("result", results.pack(OUTCOME | {"foreign": {"x" * 5000: 1}})),
+        ("result", results.pack(OUTCOME | {"rejected": {"x" * 5000: 1}})),
         ("result", results.pack(OUTCOME | {"rejected": {"x": "1"}})),
         ("result", results.pack(OUTCOME | {"clock": {"offset_ms": 1e300, "round_trip_ms": 1.0}})),
         ("result", results.pack(without("results"))),

@@ -20,6 +20,7 @@ from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, Servic
 from mast_zenoh.launch.depot import Depot
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.steps import Steps
 from mast_zenoh.node import Node, Source
 from mast_zenoh.resolved import NodeSpec, Resolved
@@ -403,3 +404,48 @@ def test_the_rules_of_the_router_give_nobody_more_than_the_table_says(name: str)
         "driver" in control.senders or "node" in control.senders
     )
     assert bool(sending(LAUNCHER)) == ("launcher" in control.senders)
+
+
+def sample(key: str, payload: bytes) -> Any:
+    return MagicMock(key_expr=f"mast/x/@control/{key}", payload=MagicMock(to_bytes=lambda: payload))
+
+
+def test_a_flood_of_counts_takes_no_more_room_in_the_driver_than_one_node_has(driver: Driver) -> None:
+    for _ in range(20):
+        driver._on_counts(sample("counts/ego", bytes(1 << 20)))
+    driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
+    assert driver.invalid.counts == {"counts/ego": 12}, "8 MiB wait"
+    while driver._wait(time.monotonic()):
+        pass
+    assert driver.invalid.counts == {"counts/ego": 20}
+    assert "watch" not in driver.pacer.silent, "others have room of their own"
+    driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {})))
+    assert driver._wait(time.monotonic() + 1.0)
+    assert "ego" not in driver.pacer.silent, "what was read waits no longer"
+
+
+@pytest.mark.parametrize("what", ["fetch", "file"])
+def test_what_is_too_long_for_its_kind_does_not_wait_at_the_depot(
+    depot: Depot, launch: Launch, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits = MagicMock()
+    monkeypatch.setattr(depot, "_asked", MagicMock(put=waits))
+    query = Query(f"{what}/ego", bytes(CONTROLS[what].max_bytes + 1))
+    depot._on_query(query)  # type: ignore[arg-type]
+    assert query.dropped
+    assert launch.invalid.counts == {f"{what}/ego": 1}
+    monkeypatch.undo()
+    assert not waits.called
+
+
+def test_questions_that_find_no_room_are_counted_by_what_they_ask(depot: Depot, launch: Launch) -> None:
+    depot._waiting["ego"] = 16
+    depot._on_query(Query("file/ego", encode({"path": "a", "offset": 0, "piece": b""})))  # type: ignore[arg-type]
+    assert launch.invalid.counts == {"file/ego": 1}
+
+
+def test_a_failure_that_is_too_long_does_not_wait_at_the_launcher(launch: Launch) -> None:
+    reports = Reports(MagicMock(), "mast/x/@control", {"ego": MagicMock()}, launch.invalid)
+    reports._on_failed(sample("failed/ego", bytes(CONTROLS["failed"].max_bytes + 1)))
+    assert launch.invalid.counts == {"failed/ego": 1}
+    assert reports._came.empty()

@@ -104,7 +104,18 @@ def test_who_has_handled_more_than_was_sent_is_named() -> None:
     made.report("agent", 1, {"tracks": 3}, {"clock": 3})
     made.report("broker", 1, {"collated": 3}, {"clock": 3, "tracks": 10**9})
     assert not made.quiet()
-    assert made.implausible() == "broker reports 1000000000 messages of agent handled on tracks, of which 3 were sent"
+    assert made.implausible() == (
+        "agent reports 3 messages sent on tracks, broker 1000000000 handled: one of the two does not tell the truth"
+    )
+
+
+def test_who_has_handled_more_of_the_drivers_messages_than_were_sent_is_the_one_that_is_named() -> None:
+    made = Pacer(Wiring((*WIRING.wires[1:], wire("clock", "simulator", "agent"))))
+    made.begin_epoch(MEMBERS)
+    made.report("simulator", 1, {"clock": 3}, {})
+    made.report("agent", 1, {}, {"clock": 4})
+    made.report("broker", 1, {}, {})
+    assert made.implausible() == "agent reports 4 messages of simulator handled on clock, of which 3 were sent"
 
 
 def test_a_publisher_that_is_still_busy_has_not_reported_what_it_sent_and_nobody_is_accused() -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import time
+from pathlib import Path
 from typing import Any
 
 import msgpack
 
 from mast_zenoh.runtime import results
+from mast_zenoh.runtime.driver import Driver
 from mast_zenoh.runtime.mesh import MeshNode
 
 RUBBISH = (b"", b"\xc1", b"\x93", b"\xff" * 40, msgpack.packb([]), msgpack.packb({}), msgpack.packb([1, 2, 3]))
@@ -68,3 +71,22 @@ def exaggerate(key: str) -> None:
         report(self)
 
     MeshNode.report = lie  # type: ignore[method-assign]
+
+
+def hold(frame: int, go: str, stall_timeout_s: float) -> None:
+    """From now on the driver of this process waits before a frame until the file `go` is there; it is sound otherwise.
+
+    stall_timeout_s: how long it waits for the mesh to become quiet
+    """
+    carry_out, init = Driver._carry_out, Driver.__init__
+
+    def waiting(self: Driver) -> str:
+        while self.frames == frame and not Path(go).exists() and not self._over:
+            self._wait(time.monotonic() + 0.02)
+        return carry_out(self)
+
+    def hasty(self: Driver, *arguments: Any, **more: Any) -> None:
+        init(self, *arguments, **{**more, "stall_timeout_s": stall_timeout_s})
+
+    Driver._carry_out = waiting  # type: ignore[method-assign]
+    Driver.__init__ = hasty  # type: ignore[method-assign]

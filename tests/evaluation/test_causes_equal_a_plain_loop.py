@@ -10,7 +10,7 @@ from causes_oracle import ATTACKS, Causes
 from played import Played
 from shipped import HARMLESS, every, label
 
-LINKLESS = ("baseline", "passthrough", "uncoordinated", "coordinated", "rogue", "downlink", "hide_object")
+LINKLESS = ("baseline", "passthrough", "uncoordinated", "coordinated", "downlink", "hide_object")
 VARIANTS = [variant for variant in every() if variant[0] in LINKLESS]
 
 

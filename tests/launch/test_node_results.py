@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from mast_zenoh import scenario
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import local
 from mast_zenoh.resolved import NodeSpec
-from mast_zenoh.tables import read_table
+from mast_zenoh.tables import read_arrow, read_table
 
 METRICS = {"frames": 3, "agents": {}}
 TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
@@ -165,3 +166,23 @@ def test_lost_messages_are_told_of(tmp_path: Path) -> None:
     record: dict[str, Any] = {"message": "so far"}
     run_folder.note_recording(record, {"rec": {"recorded": {"messages": 7, "lost": 2}}}, specs)
     assert record["message"] == "so far; 2 messages could not be recorded"
+
+
+def test_a_table_has_no_more_columns_than_a_thousand(tmp_path: Path) -> None:
+    tables = {name: {f"c{i}": [i] for i in range(n)} for name, n in (("most", 1000), ("more", 1001))}
+    refused, files = written({"node": {"tables": tables}}, tmp_path / "run")
+    assert refused == ["node: table 'more': found 1001 columns, expected at most 1000"]
+    assert files == {"results/node/most.parquet"}
+
+
+def test_one_long_text_takes_no_room_for_all_the_others(tmp_path: Path) -> None:
+    texts = ["x" * 1_000_000, *[""] * 10_000]  # as an array of text this is 40 GB
+    results = {"node": {"tables": {"t": {"a": texts}}, "plain": np.array(texts, object)}}
+    tracemalloc.start()
+    try:
+        assert written(results, tmp_path / "run")[0] == []
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 64 << 20
+    assert read_arrow(tmp_path / "run/results/node/t.parquet").num_rows == len(texts)

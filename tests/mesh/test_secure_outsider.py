@@ -31,6 +31,6 @@ def test_the_outsider(tmp_path: Path, level: str) -> None:
         assert all(outcome.reached == outcome.expected for outcome in sent if not outcome.lured)
     else:
         admitted = {name for name, outcome in outcomes.items() if outcome.admitted}
-        tried = {a.name for a in attempts if a.shows == "infra_1"} - NOWHERE
+        tried = {a.name for a in attempts if a.shows.startswith("infra_")} - NOWHERE
         assert admitted == tried, "who has a node's certificate is let in, and gets nothing by it"
         assert any(outcome.sent and not outcome.reached for outcome in outcomes.values())

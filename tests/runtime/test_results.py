@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mast_zenoh.errors import MessageError
 from mast_zenoh.runtime import results
 
 
@@ -49,3 +50,27 @@ def test_numbers_of_numpy_become_plain_ones() -> None:
 def test_what_is_neither_is_refused_by_name() -> None:
     with pytest.raises(TypeError, match="a result holds a set, expected plain values and arrays"):
         results.pack({"names": {"ego"}})
+
+
+def test_arrays_of_eight_dimensions_come_out_and_of_nine_do_not() -> None:
+    assert results.unpack(results.pack(np.zeros((1,) * 8))).shape == (1,) * 8
+    with pytest.raises(MessageError):
+        results.unpack(results.pack(np.zeros((1,) * 9)))
+
+
+@pytest.mark.parametrize(
+    "array", [np.zeros((1 << 24, 0)), np.zeros(1 << 21, bool), np.array(["x"] * (1 << 21), object)]
+)
+def test_arrays_that_would_be_lists_of_millions_are_for_tables_alone(array: np.ndarray) -> None:
+    results.checked({"tables": {"t": {"x": array}}})
+    with pytest.raises(TypeError, match="beside those of tables"):
+        results.checked({"x": [{"y": array}]})
+
+
+def test_what_cannot_be_handed_in_is_found_where_it_stands_however_long_the_names_are() -> None:
+    with pytest.raises(TypeError, match=r"^results\.a\.1\.b: found a set, expected plain values"):
+        results.checked({"a": [0, {"b": {1}}]})
+    results.checked({"x" * (1 << 20): {"y" * (1 << 20): list(range(1 << 17))}})  # as many names of 2 MB would be 256 GB
+    with pytest.raises(TypeError) as caught:
+        results.checked({"x" * (1 << 20): [{1}]})
+    assert len(str(caught.value)) < 300

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from mast_zenoh import scenario
+from mast_zenoh.control import CONTROLS
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.report import attempts_table
 from mast_zenoh.report.attempts_table import STRAY, AttemptRow
 from mast_zenoh.study import definition
 from mast_zenoh.study.rogue import comparison
 from mast_zenoh.study.rogue.attempts import Attempt, Outcome, RogueRouter
+from mast_zenoh.study.rogue.forgeries import MALFORMED
+from mast_zenoh.study.rogue.infiltration import Finding
+from mast_zenoh.study.rogue.insiders import ForgeControls
+from mast_zenoh.study.rogue.position import position
 
+BASELINE = "loading.function('scenarios', 'baseline', 'scenario')"
 INJECT = "dict(type='Inject', name='a', wire='cc/picture')"
 
 
 def listed(tmp_path: Path, *attempts: str) -> list[Attempt]:
     """The attempts of a scenario file that lists these."""
     file = tmp_path / "mine.py"
-    file.write_text(f"def outsider():\n    return [{', '.join(attempts)}]\n")
+    file.write_text(f"def scenario():\n    return {{}}\ndef outsider():\n    return [{', '.join(attempts)}]\n")
     return comparison.load(str(file))
 
 
@@ -31,6 +39,83 @@ def test_our_outsider_tries_all_that_the_threat_model_names() -> None:
     kinds = {type(attempt).__name__ for attempt in attempts.values()}
     assert kinds == {"Inject", "Eavesdrop", "AskRouter", "DuplicateSession", "RogueRouter"}
     assert [a.detours for a in attempts.values() if isinstance(a, RogueRouter)] == ["infra_2"]
+
+
+def test_our_insiders_are_one_of_each_role_but_the_drivers() -> None:
+    path, loaded = scenario.load("rogue")
+    nodes = scenario.resolve(path, loaded | {"run": {"record": True}}, frames=1, record=True).nodes
+    insiders = comparison.load_insiders("rogue")
+    assert {nodes[insider.node].role for insider in insiders} == {spec.role for spec in nodes.values()} - {"simulator"}
+
+
+def test_a_file_may_list_insiders_of_its_own_kind_and_no_outsider(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from mast_zenoh.study.rogue.insiders import Insider\n"
+        "class Mute(Insider):\n"
+        "    def act(self, siege, session, position):\n"
+        "        return 0\n"
+        "def scenario():\n    return {}\n"
+        "def insiders():\n    return [dict(type='Mute', name='mute', node='ego')]\n"
+    )
+    assert comparison.load(str(file)) == []
+    assert [(insider.name, insider.node) for insider in comparison.load_insiders(str(file))] == [("mute", "ego")]
+
+
+@pytest.mark.parametrize(
+    ("listed", "said"),
+    [
+        ("", "lists no attackers: expected a function `outsider` or `insiders`"),
+        ("def insiders():\n    return [dict(type='ForgeControls', name='a', node='infra_9')]", "no node 'infra_9'"),
+        ("def insiders():\n    return 7", "returned int, expected a list of dicts"),
+        ("def insiders():\n    return 2 * [dict(type='ForgeControls', name='a', node='ego')]", "the name 'a'"),
+    ],
+)
+def test_a_study_without_attackers_or_with_impossible_ones_is_refused(tmp_path: Path, listed: str, said: str) -> None:
+    (tmp_path / "mine.py").write_text(f"from mast_zenoh import loading\n_, scenario = {BASELINE}\n{listed}\n")
+    content = f"dict(name='s', runs=dict(a=dict(scenario={str(tmp_path / 'mine.py')!r})), security=['acl'])"
+    (tmp_path / "s.py").write_text(f"def study():\n    return {content}\n")
+    with pytest.raises(ConfigurationError, match=said):
+        comparison.run(definition.load(str(tmp_path / "s.py")), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("node", ["infra_1", "evaluator"])
+def test_what_is_forged_in_the_names_of_others_is_never_a_lie_of_the_node_itself_and_the_other_way_round(
+    node: str,
+) -> None:
+    path, loaded = scenario.load("rogue")
+    where = position(scenario.resolve(path, loaded, frames=1), node, "1.0")
+    of_others = ForgeControls("a", node).chosen(where)
+    own = ForgeControls("a", node, own=True).chosen(where)
+    assert len(of_others) == len(own) == 30
+    assert {each.control for each in of_others} == {*CONTROLS}
+    assert all(each.made == MALFORMED for each in of_others if each.own == node)
+    assert {each.own for each in own} == {node}
+    assert {each.control for each in own} == {"counts", "failed", "result", "fetch", "file"}
+
+
+SOUND = Finding("ego", ["infra_1", "infra_10"], True, "", 10, 10, (), True, ())
+
+
+@pytest.mark.parametrize(
+    ("finding", "verdict"),
+    [
+        (SOUND, "no effect"),
+        (replace(SOUND, metrics=False), "succeeds: the run looks sound, but differs"),
+        (replace(SOUND, changed=["clock"]), "succeeds: changed what others said (1 wires)"),
+        (replace(SOUND, frames=4), "succeeds: stopped the run early, after 4 of 10 frames"),
+        (replace(SOUND, failure="stall: ego has not reported"), "ends the run, and is named"),
+        (replace(SOUND, failure="infra_10.start failed: ego"), "succeeds: ends the run, and infra_10 is named"),
+        (replace(SOUND, failure="stopped", frames=1), "succeeds: ends the run, and nobody is named"),
+        (replace(SOUND, failure="ego: x", strays=["/tmp/x"]), "succeeds: wrote outside the run folder (/tmp/x)"),
+        (replace(SOUND, ended=False), "succeeds: stalled the run"),
+        (replace(SOUND, ended=False, crash="ValueError: x"), "succeeds: crashed the launcher (ValueError: x)"),
+    ],
+)
+def test_a_verdict_on_an_insider_is_of_what_the_run_has_left_behind(finding: Finding, verdict: str) -> None:
+    assert finding.verdict == verdict
+    assert finding.succeeded == verdict.startswith("succeeds")
 
 
 @pytest.mark.parametrize(
@@ -75,6 +160,8 @@ ROWS = [
     AttemptRow("rogue", "acl", "inject", True, 20, 0, 40),
     AttemptRow("rogue", "acl", "listen", True),
     AttemptRow("rogue", "acl", STRAY, reached=3, succeeded=True),
+    AttemptRow("rogue", "open", "agent", True, 30, succeeded=True, verdict="succeeds: stopped the run early"),
+    AttemptRow("rogue", "acl", "agent", True, 30, verdict="no effect"),
 ]
 
 
@@ -84,11 +171,12 @@ def test_the_table_has_a_line_for_each_attempt_and_a_column_for_each_level() -> 
     assert lines[2] == "| inject | succeeds (in 40/40) | refused (in 0/40) |"
     assert lines[3] == "| listen | succeeds (out 68) | refused (out 0) |"
     assert lines[4] == "| (anything else) | none (in 0) | succeeds (in 3) |"
+    assert lines[5] == "| agent | succeeds: stopped the run early (sent 30) | no effect (sent 30) |"
 
 
 def test_the_csv_has_every_count() -> None:
     rows = list(csv.DictReader(io.StringIO(attempts_table.as_csv(ROWS))))
     assert len(rows) == len(ROWS)
     assert rows[0] == dict(
-        zip(AttemptRow._fields, ["rogue", "open", "inject", "1", "20", "40", "40", "0", "0", "1"], strict=True)
+        zip(AttemptRow._fields, ["rogue", "open", "inject", "1", "20", "40", "40", "0", "0", "1", ""], strict=True)
     )

@@ -186,7 +186,7 @@ class RogueRouter(Attempt):
 
     def make(self, siege: Siege) -> Outcome:
         """See Attempt."""
-        outcome = Outcome(key=self.wire, expected=self.messages)
+        outcome = Outcome(key=self.wire, expected=self.messages * siege.hearers(self.wire))
         detour = siege.detours[self.node]
         session, address = open_router(endpoint(siege.level, "tcp/127.0.0.1:0"), security=self._settings(siege))
         with session:

@@ -15,14 +15,17 @@ from typing import Any
 
 import numpy as np
 import zenoh
+from rich.console import Console
 
 from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunError, nearest
 from mast_zenoh.launch import local
+from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
 from mast_zenoh.messages import SCHEMAS, Header, Message, text
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime import failures
+from mast_zenoh.runtime.failures import described
 from mast_zenoh.runtime.mesh import prefix
 from mast_zenoh.runtime.session import open_session
 from mast_zenoh.security.authority import Authority
@@ -45,17 +48,30 @@ _POLL_S = 0.02
 class Siege:
     """A context: entered, the run has played its first frames; left, it has ended.
 
-    resolved: in real time; level: of its mesh; folder: of its results
+    resolved: the run; level: of its mesh; folder: of its results
     detoured: nodes whose way to the router leads past the outsider
+    engine, console: as for `local.run`
     """
 
-    def __init__(self, resolved: Resolved, folder: Path, level: str, detoured: Collection[str] = ()) -> None:
+    def __init__(
+        self,
+        resolved: Resolved,
+        folder: Path,
+        level: str,
+        detoured: Collection[str] = (),
+        *,
+        engine: Engine | None = None,
+        console: Console | None = None,
+    ) -> None:
         self.level = level
         self.wiring = Wiring.from_json(resolved.wiring)
         self.detours: dict[str, Detour] = {}
+        self.crash = ""  # the exception with which the launcher has ended, if it has
         self._resolved = resolved
         self._folder = folder
         self._detoured = detoured
+        self._engine = engine
+        self._console = console
         self._launch: Launch | None = None
         self._ended: local.Run | None = None
         self._thread = threading.Thread(target=self._play, name="siege")
@@ -186,15 +202,20 @@ class Siege:
         """
         pause, deadline = threading.Event(), time.monotonic() + seconds
         while not condition():
-            if self._ended is not None:
-                error = self._ended.error
-                raise RunError(f"the run ended while the outsider was at it: {error or 'all frames are played'}")
+            if not self._thread.is_alive():
+                error = self.crash or (self._ended and self._ended.error)
+                raise RunError(f"the run ended while the attackers were at it: {error or 'all frames are played'}")
             if time.monotonic() > deadline:
                 if what:
                     raise RunError(f"not within {seconds:.0f} s: {what}")
                 return False
             pause.wait(_POLL_S)
         return True
+
+    def ended(self, seconds: float) -> local.Run | None:
+        """What has become of the run when it has ended by itself; None when it has not within so many seconds."""
+        self._thread.join(seconds)
+        return self._ended
 
     def end(self) -> local.Run | None:
         """Have the run end, if it has not; what has become of it."""
@@ -207,7 +228,7 @@ class Siege:
         """After the end, by node and key: messages without the mark of this run's nodes that have reached its host."""
         ended = self.end()
         if ended is None or (ended.error is not None and not isinstance(ended.error, Interrupted)):
-            raise RunError(f"the run under siege failed: {ended.error if ended else 'it does not end'}")
+            raise RunError(f"the run under siege failed: {ended.error if ended else self.crash or 'it does not end'}")
         if ended.failures:
             raise HandlerFailed(failures.summary(ended.failures, ended.logs))
         found: dict[str, dict[str, int]] = {}
@@ -224,7 +245,11 @@ class Siege:
             }
             self._launch = launch
 
-        self._ended = local.run(self._resolved, self._folder, secure=self.level, prepare=prepare)
+        more: dict[str, Any] = {"engine": self._engine, "console": self._console}
+        try:
+            self._ended = local.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **more)
+        except Exception as error:  # a defect, which the attackers may have found
+            self.crash = described(error)
 
 
 def _port(address: str) -> int:

@@ -1,0 +1,221 @@
+"""Control messages as a sound node could make them, that are not true. Pure: a position in a run in, messages out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgpack
+import numpy as np
+
+from mast_zenoh.runtime.results import EVALUATOR
+from mast_zenoh.study.rogue.position import MARKER, Position
+
+_BILLION = 10**9
+_LATE = 1 << 61
+_FAILURE = {
+    "handler": "on_clock",
+    "count": 3,
+    "frames": 3,
+    "first_frame": 1,
+    "last_frame": 3,
+    "exception": "KeyError: 'forged'",
+    "where": f"/tmp/{MARKER}.py:1",
+}
+_OUTCOME: dict[str, Any] = {
+    "results": {"n": 1},
+    "rejected": {"clock: forged": 2},
+    "first_rejected": {"clock": [3, "forged"]},
+    "foreign": {"clock": 1},
+    "invalid": {"epoch": [1, "forged"]},
+    "process": "0123456789abcdef",
+    "failures": [],
+    "last_frame": 3,
+    "cpu_s": 0.5,
+    "arrived_ns": {"clock": {0: 1_700_000_000_000_000_000}},
+    "versions": {"numpy": "2.0"},
+    "clock": {"offset_ms": -1.5, "round_trip_ms": 0.1},
+}
+
+
+def sound(control: str, position: Position) -> Any:
+    """A message of this kind as it should be, to be damaged."""
+    return {
+        "counts": [1, dict.fromkeys(position.publishes[:1], 3), dict.fromkeys(position.hears[:2], 3)],
+        "epoch": [2, position.roles, None],
+        "failed": ["0123456789abcdef", _FAILURE],
+        "act": [3, [["kill", position.others[0]]]],
+        "result": _OUTCOME | {"failures": [_FAILURE]},
+        "fetch": {"do": "piece", "path": "scenario.json", "offset": 0},
+        "file": {"path": "messages.mcap", "offset": 0, "piece": MARKER.encode()},
+        "rewire": {"wiring": position.wiring, "join": {}, "leave": [position.others[0]]},
+        "intercept": [msgpack.packb({"do": "release", "number": "1", "name": None, "wire": "clock"}), b"\0" * 32],
+        "stop": "end",
+        "leave": "leave",
+        "drain": (*position.hears, "clock")[0],
+    }[control]
+
+
+def falsehoods(control: str, position: Position) -> list[Any]:
+    """All of a kind: plain values, or a str for bare text."""
+    return list(_OF_KIND[control](position))
+
+
+def false_results(position: Position) -> Iterator[dict[str, Any]]:
+    """What a node can hand in that is not what it has found."""
+    table, name = {"frame": [0, 1], "rmse_m": [0.0, 0.0]}, position.others[0]
+    paths = ("metrics", "objects", "attacks", "x", *position.files, "/dev/null", "..", "a\0b", "a\nb", "x" * 300, "")
+    parts: list[dict[str, Any]] = [{"tables": {path: table}} for path in paths]
+    parts += [
+        {"metrics": {"frames": 666, "agents": {name: {"picture": {"fn": {"mean": 0.0}}}}}},
+        {"metrics": {"frames": "many", "settled": False, "agents": 7, "driving": [None]}},
+        {"metrics": {"frames": 1 << 63, "agents": {}, "settled": False}},
+        {"recorded": {"messages": _BILLION, "lost": 0, "problem": f"\x1b]0;{MARKER}\x07[/red]", "disk_full": True}},
+        {"collation": {"batches": _BILLION, "late": dict.fromkeys(position.others, _BILLION)}},
+        {"tables": {"x": {f"c{i}": [1] for i in range(2000)}}},
+        {"tables": {"x": {"a": ["x" * 100_000, *[""] * 20_000]}}},
+        {"tables": {"x": {"a": [[1], {"b": None}], "b": [1, "2"]}}},
+        {"tables": {f"t{i}": table for i in range(150)}},
+        {"tables": [table], "selected": -1, "placed": "all"},
+        {"x": np.zeros((1 << 24, 0))},
+        {"x": np.zeros(1 << 22, np.uint8)},
+        {"x": np.array(["x" * 100_000, *[""] * 20_000], object)},
+        {"x" * (1 << 20): list(range(1 << 16))},
+        {"x": float("nan"), "y": float("inf"), "z": (1 << 64) - 1, "[/red]": "\x1b[2J\u202e"},
+        _deep(20),
+    ]
+    for part in parts:
+        yield _OUTCOME | {"results": part}
+    for failure in _failures():
+        yield _OUTCOME | {"failures": [failure]}
+    keys = [*(f"counts/{other}" for other in position.others), "epoch", "stop", "result/*"]
+    yield _OUTCOME | {"invalid": {key: [_BILLION, f"forged by {name}"] for key in keys}}
+    yield _OUTCOME | {"foreign": dict.fromkeys((*position.foreign, "x" * 100_000), _BILLION)}
+    yield _OUTCOME | {"rejected": {f"{key}: forged": _BILLION for key in position.foreign}}
+    yield _OUTCOME | {"rejected": {"clock: forged": 1, "": _LATE}, "first_rejected": {}}
+    yield _OUTCOME | {"rejected": {}, "foreign": {}, "invalid": {}, "first_rejected": {}, "arrived_ns": {"": {}}}
+    yield _OUTCOME | {"first_rejected": {key: [-1, f"forged by {name}"] for key in position.foreign}}
+    yield _OUTCOME | {"arrived_ns": {key: {0: _LATE} for key in (*position.hears, *position.foreign)}}
+    yield _OUTCOME | {"process": f"../{MARKER}", "last_frame": _LATE, "cpu_s": -1e15}
+    yield _OUTCOME | {"clock": {"offset_ms": -1e12, "round_trip_ms": -1e12}, "versions": {"[/red]": "\x1b[2J"}}
+    for said in ("stop_reason", "frames", "wall_s", "sent_ns", "churn"):  # the driver's alone
+        yield _OUTCOME | {said: "implausible: " + name}
+
+
+def false_counts(position: Position) -> Iterator[list[Any]]:
+    """Counters of the first epochs, with keys that are this node's and with others."""
+    for epoch in (1, 2, _BILLION):
+        yield [epoch, {}, {}]
+        for keys in (position.publishes, position.hears, position.foreign):
+            for count in (0, 3, _BILLION):
+                yield [epoch, dict.fromkeys(keys, count), {}]
+                yield [epoch, {}, dict.fromkeys(keys, count)]
+                yield [epoch, dict.fromkeys(position.publishes, count), dict.fromkeys(position.hears, count)]
+
+
+def _deep(depth: int) -> dict[str, Any]:
+    value: dict[str, Any] = {}
+    for _ in range(depth):
+        value = {"x": [value]}
+    return value
+
+
+def _failures() -> Iterator[dict[str, Any]]:
+    for handler in ("start", "finish", "on_nothing", "", f"../{MARKER}", "[/red]", "x" * 300):
+        yield _FAILURE | {"handler": handler}
+    for exception in ("DiskFull: no room", "StartError: forged", "\x1b]0;forged\x07", "[/red][link=file:///]", ""):
+        yield _FAILURE | {"exception": exception}
+    yield _FAILURE | {"handler": "start", "exception": "DiskFull: forged"}
+    yield _FAILURE | {"count": _LATE, "frames": _LATE, "first_frame": -1, "last_frame": _LATE}
+    yield _FAILURE | {"where": "\x1b[2J" * 1000}
+
+
+def _counts(position: Position) -> Iterator[Any]:
+    yield from false_counts(position)
+
+
+def _epoch(position: Position) -> Iterator[Any]:
+    strangers = {"stranger": "agent", position.driver: "agent"}
+    for number in (1, 2, 3, (1 << 32) - 1):
+        for members in ({}, {position.node: "agent"}, strangers, dict(list(position.roles.items())[:-1])):
+            yield [number, members, None]
+        yield [number, position.roles, [{"wires": [], "overhearers": []}, True, list(position.others)]]
+
+
+def _failed(position: Position) -> Iterator[Any]:
+    for process, failure in enumerate(_failures()):
+        yield [f"{process:016x}", failure]
+
+
+def _stop(position: Position) -> Iterator[Any]:
+    blamed = f"{position.others[0]} reports {_BILLION} messages of {position.driver} handled on clock"
+    yield from ("", "end", "interrupted", f"implausible: {blamed}", "stall: forged", "start: forged", "\x1b[2J", MARKER)
+
+
+def _leave(position: Position) -> Iterator[Any]:
+    yield from ("leave", "", "released", "\0")
+
+
+def _act(position: Position) -> Iterator[Any]:
+    for frame in (0, 1, 3, _LATE):
+        for action in ("kill", "leave", "pause", "disconnect"):
+            yield [frame, [[action, name] for name in (*position.others, position.driver)]]
+        yield [frame, [["start", "stranger"], ["start", position.node]]]
+    yield [1, [["kill", name] for name in position.others] * 100]
+
+
+def _fetch(position: Position) -> Iterator[Any]:
+    yield {"do": "clock"}
+    for version in (position.version, "0.0.0 (sources forged)", "", f"\x1b[2J[/red]{position.version}"):
+        yield {"do": "join", "version": version, "versions": {}}
+    yield {"do": "join", "version": position.version, "versions": {f"p{i}": "x" * 300 for i in range(100)}}
+    for path in (*position.files, "/etc/passwd", "../../../../../../etc/passwd", "files/0/../../x", "", "a\0b"):
+        for offset in (0, 1, _LATE):
+            yield {"do": "piece", "path": path, "offset": offset}
+
+
+def _file(position: Position) -> Iterator[Any]:
+    for path in (*position.files, "", "a\0b", f"results/{EVALUATOR}/results.json", ".reserve", "control.key"):
+        for offset in (0, 1, _LATE):
+            yield {"path": path, "offset": offset, "piece": MARKER.encode()}
+    yield {"path": f"../{MARKER}", "offset": 0, "piece": bytes(1 << 20)}
+
+
+def _drain(position: Position) -> Iterator[Any]:
+    yield from (*position.hears, *position.foreign, "@control/stop", "..")
+
+
+def _rewire(position: Position) -> Iterator[Any]:
+    own = position.wiring
+    empty: dict[str, Any] = {"wires": [], "overhearers": []}
+    spied = own | {"overhearers": [*own["overhearers"], {"node": position.node, "port": "everything"}]}
+    for wiring in (own, empty, spied):
+        for leave in ([], [position.driver], list(position.others)):
+            yield {"wiring": wiring, "join": {}, "leave": leave}
+    yield {"wiring": own, "join": {"stranger": "adversary"}, "leave": []}
+
+
+def _intercept(position: Position) -> Iterator[Any]:
+    spec = {"file": f"/tmp/{MARKER}.py", "type": "Forged", "role": "adversary", "config": {}, "on_exit": "fail"}
+    place = {"wire": "clock", "input": "in", "output": "out", "hears": {}, "says": []}
+    asked = {"do": "intercept", "number": "1", "name": MARKER, "spec": spec, "place": place}
+    released = {"do": "release", "number": "2", "name": position.others[0], "wire": None}
+    for request in (asked, released):
+        for digest in (b"", bytes(32), b"\xff" * 32, MARKER.encode()):
+            yield [msgpack.packb(request), digest]
+
+
+_OF_KIND: dict[str, Callable[[Position], Iterator[Any]]] = {
+    "counts": _counts,
+    "epoch": _epoch,
+    "failed": _failed,
+    "stop": _stop,
+    "leave": _leave,
+    "act": _act,
+    "result": false_results,
+    "fetch": _fetch,
+    "file": _file,
+    "drain": _drain,
+    "rewire": _rewire,
+    "intercept": _intercept,
+}

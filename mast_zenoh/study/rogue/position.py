@@ -1,0 +1,54 @@
+"""What a compromised node knows of its run: itself, the other nodes, and which keys are whose. Pure."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from mast_zenoh.resolved import RECORDING, Resolved
+from mast_zenoh.wiring import Wiring
+
+#: A word in everything forged that could become the name of a file: whatever is called so was written by an insider.
+MARKER = "mast_forged_by_an_insider"
+
+
+class Position(NamedTuple):
+    """Where a compromised node stands in its run.
+
+    node:      its name
+    driver:    the node that drives the scene
+    roles:     role of every node, by name
+    publishes, hears: its keys, without the run's prefix; foreign: keys that are neither
+    wiring:    of the run, as JSON
+    version:   of mast-zenoh, as the launcher has it
+    """
+
+    node: str
+    driver: str
+    roles: dict[str, str]
+    publishes: tuple[str, ...]
+    hears: tuple[str, ...]
+    foreign: tuple[str, ...]
+    wiring: dict[str, Any]
+    version: str
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """All nodes but this one."""
+        return tuple(name for name in self.roles if name != self.node)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Paths that are in every run folder, and some that lead out of it."""
+        inside = ("run.json", "scenario.json", "wiring.json", "metrics.json", RECORDING, "logs/x.log", "messages.mcap")
+        return (*inside, f"../{MARKER}", f"/tmp/{MARKER}", f"../../../../../../tmp/{MARKER}", f"~/{MARKER}", MARKER)
+
+
+def position(resolved: Resolved, node: str, version: str) -> Position:
+    """Where a node of a scenario stands. version: what it says that it runs."""
+    wiring = Wiring.from_json(resolved.wiring)
+    published = tuple(dict.fromkeys(leg.key for _, leg in wiring.legs() if leg.publisher.node == node))
+    heard = tuple(dict.fromkeys(key for key, _, subscriber in wiring.flows() if subscriber == node))
+    foreign = tuple(key for key in dict.fromkeys(wiring.keys()) if key not in (*published, *heard))
+    roles = {name: spec.role for name, spec in resolved.nodes.items()}
+    driver = next(name for name, role in roles.items() if role == "simulator")
+    return Position(node, driver, roles, published, heard, foreign, resolved.wiring, version)

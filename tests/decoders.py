@@ -1,0 +1,36 @@
+"""By kind of control message what its receiver takes it apart with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from mast_zenoh.control import files, flow, interception, reports
+from mast_zenoh.errors import MessageError
+
+
+def decoder(control: str, node: str, *, drives: bool = False) -> Callable[[bytes], Any]:
+    """The decoder of a message of this kind that a node sends."""
+    return {
+        "counts": flow.decode_counts,
+        "epoch": flow.decode_epoch,
+        "failed": reports.decode_failure,
+        "stop": flow.decode_stop,
+        "leave": flow.decode_stop,
+        "act": flow.decode_act,
+        "result": lambda payload: reports.decode_result(payload, node, drives=drives),
+        "fetch": files.decode_fetch,
+        "file": files.decode_file,
+        "drain": flow.decode_drain,
+        "rewire": flow.decode_rewire,
+        "intercept": interception.sealed_parts,
+    }[control]
+
+
+def refused(control: str, node: str, payload: bytes) -> bool:
+    """Whether the decoder refuses it; fails for every error but MessageError."""
+    try:
+        decoder(control, node)(payload)
+    except MessageError:
+        return True
+    return False

@@ -1,0 +1,231 @@
+"""A run some of whose nodes are compromised, in a process of its own: what becomes of the run and of that process.
+
+`play` is for tests: it starts that process, and is the insiders: for each a second session with the certificate of its
+node, which itself stays sound. The driver holds the run before a frame until every insider has sent what it has.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import failing
+import zenoh
+from launched import eventually
+from launched_apart import Beside
+from rich.console import Console
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import MastError
+from mast_zenoh.launch import local
+from mast_zenoh.launch.launching import Launch
+from mast_zenoh.options import reporting
+from mast_zenoh.report import html
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.runtime.mesh import prefix
+from mast_zenoh.runtime.session import open_session
+from mast_zenoh.security.credentials import Credentials
+from mast_zenoh.security.levels import client_settings
+from mast_zenoh.study.rogue.position import MARKER
+
+#: What an insider does with its session; the second argument is the prefix of all keys of the run.
+Insider = Callable[[zenoh.Session, str], object]
+
+FRAMES, HELD_BEFORE = 8, 4
+_XDG = ("CACHE", "CONFIG")
+
+SCENARIO = """
+from mast_zenoh import loading
+
+_, network = loading.function("scenarios", "realistic_network", "scenario")
+
+
+def scenario():
+    made = network(attack="coordinated", n_adversaries=1, n_infrastructure=1, n_mobile=0)
+    rewrites = [*made["keyexpr"]["rewrites"], {"listen": [dict(wire="clock", role="visualizer", input="clock")]}]
+    counter = dict(role="visualizer", file="counter.py")
+    return made | dict(name="insiders", nodes=dict(counter=counter), keyexpr=made["keyexpr"] | dict(rewrites=rewrites))
+"""
+
+#: Of every role but the driver's one node; the last is a user's own.
+NODES = (
+    *("infra_1", "broker", "command_center", "adversary_1", "coordinator", "link_ego", "evaluator", "recorder"),
+    "counter",
+)
+
+
+def resolved(folder: Path) -> Resolved:
+    """The run: every role, recorded, in lock-step. folder: of the scenario file that it is read from."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "insiders.py").write_text(SCENARIO)
+    (folder / "counter.py").write_text(failing.FILES["second"]["counter.py"])
+    path, loaded = scenario.load(str(folder / "insiders.py"))
+    return scenario.resolve(path, loaded, frames=FRAMES, record=True)
+
+
+@dataclass
+class Ended:
+    """What has become of it: exit code, console, run.json, MiB at most by process, and files where there were none."""
+
+    code: int
+    console: str
+    folder: Path
+    record: dict[str, Any]
+    peaks_mib: dict[str, float]
+    strays: list[str]
+
+    @property
+    def message(self) -> str:
+        """Why it failed."""
+        return str(self.record["message"])
+
+    def refused(self) -> dict[str, int]:
+        """Control messages that were refused, by key."""
+        nodes = self.record["nodes"].values()
+        parts = [self.record["invalid_control"], *(node["invalid_control"] or {} for node in nodes)]
+        return {key: count for part in parts for key, (count, _) in part.items()}
+
+    def sound(self) -> None:
+        """Nothing was written elsewhere, no traceback was printed, and no process has taken too much memory."""
+        assert self.strays == []
+        texts = {path.name: path.read_text(errors="replace") for path in (self.folder / "logs").iterdir()}
+        for name, text in {"console": self.console, **texts}.items():
+            assert "Traceback" not in text, f"{name}:\n{text[-3000:]}"
+        assert {name: mib for name, mib in self.peaks_mib.items() if mib > 400} == {}
+
+
+def play(
+    folder: Path,
+    insiders: Mapping[str, Insider],
+    again: Mapping[str, Insider] | None = None,
+    seconds: float = 150.0,
+) -> Ended:
+    """Play a run in a process whose home, working directory and temporary directory are new, and be its insiders.
+
+    insiders: by compromised node what it does while the run is held
+    again:    what it does again and again, while the run goes on, until it ends
+    """
+    places = {name: folder / name for name in ("home", "work", "tmp")}
+    for place in places.values():
+        place.mkdir(parents=True)
+    beside = [str(Path(__file__).parent), str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    paths = {"HOME": places["home"], "TMPDIR": places["tmp"], **{f"XDG_{x}_HOME": folder / x for x in _XDG}}
+    with (folder / "console").open("wb") as console:
+        process = subprocess.Popen(
+            [sys.executable, __file__, str(folder)],
+            stdout=console,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            cwd=places["work"],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(beside), **{name: str(at) for name, at in paths.items()}},
+        )
+    try:
+        _be_the_insiders(process, folder, insiders, again or {})
+        code = process.wait(seconds)
+    except BaseException:
+        process.kill()
+        process.wait()
+        raise
+    strays = [str(path) for place in places.values() for path in place.iterdir()]
+    strays += [str(path) for place in (folder, *folder.parents) for path in place.glob(f"*{MARKER}*")]
+    strays += [str(path) for path in Path("/tmp").glob(f"*{MARKER}*")]
+    text = (folder / "console").read_text(errors="replace")
+    assert (folder / "peaks").is_file(), text
+    record, peaks = (json.loads(path.read_text()) for path in (folder / "run/run.json", folder / "peaks"))
+    return Ended(code, text, folder / "run", record, peaks, strays)
+
+
+def _be_the_insiders(
+    process: subprocess.Popen[bytes],
+    folder: Path,
+    insiders: Mapping[str, Insider],
+    again: Mapping[str, Insider],
+) -> None:
+    """Join with the certificate of each node, and send; then let the run go on."""
+    eventually(lambda: (folder / "ready").is_file() or process.poll() is not None, "the driver holds the run")
+    assert process.poll() is None, (folder / "console").read_text()
+    ready = json.loads((folder / "ready").read_text())
+
+    def be(node: str) -> None:
+        own = Credentials.read(Path(ready["keys"]) / node)
+        settings = {"mode": "client", "connect/endpoints": [ready["endpoint"]], "connect/timeout_ms": 10_000}
+        with suppress(zenoh.ZError), open_session(settings | client_settings(own)) as session:
+            if node in insiders:
+                insiders[node](session, ready["prefix"])
+            while node in again and process.poll() is None:
+                again[node](session, ready["prefix"])
+                (folder / "go").touch()
+
+    threads = [threading.Thread(target=be, args=(node,)) for node in {**insiders, **again}]
+    for thread in threads:
+        thread.start()
+    if not again:
+        for thread in threads:
+            thread.join()
+        (folder / "go").touch()
+    process.wait(150.0)
+    for thread in threads:
+        thread.join()
+
+
+def main(folder: Path) -> None:
+    """The process of the run."""
+    run, held = resolved(folder / "scenario"), f"hold({HELD_BEFORE}, {str(folder / 'go')!r}, 6.0)"
+    driver = next(name for name, spec in run.nodes.items() if spec.role == "simulator")
+    here = str(Path(__file__).parent)
+    engine = Beside({driver: f"__import__('sys').path.append({here!r}); __import__('compromised').{held}"})
+    peaks: dict[str, float] = {}
+    over = threading.Event()
+    watchers: list[threading.Thread] = []
+
+    def prepare(launch: Launch) -> None:
+        watchers.append(threading.Thread(target=_watch, args=(launch, folder, peaks, over)))
+        watchers[0].start()
+
+    try:
+        ended = local.run(run, folder / "run", secure="acl", engine=engine, prepare=prepare, console=Console(width=400))
+    finally:
+        over.set()
+        for watcher in watchers:
+            watcher.join()
+    try:
+        with reporting(ended.folder):
+            html.write_report(ended.folder)
+    except MastError as error:
+        print(f"no report: {error}")
+    (folder / "peaks").write_text(json.dumps(peaks))
+    if ended.error is not None:
+        sys.exit(ended.error.exit_code)
+
+
+def _watch(launch: Launch, folder: Path, peaks: dict[str, float], over: threading.Event) -> None:
+    """Say when the run is held, and note how much memory each process has taken at most."""
+    while not over.wait(0.05):
+        if launch.frame >= HELD_BEFORE - 1 and not (folder / "ready").exists():
+            deployment = launch.deployment
+            assert deployment is not None
+            told = {
+                "keys": str(deployment.folder),
+                "endpoint": launch.record["endpoint"],
+                "prefix": prefix(launch.record["id"]),
+            }
+            (folder / "ready.part").write_text(json.dumps(told))
+            (folder / "ready.part").rename(folder / "ready")
+        pids = {"launcher": os.getpid(), **{name: node["pid"] for name, node in dict(launch.record["nodes"]).items()}}
+        for name, pid in pids.items():
+            with suppress(OSError, StopIteration):
+                lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+                peak = next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+                peaks[name] = max(peak, peaks.get(name, 0.0))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,243 @@
+"""One compromised node under `--secure`, of every role, on every control key: nothing, or a failed run that names it.
+
+`make insiders` sends 200 messages of each kind for each node; otherwise a sample of a few is sent, in fewer runs.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any
+
+import pytest
+from besieged_run import NODES, Ended, play, resolved
+from decoders import refused
+
+from mast_zenoh import release
+from mast_zenoh.control import flow
+from mast_zenoh.launch import local
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.runtime import results
+from mast_zenoh.runtime.stamp import ATTACHMENT, MARK
+from mast_zenoh.study.rogue.falsehoods import false_results, falsehoods
+from mast_zenoh.study.rogue.forgeries import Forgery, everything
+from mast_zenoh.study.rogue.malformed import pack
+from mast_zenoh.study.rogue.position import MARKER, Position, position
+from mast_zenoh.study.rogue.sending import send
+
+pytestmark = pytest.mark.mesh
+
+#: Messages of each kind that an insider sends.
+COUNT = int(os.environ.get("MAST_FORGERIES", "4"))
+ALL = COUNT >= 200
+only_all = pytest.mark.skipif(not ALL, reason="make insiders")
+
+#: Kinds whose refusal somebody counts under the key of the node that sent them.
+COUNTED = ("counts", "failed", "result", "fetch", "file")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Resolved:
+    return resolved(tmp_path_factory.mktemp("scenario"))
+
+
+@pytest.fixture(scope="module")
+def twin(run: Resolved, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    ended = local.run(run, tmp_path_factory.mktemp("twin") / "run", runtime="inproc")
+    assert ended.error is None
+    return ended.folder
+
+
+def at(run: Resolved, node: str) -> Position:
+    return position(run, node, release.named())
+
+
+def sending(messages: Collection[Forgery]) -> Callable[..., int]:
+    return lambda session, prefix: send(session, prefix, messages)
+
+
+def own(control: str, node: str, *values: Any) -> list[Forgery]:
+    return [Forgery(control, f"{control}/{node}", pack(value), "false") for value in values]
+
+
+def metrics(folder: Path, *without: str) -> dict[str, Any]:
+    content = json.loads((folder / "metrics.json").read_text())
+    return {name: part for name, part in content.items() if name not in without}
+
+
+def untouched(twin: Path, ended: Ended, *without: str) -> None:
+    """The run is the twin's, message by message; `without`: parts of its metrics that are the insider's own."""
+    assert compare(twin, ended.folder, taps=True).first is None
+    assert metrics(twin, *without) == metrics(ended.folder, *without)
+
+
+def taken_and_told(node: str, forgery: Forgery) -> bool:
+    """Whether a forgery in a node's own name is taken, and what comes of it is that node's own: its run may end."""
+    if forgery.own != node or refused(forgery.control, node, forgery.payload):
+        return False
+    if forgery.control == "counts":
+        return flow.decode_counts(forgery.payload).epoch == 1
+    if forgery.control == "fetch":
+        return b"join" in forgery.payload
+    if forgery.control == "file":
+        return node == "recorder" and b"messages.mcap" in forgery.payload
+    return forgery.control in ("failed", "result")
+
+
+def is_refused(node: str, forgery: Forgery) -> bool:
+    """Whether somebody counts that a forgery was refused; one on a key of another does not get past the router."""
+    if forgery.own != node or forgery.control not in COUNTED:
+        return False
+    if refused(forgery.control, node, forgery.payload) or forgery.control == "file":
+        return True
+    return forgery.control == "fetch" and not any(
+        part in forgery.payload for part in (b"clock", b"\xadscenario.json", b"\xabwiring.json")
+    )
+
+
+@pytest.mark.parametrize("nodes", [(node,) for node in NODES] if ALL else [NODES], ids="+".join)
+def test_forgeries_on_every_control_key_change_nothing_and_are_counted(
+    run: Resolved, twin: Path, tmp_path: Path, nodes: tuple[str, ...]
+) -> None:
+    forged = {node: [f for f in everything(at(run, node), COUNT) if not taken_and_told(node, f)] for node in nodes}
+    expected = Counter(f.key for node, forgeries in forged.items() for f in forgeries if is_refused(node, f))
+    ended = play(tmp_path / "run", {node: sending(forgeries) for node, forgeries in forged.items()})
+    assert (ended.code, ended.record["status"], ended.message) == (0, "ok", "")
+    assert ended.refused() == dict(expected)
+    untouched(twin, ended)
+    assert not list(ended.folder.rglob(f"*{MARKER}*"))
+    ended.sound()
+
+
+def test_failures_that_nodes_make_up_end_the_run_as_failed_in_their_own_names(
+    run: Resolved, twin: Path, tmp_path: Path
+) -> None:
+    values = [value for value in falsehoods("failed", at(run, "infra_1")) if value[1]["handler"] != "start"]
+    ended = play(tmp_path / "run", {node: sending(own("failed", node, *values)) for node in NODES})
+    assert (ended.code, ended.record["status"]) == (30, "handler_failures")
+    for node in NODES:
+        assert f"{node}.finish failed" in ended.message
+        assert ended.record["nodes"][node]["failures"]
+    assert not any(ended.record["nodes"][node]["failures"] for node in ended.record["nodes"].keys() - {*NODES})
+    untouched(twin, ended)
+    ended.sound()
+
+
+@only_all
+@pytest.mark.parametrize(
+    ("node", "exception", "code"),
+    [(node, "KeyError: 'forged'", 21) for node in NODES] + [("infra_1", "DiskFull: forged", 28)],
+)
+def test_a_node_that_says_that_it_cannot_start_ends_the_run_and_is_named(
+    run: Resolved, tmp_path: Path, node: str, exception: str, code: int
+) -> None:
+    values = [value for value in falsehoods("failed", at(run, node)) if value[1]["handler"] == "start"]
+    (value,) = (value for value in values if value[1]["exception"] == exception)
+    ended = play(tmp_path / "run", {node: sending(own("failed", node, value))})
+    assert (ended.code, ended.record["status"]) == (code, "failed")
+    assert ended.message.startswith(f"{node}.start failed")
+    ended.sound()
+
+
+def outcomes(run: Resolved, node: str) -> list[dict[str, Any]]:
+    """The false results that are taken."""
+    found = []
+    for outcome in false_results(at(run, node)):
+        if not refused("result", node, results.pack(outcome)):
+            found.append(outcome)
+    return found
+
+
+N_RESULTS = 60
+ROUNDS = range(0, N_RESULTS, len(NODES)) if ALL else (0,)
+
+
+@pytest.mark.parametrize("first", ROUNDS)
+def test_what_nodes_hand_in_too_early_and_is_false_spoils_their_own_results_alone(
+    run: Resolved, twin: Path, tmp_path: Path, first: int
+) -> None:
+    """Each node hands in another one of the false results."""
+    sent = {}
+    for offset, node in enumerate(NODES):
+        taken = outcomes(run, node)
+        sent[node] = taken[(first + offset) % len(taken)]
+    ended = play(tmp_path / "run", {node: sending(own("result", node, outcome)) for node, outcome in sent.items()})
+    failed = sorted(node for node, outcome in sent.items() if outcome["failures"])
+    assert ended.code == (30 if failed else 0), ended.message
+    assert all(node in ended.message for node in failed)
+    assert compare(twin, ended.folder, taps=True).first is None
+    late = {key: count for key, (count, _) in ended.record["invalid_control"].items()}
+    assert late == {f"result/{node}": 1 for node in NODES}, "what the sound nodes hand in comes too late"
+    inside = {path.relative_to(ended.folder).parts[0] for path in ended.folder.rglob("*") if path.is_file()}
+    ours = {path.relative_to(twin).parts[0] for path in twin.rglob("*") if path.is_file()}
+    assert inside - ours <= {"logs", "report.html", "figures", "results", "metrics.parquet", "checks.json"}
+    for path in ended.folder.rglob(f"*{MARKER}*"):
+        assert path.parent.parent == ended.folder / "results", "a table of its own"
+    ended.sound()
+
+
+@only_all
+@pytest.mark.parametrize(
+    ("node", "kind"),
+    [(node, kind) for node in NODES for kind in ("foreign sent", "much handled", "much sent")]
+    + [(node, kind) for node in ("infra_1", "link_ego") for kind in ("foreign handled", "nothing")],
+)
+def test_false_counters_end_the_run_and_name_the_node_or_change_nothing(
+    run: Resolved, twin: Path, tmp_path: Path, node: str, kind: str
+) -> None:
+    where = at(run, node)
+    sent, handled = {
+        "foreign sent": (where.foreign[:1] or where.hears[:1], ()),
+        "foreign handled": ((), where.foreign[:1] or where.publishes[:1]),
+        "much handled": ((), where.hears),
+        "much sent": (where.publishes, ()),
+        "nothing": ((), ()),
+    }[kind]
+    counts = [1, dict.fromkeys(sent, 10**9), dict.fromkeys(handled, 10**9)]
+    if kind.startswith("foreign") and not (sent or handled):
+        pytest.skip("every key is its own")
+    ended = play(tmp_path / "run", {}, {node: sending(own("counts", node, counts))})
+    if ended.code:
+        assert ended.code in (23, 31)
+        assert ended.record["status"] == "failed"
+        assert node in ended.message
+    else:
+        assert not kind.startswith("foreign")
+        untouched(twin, ended)
+    ended.sound()
+
+
+def say_one_more(key: str) -> Callable[..., None]:
+    """A message of which lock-step counts that it was handled, but not that it was sent."""
+
+    def insider(session: Any, prefix: str) -> None:
+        session.put(f"{prefix}/{key}", b"\xc1", attachment=ATTACHMENT.pack(MARK, 1, 3))
+
+    return insider
+
+
+@only_all
+@pytest.mark.parametrize("node", [node for node in NODES if node not in ("evaluator", "recorder", "counter")])
+def test_a_message_that_the_sound_node_does_not_report_ends_the_run_and_names_the_node(
+    run: Resolved, tmp_path: Path, node: str
+) -> None:
+    ended = play(tmp_path / "run", {node: say_one_more(at(run, node).publishes[0])})
+    assert (ended.code, ended.record["status"]) == (31, "failed")
+    assert ended.message.startswith(f"{node} reports ")
+    ended.sound()
+
+
+@only_all
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_that_says_that_it_is_of_another_version_fails_the_run_and_is_named(
+    run: Resolved, tmp_path: Path, node: str
+) -> None:
+    value = {"do": "join", "version": "0.0.0 (sources forged)", "versions": {}}
+    ended = play(tmp_path / "run", {node: sending(own("fetch", node, value))})
+    assert (ended.code, ended.record["status"]) == (29, "failed")
+    assert ended.message.startswith(f"{node} runs mast-zenoh 0.0.0")
+    ended.sound()

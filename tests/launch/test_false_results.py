@@ -1,0 +1,107 @@
+"""Whatever one node hands in, the launcher concludes the run: what is false of it is that node's own."""
+
+from __future__ import annotations
+
+import functools
+import json
+import time
+from io import StringIO
+from pathlib import Path
+from typing import Any
+from unittest.mock import MagicMock
+
+import pytest
+from decoders import refused
+from rich.console import Console
+
+from mast_zenoh import release, scenario
+from mast_zenoh.errors import MastError, RunFolderError
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.display import Display
+from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.reports import Reports
+from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.options import reporting
+from mast_zenoh.report import html, terminal
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.resolved import Resolved
+from mast_zenoh.runtime import results
+from mast_zenoh.study.rogue.falsehoods import false_results
+from mast_zenoh.study.rogue.forgeries import forgeries
+from mast_zenoh.study.rogue.position import MARKER, Position, position
+
+NODES = ("infra_1", "broker", "adversary_1", "coordinator", "link_ego", "evaluator", "recorder")
+
+
+class Ended(Child):
+    """A process that has ended well."""
+
+    exit = 0
+
+    def where(self) -> dict[str, Any]:
+        return {"pid": 1}
+
+
+@functools.cache
+def resolved() -> Resolved:
+    path, loaded = scenario.load("rogue")
+    return scenario.resolve(path, loaded | {"run": {"record": True}}, frames=3, mode="lockstep", record=True)
+
+
+def at(node: str) -> Position:
+    return position(resolved(), node, release.named())
+
+
+def concluded(node: str, payload: bytes, out: Path) -> dict[str, Any]:
+    """run.json of a run in which one node hands this in, and the others nothing."""
+    folder = run_folder.create(out, "false")
+    resolved().write(folder)
+    record: dict[str, Any] = {"id": "x", "message": "", "timings": {}, "churn": [], "nodes": {}}
+    launch = Launch(resolved(), folder, record, Display(Console(quiet=True), "x", 3), None, "tcp/127.0.0.1:0")
+    supervisor = MagicMock(children={name: Ended(name, spec) for name, spec in resolved().nodes.items()})
+    supervisor.to_json = functools.partial(Supervisor.to_json, supervisor)
+    launch.reports = Reports(MagicMock(), "mast/x/@control", supervisor.children, launch.invalid)
+    launch.reports._put("result", node, payload)
+    try:
+        launch._take_reports()
+        launch._conclude(supervisor, time.monotonic())
+    except MastError as error:
+        record["message"] = str(error)
+    run_folder.write_json(folder / "run.json", record)
+    return record
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_the_launcher_concludes_a_run_whatever_one_node_hands_in(tmp_path: Path, node: str) -> None:
+    payloads = [results.pack(outcome) for outcome in false_results(at(node))]
+    payloads += [forgery.payload for forgery in forgeries("result", at(node), 90) if forgery.own == node]
+    taken = [payload for payload in payloads if not refused("result", node, payload)]
+    assert len(taken) > 60
+    for number, payload in enumerate(taken):
+        folder = tmp_path / str(number)
+        concluded(node, payload, folder)
+        json.loads((folder / "run.json").read_text())
+        strays = [path for path in tmp_path.rglob(f"*{MARKER}*") if path.parent != folder / "results" / node]
+        assert strays == []
+        top = {path.name for path in folder.glob("*.parquet")}
+        assert not top or node == "evaluator"
+        for path in (*folder.rglob("*.parquet"), *folder.rglob("results.json")):
+            path.unlink()
+
+
+def test_a_report_is_written_of_whatever_the_evaluator_hands_in_or_says_why_it_is_not(tmp_path: Path) -> None:
+    written, refusals, console = 0, 0, Console(file=StringIO())
+    for number, outcome in enumerate(false_results(at("evaluator"))):
+        payload = results.pack(outcome)
+        if outcome["results"].keys() & {"metrics", "tables"} and not refused("result", "evaluator", payload):
+            folder = tmp_path / str(number)
+            concluded("evaluator", payload, folder)
+            try:
+                with reporting(folder):
+                    terminal.show_loaded(console, RunFolder.load(folder), None)
+                    html.write_report(folder)
+                    written += 1
+            except RunFolderError:
+                refusals += 1
+    assert written > 10
+    assert refusals, "metrics of another shape"

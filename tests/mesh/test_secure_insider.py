@@ -1,0 +1,28 @@
+"""A compromised node stops an open run, and nothing of a run with rights from the wiring; both is seen from outside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import local
+from mast_zenoh.study.rogue.infiltration import infiltrate
+from mast_zenoh.study.rogue.insiders import ForgeControls
+
+pytestmark = pytest.mark.mesh
+
+
+def test_an_insider_who_forges_what_others_say_stops_an_open_run_and_no_other(tmp_path: Path) -> None:
+    path, loaded = scenario.load("rogue")
+    recorded = loaded | {"run": {"mode": "lockstep", "record": True}}
+    resolved = scenario.resolve(path, recorded, frames=60, record=True)
+    twin = local.run(resolved, tmp_path / "twin", runtime="inproc")
+    assert twin.error is None
+    insider = ForgeControls("link", "link_ego")
+    admitted, sent, found = infiltrate(resolved, tmp_path / "acl", "acl", insider, twin.folder)
+    assert (admitted, sent, found.verdict) == (True, 30, "no effect")
+    admitted, sent, found = infiltrate(resolved, tmp_path / "open", "open", insider, twin.folder)
+    assert admitted
+    assert found.succeeded, found
