@@ -28,6 +28,7 @@ _OUTCOME: dict[str, Any] = {
     "first_rejected": {"clock": [3, "forged"]},
     "foreign": {"clock": 1},
     "invalid": {"epoch": [1, "forged"]},
+    "unsigned": 3,
     "process": "0123456789abcdef",
     "failures": [],
     "last_frame": 3,
@@ -93,6 +94,7 @@ def false_results(position: Position) -> Iterator[dict[str, Any]]:
     yield _OUTCOME | {"foreign": dict.fromkeys((*position.foreign, "x" * 100_000), _BILLION)}
     yield _OUTCOME | {"rejected": {f"{key}: forged": _BILLION for key in position.foreign}}
     yield _OUTCOME | {"rejected": {"clock: forged": 1, "": _LATE}, "first_rejected": {}}
+    yield _OUTCOME | {"unsigned": _BILLION}
     yield _OUTCOME | {"rejected": {}, "foreign": {}, "invalid": {}, "first_rejected": {}, "arrived_ns": {"": {}}}
     yield _OUTCOME | {"first_rejected": {key: [-1, f"forged by {name}"] for key in position.foreign}}
     yield _OUTCOME | {"arrived_ns": {key: {0: _LATE} for key in (*position.hears, *position.foreign)}}
