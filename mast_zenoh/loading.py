@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import importlib.util
 import os
@@ -55,8 +56,10 @@ def function(kind: str, name: str, what: str) -> tuple[Path, Callable[..., Any]]
         short = path.name if path.suffix == ".py" else f"{path.name}.py"
         ours = bundle.find(kind, short) if path.parent.name in ("", kind) else None
         if ours is None:
-            hint = nearest(short, bundle.names(kind, path.parent if path.parent.is_dir() else None))
-            raise ConfigurationError(f"{name}: no such file{hint}")
+            known = bundle.names(kind, path.parent if path.parent.is_dir() else None)
+            hint = f"; did you mean {near[0]!r}?" if (near := difflib.get_close_matches(short, known, n=1)) else ""
+            listed = ", ".join(each.removesuffix(".py") for each in bundle.names(kind))
+            raise ConfigurationError(f"{name}: no such file{hint}; {kind} that come with mast: {listed}")
         path = ours
     found = getattr(module(path), what, None)
     if not callable(found):
