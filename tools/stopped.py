@@ -181,7 +181,7 @@ def _judge(out: Path, undisturbed: Path, code: int, output: str) -> tuple[str, l
     elif "error: " not in output:
         broken.append("no message")
     else:
-        how += f" ({record['message'].splitlines()[0]})"
+        how += f" ({record['message'].partition(chr(10))[0]})"
     return how, broken
 
 
