@@ -180,6 +180,8 @@ def _judge(out: Path, undisturbed: Path, code: int, output: str) -> tuple[str, l
         broken.append(f"status {status!r} with exit code {code}")
     elif "error: " not in output:
         broken.append("no message")
+    else:
+        how += f" ({record['message'].partition(chr(10))[0]})"
     return how, broken
 
 

@@ -200,7 +200,7 @@ def note_recording(
     """
     recorder = next((name for name, spec in nodes.items() if spec.role == "recorder"), None)
     if recorder is not None:
-        record["recording"] = churn.recording(record.get("churn", ()), recorder)
+        record["recording"] = churn.recording(record.get("churn", ()), recorder, handed_in=recorder in handed_in)
     for node, outcome in handed_in.items():
         if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
             record["recorded"] = recorded | _trouble(outcome["recorded"])

@@ -28,10 +28,13 @@ def error(churn: Churn) -> NodeLost:
     return NodeLost(f"{sentence(churn)}: in lock-step a run without it is another run\n{hint}")
 
 
-def recording(churn: Churn, recorder: str) -> dict[str, Any]:
-    """What run.json says of the recording: whether it has everything, and if not, from which frame on it has not."""
+def recording(churn: Churn, recorder: str, *, handed_in: bool = True) -> dict[str, Any]:
+    """What run.json says of the recording: whether it has everything, and if not, from which frame on it has not.
+
+    handed_in: whether the recorder has handed in its results; if not, and nobody has noticed, the frame is unknown
+    """
     missed = [_first_affected(each) for each in churn if each["node"] == recorder]
-    return {"complete": not missed, "from_frame": min(missed)} if missed else {"complete": True}
+    return {"complete": False, "from_frame": min(missed)} if missed else {"complete": handed_in}
 
 
 def comparable(*paths: Path) -> tuple[int | None, str]:

@@ -42,6 +42,12 @@ _ALWAYS: dict[str, Any] = {
 #: for; that a process has ended shows at once, by its sockets.
 _PATIENT_LEASE_MS = 3_600_000
 
+#: The same for a link on which nothing more fits: Zenoh gives up one on which a message has waited for 5 s (µs here).
+_PATIENT: dict[str, Any] = {
+    "transport/link/tx/lease": _PATIENT_LEASE_MS,
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 1000 * _PATIENT_LEASE_MS,
+}
+
 #: ms, the same for a router whose links may be cut: while it waits for one that nothing reaches, the others wait too.
 CUT_LINKS_WAIT_MS = 50
 
@@ -82,7 +88,7 @@ def open_router(
     if links_may_be_cut:
         settings[_WAIT_BEFORE_DROP] = 1000 * CUT_LINKS_WAIT_MS
     if patient:
-        settings["transport/link/tx/lease"] = _PATIENT_LEASE_MS
+        settings |= _PATIENT
     session = open_session({**settings, **(security or {})})
     zid = session.info.zid()
     for reply in session.get(f"@/{zid}/router", timeout=5.0):
@@ -126,7 +132,7 @@ def open_client(
     """
     settings = _CLIENT | {"connect/endpoints": [endpoint]}
     if patient:
-        settings |= {"transport/link/tx/lease": _PATIENT_LEASE_MS}
+        settings |= _PATIENT
     if try_ms is not None:
         settings |= {"connect/timeout_ms": try_ms} | (client_settings(credentials) if credentials else {})
         return open_session(settings)

@@ -155,7 +155,7 @@ def test_only_a_recorder_says_what_was_recorded_and_only_in_numbers(recorded: An
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("ego", "agent"))}
     record: dict[str, Any] = {"message": ""}
     run_folder.note_recording(record, {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}, specs)
-    assert record == {"message": "", "recording": {"complete": True}}
+    assert record == {"message": "", "recording": {"complete": False}}, "the recorder has handed in nothing"
     run_folder.note_recording(record, {"rec": {"recorded": recorded}}, specs)
     sound = recorded == {"messages": 7, "lost": 0}
     assert record == {"message": "", "recording": {"complete": True}} | ({"recorded": recorded} if sound else {})

@@ -54,8 +54,9 @@ def test_a_run_that_differs_must_say_so(tool: ModuleType, runs: list[Path]) -> N
     how, broken = tool._judge(runs[2], runs[0], 0, "")
     assert how == "ok, exit code 0: not equal"
     assert "first difference" in broken[0] or "frame 0" in broken[0]
-    says(runs[2], status="node_lost")
-    assert tool._judge(runs[2], runs[0], 33, ERROR) == ("node_lost, exit code 33: not equal", [])
+    says(runs[2], status="node_lost", message="infra_1 was lost\nbecause")
+    how = "node_lost, exit code 33: not equal (infra_1 was lost)"
+    assert tool._judge(runs[2], runs[0], 33, ERROR) == (how, [])
     assert tool._judge(runs[2], runs[0], 33, "")[1] == ["no message"]
     assert tool._judge(runs[2], runs[0], 0, ERROR)[1] == ["status 'node_lost' with exit code 0"]
 

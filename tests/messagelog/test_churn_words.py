@@ -28,6 +28,7 @@ def test_the_error_names_nodes_and_frames_and_what_allows_it():
 def test_a_recording_is_complete_unless_its_recorder_was_lost():
     assert churn.recording(EVENTS[:2], "recorder") == {"complete": True}
     assert churn.recording(EVENTS, "recorder") == {"complete": False, "from_frame": 59}
+    assert churn.recording(EVENTS[:2], "recorder", handed_in=False) == {"complete": False}
 
 
 def test_runs_are_comparable_up_to_the_first_loss_in_either(tmp_path):
