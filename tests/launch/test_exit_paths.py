@@ -74,7 +74,6 @@ def test_a_signal_before_the_run_folder_exists_leaves_nothing(out: Path) -> None
 
 
 def test_a_signal_while_the_command_line_is_imported_is_answered_in_one_line(out: Path) -> None:
-    """Before any module of ours that takes time is loaded."""
     script = (
         "import sys, signal\n"
         "from mast_zenoh import __main__ as process\n"
@@ -88,29 +87,25 @@ def test_a_signal_while_the_command_line_is_imported_is_answered_in_one_line(out
     assert "error: Interrupted" in ended.text
 
 
-INTERRUPTED_CLASS = (
-    "import signal, sys\n"
-    "when = sys.argv.pop(1)\n"
-    "class Raiser:\n"
-    "    def __set_name__(self, owner, name): signal.raise_signal(signal.SIGTERM)\n"
-    "    def find_spec(self, name, path=None, target=None):\n"
-    "        if name == when: make()\n"
-    "def make(*_, **__): type('Made', (), {'field': Raiser()})\n"
-    "sys.meta_path.insert(0, Raiser())\n"
-    "from mast_zenoh import __main__ as process\n"
-    "if when == 'resolving':\n"
-    "    from mast_zenoh import scenario\n"
-    "    scenario.resolve = make\n"
-    "process.main()"
-)
+INTERRUPTED_CLASS = """
+import signal, sys
+from unittest import mock
+when = sys.argv.pop(1)
+class Raiser:
+    def __set_name__(self, owner, name): signal.raise_signal(signal.SIGTERM)
+    def find_spec(self, name, path=None, target=None): name == when and make()
+def make(*_, **__): type("Made", (), {"field": Raiser()})
+sys.meta_path.insert(0, Raiser())
+from mast_zenoh.__main__ import main
+with mock.patch("mast_zenoh.scenario.resolve", make) if when == "resolving" else mock.MagicMock(): main()
+"""
 
 
 @pytest.mark.parametrize("when", ["mast_zenoh.stop_signals", "mast_zenoh.cli", "resolving"])
 def test_a_signal_while_a_class_is_made_is_answered_in_one_line(out: Path, when: str) -> None:
     """Python 3.11 turns an exception in `__set_name__` into a RuntimeError."""
-    Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN)).is_as(
-        ending("signal before the run folder exists")
-    )
+    ended = Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
+    ended.is_as(ending("signal before the run folder exists"))
 
 
 def test_a_signal_while_nodes_start(out: Path) -> None:
