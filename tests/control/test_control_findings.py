@@ -262,6 +262,24 @@ def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(launch: La
     assert launch.stopping_since is not None
 
 
+@pytest.mark.parametrize(("reason", "fails"), [("end", False), ("forged", True), ("", True)])
+def test_a_run_that_somebody_else_has_told_to_stop_is_not_ok(launch: Launch, reason: str, fails: bool) -> None:
+    launch.reports = MagicMock(take=lambda: [MagicMock(node="sim", failure=None)])
+    launch.reports.outcomes = {"sim": {"stop_reason": reason}}
+    launch._take_reports()
+    assert (launch.problem is not None) == fails
+    assert launch.stopping_since is not None
+
+
+def test_a_run_that_the_launcher_itself_stops_keeps_its_own_problem(launch: Launch) -> None:
+    launch.problem = ServiceDied("the depot has ended")
+    launch._stop("a service has ended")
+    launch.reports = MagicMock(take=lambda: [MagicMock(node="sim", failure=None)])
+    launch.reports.outcomes = {"sim": {"stop_reason": "a service has ended"}}
+    launch._take_reports()
+    assert isinstance(launch.problem, ServiceDied)
+
+
 @pytest.fixture
 def depot(tmp_path: Path, launch: Launch) -> Any:
     (tmp_path / "scenario.json").write_text("{}")
