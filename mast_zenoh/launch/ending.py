@@ -65,7 +65,8 @@ def from_recording(record: Mapping[str, Any]) -> MastError | None:
     recorded = record.get("recorded") or {}
     if not recorded.get("problem"):
         return None
-    text = f"{recorded['problem']}; {recorded['lost']} messages are not in the recording"
+    recorder = next((name for name, node in record["nodes"].items() if node["role"] == "recorder"), "recorder")
+    text = f"{recorder}: {recorded['problem']}; {recorded.get('lost', 0)} messages are not in the recording"
     return DiskFull(text) if recorded.get("disk_full") else RunError(text)
 
 

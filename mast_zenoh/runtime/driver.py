@@ -22,7 +22,6 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.churn import BACK, LOST
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.limits import COUNTS, Room
 from mast_zenoh.runtime.mesh import NOTED_FRAMES, MeshNode
 from mast_zenoh.runtime.pacer import Pacer
 from mast_zenoh.runtime.rewiring import Rewirer, counted
@@ -90,7 +89,7 @@ class Driver(MeshNode):
         self._leaving: set[str] = set()  # those whose end the scenario wants
         self._ready: list[Outgoing] | None = None
         self._sent: Counter[str] = Counter()
-        self._counts_room = Room(COUNTS)
+        self._newest_counts: dict[str, flow.Counts] = {}  # by node, until they are looked at
         self._counts_lock = threading.Lock()
         # A queue of their own: in that of the data they would wait for one whom nothing reaches any more.
         urgent: Any = {
@@ -279,27 +278,27 @@ class Driver(MeshNode):
         return True
 
     def _on_counts(self, sample: zenoh.Sample) -> None:
-        """A node's counters have come, in Zenoh's thread: what waits has room."""
-        node, payload = str(sample.key_expr).rpartition("/")[2], sample.payload.to_bytes()
-        with self._counts_lock:
-            has_room = self._counts_room.take(node if node in self.expected else "*", len(payload))
-        if has_room:
-            self.inbox.put(("counts", node, payload))
-        else:
-            self._refuse_counts(node, f"more than {COUNTS} of one node wait")
+        """A node's counters have come, in Zenoh's thread. Of each node only the newest wait, so no flood fills a queue.
 
-    def _refuse_counts(self, node: str, why: object) -> None:
-        self.invalid.note(f"counts/{node if node in self.expected else '*'}", why)
-
-    def _take_counts(self, node: str, payload: bytes) -> None:
-        with self._counts_lock:
-            self._counts_room.free(node if node in self.expected else "*", len(payload))
+        The main thread has little to do then, and this one is not kept from reading: what it does not read in time
+        fills the router's queue, and at last the router ends our link.
+        """
+        node = str(sample.key_expr).rpartition("/")[2]
         try:
-            counts = flow.decode_counts(payload)
+            counts = flow.decode_counts(sample.payload.to_bytes())
         except MessageError as error:
-            self._refuse_counts(node, error)
-        else:
-            self.complaint = self.complaint or self.pacer.report(node, *counts)
+            self.invalid.note(f"counts/{node if node in self.expected else '*'}", error)
+            return
+        with self._counts_lock:
+            waits = node in self._newest_counts
+            self._newest_counts[node] = counts
+        if not waits:
+            self.inbox.put(("counts", node))
+
+    def _take_counts(self, node: str) -> None:
+        with self._counts_lock:
+            counts = self._newest_counts.pop(node)
+        self.complaint = self.complaint or self.pacer.report(node, *counts)
 
     def _note_presence(self, name: str, there: bool) -> None:
         """A node has come or gone: as the scenario wants it, by a change of the wiring, or of itself."""

@@ -31,8 +31,6 @@ EARLY = Limit(10_000, 32 * _MIB)
 INBOX = Limit(20_000, 128 * _MIB)
 #: Messages that leave later. A link that delays a picture of 300 objects by half a minute keeps 68 MB of them.
 DELAYED = Limit(10_000, 128 * _MIB)
-#: Reports of counters that wait at the driver. A node reports when it has nothing to do, and the driver reads at once.
-COUNTS = Limit(1000, 8 * _MIB)
 
 
 class Room:

@@ -9,7 +9,9 @@ from pathlib import Path
 import failing
 import pytest
 
-from mast_zenoh import cli
+from mast_zenoh import cli, options
+from mast_zenoh.errors import HandlerFailed, MastError, RunFolderError
+from mast_zenoh.launch.local import Run
 from mast_zenoh.options import PlainConsole
 
 SHORT = ("--frames", "4", "--runtime", "inproc")
@@ -257,3 +259,14 @@ def test_no_words_of_a_node_move_the_cursor_or_change_the_terminal() -> None:
     said = text.getvalue()
     assert "a�]0;title�b�[2J�c�d" in said
     assert said.startswith("\x1b["), "what the console itself says of style stays"
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"), [(None, RunFolderError), (HandlerFailed("a handler failed"), HandlerFailed)]
+)
+def test_what_no_report_can_be_made_of_costs_no_run_its_own_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: MastError | None, expected: type[MastError]
+) -> None:
+    monkeypatch.setattr(options, "_show", lambda *_, **__: {}["agents"])
+    with pytest.raises(expected):
+        options.conclude(Run(tmp_path, {"nodes": {}, "message": ""}, error), report=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -111,6 +112,10 @@ class Query:
         self.dropped = True
 
 
+def sample(key: str, payload: bytes) -> Any:
+    return MagicMock(key_expr=f"mast/x/@control/{key}", payload=MagicMock(to_bytes=lambda: payload))
+
+
 @pytest.fixture
 def ego() -> MeshNode:
     return MeshNode("x", "ego", Ego(), WIRING, 1, MagicMock(), signatures=Signatures("x"), period_ns=1, lockstep=True)
@@ -207,9 +212,9 @@ def test_a_drain_is_answered_by_a_node_that_is_to_leave_and_by_no_other(eve: Mes
 @pytest.mark.parametrize("payload", RUBBISH)
 @pytest.mark.parametrize(("node", "key"), [("ego", "counts/ego"), ("nobody", "counts/*")])
 def test_malformed_counts_cost_the_driver_one_message(driver: Driver, node: str, key: str, payload: bytes) -> None:
-    driver.inbox.put(("counts", node, payload))
-    assert driver._wait(time.monotonic() + 1.0)
+    driver._on_counts(sample(f"counts/{node}", payload))
     assert driver.invalid.counts == {key: 1}
+    assert not driver._wait(time.monotonic())
     assert driver.stop_reason is None
 
 
@@ -224,8 +229,8 @@ def test_a_malformed_change_of_the_wiring_costs_the_driver_one_message(driver: D
 def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_named(driver: Driver) -> None:
     driver._sent["clock"] = 3
     driver._report_self()
-    driver.inbox.put(("counts", "watch", flow.encode_counts(1, {}, {})))
-    driver.inbox.put(("counts", "ego", flow.encode_counts(1, {}, {"clock": 10**9})))
+    driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
+    driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": 10**9})))
     begun = time.monotonic()
     reason = driver._await_quiet(everyone=True)
     assert reason == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
@@ -233,7 +238,7 @@ def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_na
 
 
 def test_a_node_that_reports_a_key_that_is_not_its_own_ends_the_run_and_is_named(driver: Driver) -> None:
-    driver.inbox.put(("counts", "watch", flow.encode_counts(1, {"clock": 1}, {})))
+    driver._on_counts(sample("counts/watch", flow.encode_counts(1, {"clock": 1}, {})))
     reason = driver._await_quiet(everyone=True)
     assert reason == "implausible: watch reports messages sent on 'clock', on which it does not speak"
 
@@ -243,7 +248,7 @@ def test_a_node_that_reports_too_little_is_a_stall_as_before(driver: Driver) -> 
     driver._sent["clock"] = 3
     driver._report_self()
     for name in ("ego", "watch"):
-        driver.inbox.put(("counts", name, flow.encode_counts(1, {}, {})))
+        driver._on_counts(sample(f"counts/{name}", flow.encode_counts(1, {}, {})))
     assert driver._await_quiet(everyone=True) == "stall: ego has handled 0 of 3 messages of sim on clock"
 
 
@@ -291,6 +296,24 @@ def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(launch: La
     assert isinstance(launch.problem, ImplausibleCounts)
     assert str(launch.problem) == "ego reports too much"
     assert launch.stopping_since is not None
+
+
+@pytest.mark.parametrize(("reason", "fails"), [("end", False), ("forged", True), ("", True)])
+def test_a_run_that_somebody_else_has_told_to_stop_is_not_ok(launch: Launch, reason: str, fails: bool) -> None:
+    launch.reports = MagicMock(take=lambda: [MagicMock(node="sim", failure=None)])
+    launch.reports.outcomes = {"sim": {"stop_reason": reason}}
+    launch._take_reports()
+    assert (launch.problem is not None) == fails
+    assert launch.stopping_since is not None
+
+
+def test_a_run_that_the_launcher_itself_stops_keeps_its_own_problem(launch: Launch) -> None:
+    launch.problem = ServiceDied("the depot has ended")
+    launch._stop("a service has ended")
+    launch.reports = MagicMock(take=lambda: [MagicMock(node="sim", failure=None)])
+    launch.reports.outcomes = {"sim": {"stop_reason": "a service has ended"}}
+    launch._take_reports()
+    assert isinstance(launch.problem, ServiceDied)
 
 
 @pytest.fixture
@@ -406,22 +429,18 @@ def test_the_rules_of_the_router_give_nobody_more_than_the_table_says(name: str)
     assert bool(sending(LAUNCHER)) == ("launcher" in control.senders)
 
 
-def sample(key: str, payload: bytes) -> Any:
-    return MagicMock(key_expr=f"mast/x/@control/{key}", payload=MagicMock(to_bytes=lambda: payload))
-
-
-def test_a_flood_of_counts_takes_no_more_room_in_the_driver_than_one_node_has(driver: Driver) -> None:
-    for _ in range(20):
-        driver._on_counts(sample("counts/ego", bytes(1 << 20)))
-    driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
-    assert driver.invalid.counts == {"counts/ego": 12}, "8 MiB wait"
-    while driver._wait(time.monotonic()):
-        pass
-    assert driver.invalid.counts == {"counts/ego": 20}
-    assert "watch" not in driver.pacer.silent, "others have room of their own"
-    driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {})))
-    assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" not in driver.pacer.silent, "what was read waits no longer"
+def test_of_a_flood_of_counts_only_the_newest_of_each_node_waits_at_the_driver(driver: Driver) -> None:
+    for count in range(1000):
+        driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": count})))
+        driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {"agent/ego/status": 1})))
+    driver._on_counts(sample("counts/ego", b"rubbish"))
+    waiting = [driver.inbox.get_nowait() for _ in range(2)]
+    assert waiting == [("counts", "ego"), ("counts", "watch")]
+    with pytest.raises(queue.Empty):
+        driver.inbox.get_nowait()
+    driver._take_counts("ego")
+    assert driver.pacer._reports["ego"] == ({}, {"clock": 999})
+    assert driver.invalid.counts == {"counts/ego": 1}, "what is malformed stands for nothing"
 
 
 @pytest.mark.parametrize("what", ["fetch", "file"])

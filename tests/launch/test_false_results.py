@@ -16,6 +16,7 @@ from rich.console import Console
 
 from mast_zenoh import release, scenario
 from mast_zenoh.errors import MastError, RunFolderError
+from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.launching import Launch
@@ -67,6 +68,8 @@ def concluded(node: str, payload: bytes, out: Path) -> dict[str, Any]:
         launch._conclude(supervisor, time.monotonic())
     except MastError as error:
         record["message"] = str(error)
+    if error := ending.of_run(None, record, str(folder)):
+        assert "recorder" in str(error)
     run_folder.write_json(folder / "run.json", record)
     return record
 

@@ -72,6 +72,7 @@ def false_results(position: Position) -> Iterator[dict[str, Any]]:
         {"metrics": {"frames": "many", "settled": False, "agents": 7, "driving": [None]}},
         {"metrics": {"frames": 1 << 63, "agents": {}, "settled": False}},
         {"recorded": {"messages": _BILLION, "lost": 0, "problem": f"\x1b]0;{MARKER}\x07[/red]", "disk_full": True}},
+        {"recorded": {"messages": 7, "problem": "forged"}},
         {"collation": {"batches": _BILLION, "late": dict.fromkeys(position.others, _BILLION)}},
         {"tables": {"x": {f"c{i}": [1] for i in range(2000)}}},
         {"tables": {"x": {"a": ["x" * 100_000, *[""] * 20_000]}}},
