@@ -62,7 +62,8 @@ def concluded(node: str, payload: bytes, out: Path) -> dict[str, Any]:
     supervisor = MagicMock(children={name: Ended(name, spec) for name, spec in resolved().nodes.items()})
     supervisor.to_json = functools.partial(Supervisor.to_json, supervisor)
     launch.reports = Reports(MagicMock(), "mast/x/@control", supervisor.children, launch.invalid)
-    launch.reports._put("result", node, payload)
+    came = MagicMock(to_bytes=lambda: payload)
+    launch.reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=came))
     try:
         launch._take_reports()
         launch._conclude(supervisor, time.monotonic())
