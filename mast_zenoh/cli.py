@@ -112,7 +112,7 @@ def study(
     loaded = definition.load(study_file, settings or ())
     if loaded.security:
         if trials or jobs or cluster or resume or allow_failures or runtime == "inproc":
-            raise typer.BadParameter("an outsider is let loose once at each level, on the mesh", param_hint=study_file)
+            raise typer.BadParameter("attackers are let loose once at each level, on the mesh", param_hint=study_file)
         _besiege(loaded, out, seed=seed, frames=frames)
         return
     count = trials or loaded.trials
@@ -159,7 +159,7 @@ def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
 
 
 def _besiege(loaded: Study, out: Path | None, **options: Any) -> None:
-    """Every configuration at every level of security, with an outsider who tries to get at it."""
+    """Every configuration at every level of security, with the attackers that its scenario file lists."""
     from mast_zenoh.report import attempts_table
     from mast_zenoh.study.rogue import comparison
 

@@ -1,4 +1,4 @@
-"""What an outsider achieves against a run, at every level of security."""
+"""What attackers achieve against a run, at every level of security."""
 
 
 def study(levels="open,tls,mtls,acl", n_infrastructure=2):
