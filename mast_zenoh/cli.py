@@ -111,8 +111,11 @@ def study(
 
     loaded = definition.load(study_file, settings or ())
     if loaded.security:
-        if trials or jobs or cluster or resume or allow_failures or runtime == "inproc":
-            raise typer.BadParameter("attackers are let loose once at each level, on the mesh", param_hint=study_file)
+        given = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume}
+        given |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
+        if useless := [name for name, value in given.items() if value]:
+            why = f"attackers are let loose once at each level, on the mesh: {', '.join(useless)} cannot change that"
+            raise typer.BadParameter(why, param_hint=study_file)
         _besiege(loaded, out, seed=seed, frames=frames)
         return
     count = trials or loaded.trials

@@ -56,6 +56,8 @@ def function(kind: str, name: str, what: str) -> tuple[Path, Callable[..., Any]]
         short = path.name if path.suffix == ".py" else f"{path.name}.py"
         ours = bundle.find(kind, short) if path.parent.name in ("", kind) else None
         if ours is None:
+            if name and path.is_dir():
+                raise ConfigurationError(f"{name}: is a folder, expected a Python file or the name of one of ours")
             known = bundle.names(kind, path.parent if path.parent.is_dir() else None)
             hint = f"; did you mean {near[0]!r}?" if (near := difflib.get_close_matches(short, known, n=1)) else ""
             listed = ", ".join(each.removesuffix(".py") for each in bundle.names(kind))

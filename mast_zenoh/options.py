@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -73,6 +74,8 @@ class SecureCommand(TyperCommand):
         """Put in the level that was left out."""
         spelt = list(args)
         for index, (word, following) in enumerate(pairwise([*args, ""])):
+            if word == "--secure" and following.isalpha() and get_close_matches(following.lower(), levels.LEVELS):
+                levels.check(following)
             if word == "--secure" and following not in levels.LEVELS:
                 spelt[index] = f"--secure={levels.SECURE}"
         return super().parse_args(ctx, spelt)

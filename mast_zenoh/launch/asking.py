@@ -183,7 +183,10 @@ def _running(run: Path) -> dict[str, Any]:
         raise NotRunning(f"{run}: the run plays in one process: expected one on a mesh")
     if record.get("security", "open") != "open":
         level = record["security"]
-        raise NotRunning(f"{run}: security level {level}: certificates say who is on the mesh, since it was started")
+        raise NotRunning(
+            f"{run}: security level {level}: only the nodes that it was started with have certificates and rights: "
+            "name the node in the scenario, or start the run without --secure"
+        )
     if not record.get("endpoint") or not (run / SECRET_FILE).is_file():
         raise NotRunning(f"{run}: the run is not on its way yet, or has ended without a word")
     return record

@@ -25,7 +25,7 @@ def write(
     handed_in: what each node returned from `finish`
     measured:  see `folder.write_results`
     """
-    run_folder.note_recording(record, handed_in, resolved.nodes)
+    run_folder.note_recording(folder, record, handed_in, resolved.nodes)
     collations = results.collations(handed_in, resolved.nodes)
     measured = {"late": results.late(collations), **measured}
     refused = run_folder.write_results(folder, handed_in, measured)

@@ -22,6 +22,7 @@ import numpy as np
 from mast_zenoh import kernels
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import churn
+from mast_zenoh.messagelog.reader import first_gap
 from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.runtime.results import EVALUATOR, TABLES, counts_of
 
@@ -58,13 +59,19 @@ def create(out: Path | None, name: str) -> Path:
 
 @contextmanager
 def begun(folder: Path) -> Iterator[None]:
-    """Reserve room in a new run folder for its final run.json; where the block raises, the folder is emptied again."""
+    """Reserve room in a new run folder for its final run.json; where the block raises, the folder is emptied again.
+
+    Raises DiskFull, with place and what is free, where the block finds no room.
+    """
     try:
         (folder / _RESERVE).write_bytes(os.urandom(_RESERVE_BYTES))  # no file system can store it in less
         yield
-    except BaseException:
+    except BaseException as error:
         for path in folder.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
+        if isinstance(error, OSError) and is_disk_full(error):
+            free = shutil.disk_usage(folder).free >> 20
+            raise DiskFull(f"{folder}: {error.strerror}: a run cannot begin there ({free} MiB are free)") from error
         raise
 
 
@@ -192,15 +199,19 @@ def finite(value: Any) -> Any:
 
 
 def note_recording(
-    record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]
+    folder: Path, record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]
 ) -> None:
     """How many messages were recorded goes to run.json, and whether they are all; a note if some could not be.
 
-    Recorders alone tell it.
+    Recorders alone tell how many. From which frame on some are missing is measured from the recording in `folder`.
     """
     recorder = next((name for name, spec in nodes.items() if spec.role == "recorder"), None)
     if recorder is not None:
-        record["recording"] = churn.recording(record.get("churn", ()), recorder, handed_in=recorder in handed_in)
+        missed = churn.first_frames(record.get("churn", ()), recorder)
+        lost = counts_of(handed_in.get(recorder, {}).get("recorded")).get("lost")
+        complete = recorder in handed_in and not lost and not missed
+        more = {} if complete else {"from_frame": min([first_gap(folder), *missed])}
+        record["recording"] = {"complete": complete} | more
     for node, outcome in handed_in.items():
         if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
             record["recorded"] = recorded | _trouble(outcome["recorded"])

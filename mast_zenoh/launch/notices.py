@@ -130,11 +130,7 @@ def _churned(resolved: Resolved, record: Mapping[str, Any]) -> tuple[int, str]:
 def of_recording(record: Mapping[str, Any]) -> list[str]:
     """A sentence if the recording lacks what its recorder did not hear; record: run.json."""
     found = record.get("recording", {})
-    if found.get("complete", True):
-        return []
-    known = "from_frame" in found
-    where = f" from frame {found['from_frame']} on" if known else ": its recorder handed in no results"
-    return [f"the recording is incomplete{where}"]
+    return [] if found.get("complete", True) else [f"the recording is incomplete from frame {found['from_frame']} on"]
 
 
 def _first(sentences: Sequence[str]) -> tuple[int, str]:

@@ -24,17 +24,13 @@ def sentence(churn: Churn) -> str:
 
 def error(churn: Churn) -> NodeLost:
     """The error of a lock-step run with churn that is not allowed."""
-    hint = "the results are kept; --allow-churn makes this a warning"
+    hint = "the results are kept; `mast run --allow-churn` makes this a warning"
     return NodeLost(f"{sentence(churn)}: in lock-step a run without it is another run\n{hint}")
 
 
-def recording(churn: Churn, recorder: str, *, handed_in: bool = True) -> dict[str, Any]:
-    """What run.json says of the recording: whether it has everything, and if not, from which frame on it has not.
-
-    handed_in: whether the recorder has handed in its results; if not, and nobody has noticed, the frame is unknown
-    """
-    missed = [_first_affected(each) for each in churn if each["node"] == recorder]
-    return {"complete": False, "from_frame": min(missed)} if missed else {"complete": handed_in}
+def first_frames(churn: Churn, node: str) -> list[int]:
+    """Of each time that something happened to a node, the first frame that it may have missed."""
+    return [_first_affected(each) for each in churn if each["node"] == node]
 
 
 def comparable(*paths: Path) -> tuple[int | None, str]:
@@ -43,11 +39,7 @@ def comparable(*paths: Path) -> tuple[int | None, str]:
     paths: of run folders, or of recordings, of which nothing more is known. Raises RunFolderError for a run.json that
     cannot be read.
     """
-    found = [(_first_affected(event), event["node"], path) for path in paths for event in _lost(path)]
-    if not found:
-        return None, ""
-    frame, node, path = min(found)
-    return frame, f"{node} was lost in {path}"
+    return min((reason for path in paths for reason in _reasons(path)), default=(None, ""))
 
 
 def _first_affected(event: Mapping[str, Any]) -> int:
@@ -56,13 +48,17 @@ def _first_affected(event: Mapping[str, Any]) -> int:
     return max(0, frame - 1)
 
 
-def _lost(path: Path) -> list[dict[str, Any]]:
-    """What run.json says of nodes that were lost."""
+def _reasons(path: Path) -> list[tuple[int, str]]:
+    """From which frames on a run cannot be compared, and why, as its run.json has it."""
     file = path / "run.json"
     if not file.is_file():
         return []
     try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-        return [event for event in record.get("churn", ()) if event["what"] == LOST] if record else []
+        record = json.loads(file.read_text(encoding="utf-8")) or {}
+        lost = [event for event in record.get("churn", ()) if event["what"] == LOST]
+        found = [(_first_affected(event), f"{event['node']} was lost in {path}") for event in lost]
+        if "from_frame" in record.get("recording", {}):
+            found.append((int(record["recording"]["from_frame"]), f"the recording of {path} is incomplete"))
     except (ValueError, AttributeError, KeyError, TypeError) as error:
         raise RunFolderError(f"{file}: cannot be read: {error}") from error
+    return found

@@ -93,5 +93,6 @@ def _cell(row: AttemptRow, between: str) -> str:
         counts.append(f"out {row.heard}")
     if row.lured:
         counts.append(f"lured {row.lured}")
-    verdict = "none" if row.attempt == STRAY and not row.succeeded else "succeeds" if row.succeeded else "refused"
+    failed = "none" if row.attempt == STRAY else "no effect" if row.admitted else "refused"
+    verdict = "succeeds" if row.succeeded else failed
     return f"{verdict}{between}({', '.join(counts)})"

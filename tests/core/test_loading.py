@@ -53,6 +53,7 @@ def test_a_file_of_the_users_wins_over_ours_of_the_same_name(tmp_path: Path, mon
         ("baselin", "baselin: no such file; did you mean 'baseline.py'.*; scenarios that come with mast: .*, chaos"),
         ("nosuch", "nosuch: no such file; scenarios that come with mast: .*baseline, chaos"),
         ("nowhere/baseline.py", "nowhere/baseline.py: no such file"),
+        (".", r"\.: is a folder"),
         ("", "no such file"),
     ],
 )

@@ -151,12 +151,14 @@ def test_a_node_writes_no_more_tables_than_a_hundred(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("recorded", [{"messages": 7, "lost": 0}, [1], "none", {"messages": "many"}, None])
-def test_only_a_recorder_says_what_was_recorded_and_only_in_numbers(recorded: Any) -> None:
+def test_only_a_recorder_says_what_was_recorded_and_only_in_numbers(tmp_path: Path, recorded: Any) -> None:
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("ego", "agent"))}
     record: dict[str, Any] = {"message": ""}
-    run_folder.note_recording(record, {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}, specs)
-    assert record == {"message": "", "recording": {"complete": False}}, "the recorder has handed in nothing"
-    run_folder.note_recording(record, {"rec": {"recorded": recorded}}, specs)
+    others = {"ego": {"recorded": recorded}, "stranger": {"recorded": recorded}}
+    run_folder.note_recording(tmp_path, record, others, specs)
+    nothing = {"complete": False, "from_frame": 0}
+    assert record == {"message": "", "recording": nothing}, "the recorder has handed in nothing"
+    run_folder.note_recording(tmp_path, record, {"rec": {"recorded": recorded}}, specs)
     sound = recorded == {"messages": 7, "lost": 0}
     assert record == {"message": "", "recording": {"complete": True}} | ({"recorded": recorded} if sound else {})
 
@@ -164,8 +166,9 @@ def test_only_a_recorder_says_what_was_recorded_and_only_in_numbers(recorded: An
 def test_lost_messages_are_told_of(tmp_path: Path) -> None:
     specs = {"rec": NodeSpec("recorder", "", "", {}, "continue")}
     record: dict[str, Any] = {"message": "so far"}
-    run_folder.note_recording(record, {"rec": {"recorded": {"messages": 7, "lost": 2}}}, specs)
+    run_folder.note_recording(tmp_path, record, {"rec": {"recorded": {"messages": 7, "lost": 2}}}, specs)
     assert record["message"] == "so far; 2 messages could not be recorded"
+    assert record["recording"] == {"complete": False, "from_frame": 0}, "there is no recording here"
 
 
 def test_a_table_has_no_more_columns_than_a_thousand(tmp_path: Path) -> None:

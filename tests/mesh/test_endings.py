@@ -222,6 +222,7 @@ def test_nodes_that_fill_the_disk_fail_the_run(launch, tiny_disk: Path, tmp_path
     assert (record["status"], code) == ending("disk full while the scene is played"), output
     assert "messages.mcap: cannot be written: No space left on device" in output
     assert "Traceback" not in output
+    assert record["recording"]["complete"] is False
     list(read(tiny_disk))
 
 

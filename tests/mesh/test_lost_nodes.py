@@ -95,14 +95,16 @@ def test_churn_that_is_allowed_is_told_but_fails_nothing(launch) -> None:
     assert "infra_2 was lost before frame" in output
 
 
-def test_a_recording_without_its_recorder_is_called_incomplete(launch) -> None:
+def test_a_recording_without_its_recorder_is_called_incomplete(launch, undisturbed: Path) -> None:
     run: Launched = launch("baseline", *FRAMES)
     os.kill(at_frame(run, 15)["nodes"]["recorder"]["pid"], signal.SIGKILL)
     code, output = run.end()
     assert code == 22, output
-    recording, where = {"complete": False}, ": its recorder handed in no results"
-    for lost in run.record()["churn"]:  # none if the run was over before the driver noticed
-        recording["from_frame"] = lost["frame"] - 1
-        where = f" from frame {lost['frame'] - 1} on"
-    assert run.record()["recording"] == recording
-    assert f"the recording is incomplete{where}" in output.replace("\n", " ")
+    from_frame = run.record()["recording"]["from_frame"]
+    assert run.record()["recording"] == {"complete": False, "from_frame": from_frame}
+    assert f"the recording is incomplete from frame {from_frame} on" in output.replace("\n", " ")
+    assert compare(run.out, undisturbed, before=from_frame).first is None, "nothing is missing before"
+    assert compare(run.out, undisturbed).first is not None
+    done = subprocess.run([*MAST, "diff", str(run.out), str(undisturbed)], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert f"not comparable from frame {from_frame} on: the recording of" in done.stderr.replace("\n", " ")

@@ -25,10 +25,16 @@ def test_the_error_names_nodes_and_frames_and_what_allows_it():
     assert "--allow-churn" in str(error)
 
 
-def test_a_recording_is_complete_unless_its_recorder_was_lost():
-    assert churn.recording(EVENTS[:2], "recorder") == {"complete": True}
-    assert churn.recording(EVENTS, "recorder") == {"complete": False, "from_frame": 59}
-    assert churn.recording(EVENTS[:2], "recorder", handed_in=False) == {"complete": False}
+def test_a_node_may_have_missed_the_frame_before_that_in_which_it_was_missed():
+    assert churn.first_frames(EVENTS, "recorder") == [59]
+    assert churn.first_frames(EVENTS, "infra_2") == [39, 51]
+    assert churn.first_frames(EVENTS, "ego") == []
+
+
+def test_runs_are_not_comparable_from_where_a_recording_has_a_gap(tmp_path):
+    record = {"churn": EVENTS[2:], "recording": {"complete": False, "from_frame": 12}}
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    assert comparable(tmp_path) == (12, f"the recording of {tmp_path} is incomplete")
 
 
 def test_runs_are_comparable_up_to_the_first_loss_in_either(tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mast_zenoh import cli
-from mast_zenoh.errors import RunFolderError
+from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.launch import local
 
 
@@ -49,6 +49,13 @@ def test_where_there_is_nothing_to_secure_it_is_refused(chosen, words: tuple[str
     levels, said = chosen("baseline", "--secure", *words)
     assert levels == []
     assert "--secure" in said
+
+
+@pytest.mark.parametrize("level", ["aclx", "ACL", "mtsl"])
+def test_a_level_that_is_misspelt_is_no_scenario(level: str) -> None:
+    ended = CliRunner().invoke(cli.app, ["run", "baseline", "--secure", level])
+    assert isinstance(ended.exception, ConfigurationError)
+    assert f"security level: found {level!r}" in str(ended.exception)
 
 
 def test_a_study_of_an_outsider_has_no_trials() -> None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from mast_zenoh import scenario
+from mast_zenoh import loading, scenario
 from mast_zenoh.control import CONTROLS
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted
 from mast_zenoh.report import attempts_table
 from mast_zenoh.report.attempts_table import STRAY, AttemptRow
 from mast_zenoh.study import definition
@@ -21,6 +23,7 @@ from mast_zenoh.study.rogue.forgeries import MALFORMED
 from mast_zenoh.study.rogue.infiltration import Finding
 from mast_zenoh.study.rogue.insiders import ForgeControls
 from mast_zenoh.study.rogue.position import position
+from mast_zenoh.study.rogue.siege import attackers_own
 
 BASELINE = "loading.function('scenarios', 'baseline', 'scenario')"
 INJECT = "dict(type='Inject', name='a', wire='cc/picture')"
@@ -132,6 +135,32 @@ def test_attempts_that_cannot_be_made_or_told_apart_are_refused(tmp_path: Path, 
         listed(tmp_path, *attempts)
 
 
+def test_a_study_that_is_stopped_keeps_what_was_found_and_says_how_it_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def outside(each: Any, level: str, folder: Path) -> list[AttemptRow]:
+        if level != "open":
+            raise KeyboardInterrupt
+        assert json.loads((folder / "study.json").read_text())["status"] == "running"
+        return [ROWS[0]]
+
+    monkeypatch.setattr(comparison, "_outside", outside)
+    with pytest.raises(Interrupted, match=r"what was found is in .*study\.json"):
+        comparison.run(definition.load("rogue"), tmp_path / "out")
+    written = json.loads((tmp_path / "out" / "study.json").read_text())
+    assert written["status"] == "interrupted"
+    assert written["rows"] == [ROWS[0]._asdict()]
+
+
+def test_an_attacker_whose_own_code_fails_is_named_with_file_and_line(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("def act():\n    return 1 / 0\n")
+    act = loading.module(file).act
+    named = r"the attacker 'a' failed: ZeroDivisionError.*mine\.py:2"
+    with pytest.raises(HandlerFailed, match=named), attackers_own("a", act):
+        act()
+
+
 def test_the_study_names_its_levels_and_refuses_others(tmp_path: Path) -> None:
     assert definition.load("rogue").security == ("open", "tls", "mtls", "acl")
     with pytest.raises(ConfigurationError, match="'mtls'"):
@@ -168,8 +197,8 @@ ROWS = [
 def test_the_table_has_a_line_for_each_attempt_and_a_column_for_each_level() -> None:
     lines = attempts_table.as_markdown(ROWS).splitlines()
     assert lines[0] == "| attempt | open | acl |"
-    assert lines[2] == "| inject | succeeds (in 40/40) | refused (in 0/40) |"
-    assert lines[3] == "| listen | succeeds (out 68) | refused (out 0) |"
+    assert lines[2] == "| inject | succeeds (in 40/40) | no effect (in 0/40) |"
+    assert lines[3] == "| listen | succeeds (out 68) | no effect (out 0) |"
     assert lines[4] == "| (anything else) | none (in 0) | succeeds (in 3) |"
     assert lines[5] == "| agent | succeeds: stopped the run early (sent 30) | no effect (sent 30) |"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,8 +12,8 @@ from rich.console import Console
 
 from mast_zenoh import loading, registry, scenario
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.launch import ending, local
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import local
 from mast_zenoh.report import attempts_table
 from mast_zenoh.report.attempts_table import AttemptRow
 from mast_zenoh.resolved import Resolved
@@ -21,7 +21,7 @@ from mast_zenoh.study.definition import Configuration, Study
 from mast_zenoh.study.rogue.attempts import Attempt, Outcome
 from mast_zenoh.study.rogue.infiltration import infiltrate
 from mast_zenoh.study.rogue.insiders import Insider
-from mast_zenoh.study.rogue.siege import Siege
+from mast_zenoh.study.rogue.siege import Siege, attackers_own
 
 #: Of a run with an insider, unless the study says how many: there is one for each insider and level.
 _INSIDER_FRAMES = 60
@@ -58,7 +58,9 @@ def run(
 
     The outsider makes all its attempts in one run, in real time. Each insider has a run of its own, in lock-step, so
     that it can be compared with an undisturbed twin. Everything is resolved, and refused if it is wrong, before the
-    first run starts. Raises RunError for a run that ended while the outsider was at it, or before an insider was.
+    first run starts. study.json is there from the beginning, with a status, and gets a row as soon as it is known.
+    Raises RunError for a run that ended while the outsider was at it, or before an insider was, and HandlerFailed for
+    an attacker whose own code fails.
     """
     console = console or Console(quiet=True)
     prepared = [_prepared(study, configuration, seed, frames) for configuration in study.configurations]
@@ -66,26 +68,38 @@ def run(
     for part in ("logs", "figures"):
         (folder / part).rmdir()
     rows: list[AttemptRow] = []
-    for each in prepared:
-        for level in study.security:
-            if each.attempts:
-                console.print(f"[dim]{each.label} at {level}: {len(each.attempts)} attempts of an outsider")
-                rows += _outside(each, level, folder)
-        if each.insiders:
-            console.print(f"[dim]{each.label}: the undisturbed twin")
-            twin = local.run(each.lockstep, folder / f"{each.label}-twin", runtime="inproc")
-            if twin.error:
-                raise twin.error
-            for level, insider in itertools.product(study.security, each.insiders):
-                console.print(f"[dim]{each.label} at {level}: {insider.name}", highlight=False)
-                rows.append(_inside(each, level, folder, insider, twin.folder))
-    content = {"name": study.name, "security": list(study.security), "rows": [row._asdict() for row in rows]}
-    run_folder.write_json(folder / "study.json", content)
+
+    def note(status: str) -> None:
+        content = {"name": study.name, "status": status, "security": list(study.security)}
+        run_folder.write_json(folder / "study.json", content | {"rows": [row._asdict() for row in rows]})
+
+    with ending.written(note):
+        try:
+            for each in prepared:
+                rows.extend(_played(each, study.security, folder, console))
+        except KeyboardInterrupt as caught:
+            raise ending.explained(caught, f"what was found is in {folder / 'study.json'}") from None
     files = []
     for name, write in (("attempts.md", attempts_table.as_markdown), ("attempts.csv", attempts_table.as_csv)):
         (folder / name).write_text(write(rows), encoding="utf-8")
         files.append(folder / name)
     return Besieged(folder, rows, files)
+
+
+def _played(each: _Prepared, levels: Sequence[str], folder: Path, console: Console) -> Iterator[AttemptRow]:
+    """The rows of a run of the study, as they come."""
+    for level in levels:
+        if each.attempts:
+            console.print(f"[dim]{each.label} at {level}: {len(each.attempts)} attempts of an outsider")
+            yield from _outside(each, level, folder)
+    if each.insiders:
+        console.print(f"[dim]{each.label}: the undisturbed twin")
+        twin = local.run(each.lockstep, folder / f"{each.label}-twin", runtime="inproc")
+        if twin.error:
+            raise twin.error
+        for level, insider in itertools.product(levels, each.insiders):
+            console.print(f"[dim]{each.label} at {level}: {insider.name}", highlight=False)
+            yield _inside(each, level, folder, insider, twin.folder)
 
 
 def load(name: str) -> list[Attempt]:
@@ -126,7 +140,8 @@ def besiege(
     outcomes: dict[str, Outcome] = {}
     with Siege(resolved, folder, level, [a.detours for a in attempts if a.detours]) as siege:
         for attempt in attempts:
-            outcomes[attempt.name] = attempt.make(siege)
+            with attackers_own(attempt.name, attempt.make):
+                outcomes[attempt.name] = attempt.make(siege)
         received = siege.received()
         for outcome in outcomes.values():
             outcome.reached = sum(keys.get(outcome.key, 0) for keys in received.values())

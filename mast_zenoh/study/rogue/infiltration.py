@@ -19,7 +19,7 @@ from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.resolved import Resolved
 from mast_zenoh.study.rogue.insiders import Insider
 from mast_zenoh.study.rogue.position import MARKER, position
-from mast_zenoh.study.rogue.siege import Siege
+from mast_zenoh.study.rogue.siege import Siege, attackers_own
 
 _END_S = 90.0
 
@@ -84,7 +84,8 @@ def infiltrate(resolved: Resolved, folder: Path, level: str, insider: Insider, t
         siege.known(insider.node)
         with suppress(zenoh.ZError), siege.join(insider.node) as session:
             admitted = True
-            sent = insider.act(siege, session, position(resolved, insider.node, release.named()))
+            with attackers_own(insider.name, insider.act):
+                sent = insider.act(siege, session, position(resolved, insider.node, release.named()))
             siege.ended(_END_S)
         ended = siege.ended(_END_S)
         in_time = ended is not None

@@ -6,8 +6,8 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Callable, Collection
-from contextlib import ExitStack
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import TracebackType
@@ -18,7 +18,7 @@ import zenoh
 from rich.console import Console
 
 from mast_zenoh import codec
-from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunError, nearest
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, MastError, RunError, nearest
 from mast_zenoh.launch import local
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.launching import Launch
@@ -250,6 +250,18 @@ class Siege:
             self._ended = local.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **more)
         except Exception as error:  # a defect, which the attackers may have found
             self.crash = described(error)
+
+
+@contextmanager
+def attackers_own(name: str, call: Callable[..., Any]) -> Iterator[None]:
+    """Raises HandlerFailed, with file and line, where the code of an attacker fails; `call` is that code."""
+    try:
+        yield
+    except (MastError, zenoh.ZError):
+        raise
+    except Exception as error:
+        where = failures.location(error, call)
+        raise HandlerFailed(f"the attacker {name!r} failed: {described(error)} ({where})") from error
 
 
 def _port(address: str) -> int:
