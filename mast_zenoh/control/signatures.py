@@ -2,7 +2,8 @@
 
 A signed message is MessagePack [body, signature]. The Ed25519 signature (RFC 8032) covers the run's id, the key below
 @control/ and the body, so it is worth nothing in another run, on another key or for another node. Nothing in it says
-that it is new: repeated, these messages do nothing. Epochs count up, a step is carried out once, a stop is a stop.
+that it is new: repeated to the same process, these messages do nothing more. Epochs count up, a step is carried out
+once, a stop is a stop.
 """
 
 from __future__ import annotations

@@ -364,7 +364,9 @@ class Launch:
         gone = [child for child in supervisor.children.values() if not child.handed_in and not child.meant]
         self.record["message"] = "; ".join(f"{child.name} {child.ended}" for child in gone)
         self.record["invalid_control"] = self.invalid.entry()
-        unsigned = [outcome["unsigned"] for outcome in outcomes.values() if self.secure == "open"]
+        if self.secure != "open":  # nobody can have obeyed one, whatever it says
+            self.record["nodes"] = {name: node | {"unsigned_control": 0} for name, node in self.record["nodes"].items()}
+        unsigned = [node["unsigned_control"] or 0 for node in self.record["nodes"].values()]
         self.record["unsigned_control"] = self.signatures.obeyed + sum(unsigned)
         handed_in = {name: outcome["results"] for name, outcome in outcomes.items()}
         measured: dict[str, Any] = {}

@@ -107,18 +107,32 @@ def _foreign(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
 
 
 def _control(record: Mapping[str, Any]) -> tuple[int, str]:
-    """Control messages that were refused. Of each key the launcher or the node that refused most counts."""
-    by_key: dict[str, int] = {}
-    reasons: dict[str, str] = {}
-    for part in (record.get("invalid_control"), *(node.get("invalid_control") for node in record["nodes"].values())):
-        for key, (count, reason) in (part or {}).items():
-            by_key[key] = max(count, by_key.get(key, 0))
-            reasons.setdefault(key, reason)
-    if not by_key:
-        return 0, ""
-    count, key = sum(by_key.values()), max(sorted(by_key), key=lambda key: by_key[key])
-    what = f"{_number(count, 'invalid control message')} refused on {_number(len(by_key), 'key')}"
-    return count, f"{what} (most: {key}, {by_key[key]}, the first: {reasons[key]})"
+    """Control messages that were refused: by the launcher, and, in their own words, by the nodes.
+
+    A message to all is refused by every node: of each key the node that says most counts.
+    """
+    own = {key: (count, "", reason) for key, (count, reason) in record.get("invalid_control", {}).items()}
+    told: dict[str, tuple[int, str, str]] = {}
+    for name, node in record["nodes"].items():
+        for key, (count, reason) in (node.get("invalid_control") or {}).items():
+            told[key] = max(told.get(key, (0, "", "")), (count, f" by {name}", reason), key=lambda found: found[0])
+    parts = []
+    if own:
+        parts.append(f"{_number(_total(own), 'invalid control message')} refused on {_most(own)}")
+    if told:
+        parts.append(f"nodes report {_total(told)} invalid control messages on {_most(told)}")
+    return _total(own) + _total(told), "; ".join(parts)
+
+
+def _total(found: Mapping[str, tuple[int, str, str]]) -> int:
+    return sum(count for count, _, _ in found.values())
+
+
+def _most(found: Mapping[str, tuple[int, str, str]]) -> str:
+    """On how many keys, and what of the one with most."""
+    key = max(sorted(found), key=lambda key: found[key][0])
+    count, by, reason = found[key]
+    return f"{_number(len(found), 'key')} (most: {key}, {count}{by}, the first: {reason})"
 
 
 def _churned(resolved: Resolved, record: Mapping[str, Any]) -> tuple[int, str]:

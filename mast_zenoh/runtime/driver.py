@@ -103,7 +103,7 @@ class Driver(MeshNode):
         put = self.inbox.put
         self._subscribers.append(self.subscribe("@control/counts/*", self._on_counts))
         self.rewirer = Rewirer(self)
-        rewire: Any = zenoh.handlers.Callback(lambda query: put(("rewire", query)), indirect=False)
+        rewire: Any = zenoh.handlers.Callback(self.rewirer.ask, indirect=False)
         self._subscribers.append(session.declare_queryable(f"{self._prefix}/@control/rewire", rewire))
         presence: Any = zenoh.handlers.Callback(
             lambda s: put(("alive", str(s.key_expr).rpartition("/")[2], s.kind == zenoh.SampleKind.PUT)),
@@ -305,7 +305,8 @@ class Driver(MeshNode):
         if there or name == self.name:  # our own token may be late; we are here
             self.alive.add(name)
             self._leaving.discard(name)
-            if any(each["node"] == name for each in self.churn):
+            before = [each["what"] for each in self.churn if each["node"] == name]
+            if before and before[-1] == LOST:
                 self.churn.append({"frame": self.frames, "node": name, "what": BACK})
             return
         self.alive.discard(name)
@@ -331,13 +332,6 @@ class Driver(MeshNode):
         """A new epoch, in which the wiring changes."""
         self.pacer.rewire(told.wiring)
         self._begin_epoch()
-
-    def handle(self, event: tuple[Any, ...]) -> None:
-        """One event from the inbox; a change of the wiring is taken up at the next frame boundary, or in real time."""
-        if event[0] == "rewire":
-            self.rewirer.ask(event[1])
-        else:
-            super().handle(event)
 
     def _report_self(self) -> None:
         self.pacer.report(self.name, self.epoch, counted(self._sent, self.outlets), dict(self.host.handled))

@@ -190,13 +190,11 @@ class MeshNode:
                 self._in_frame = 0
             self._in_frame += 1
         elif kind == "epoch":
-            self._take_epoch(*rest)
+            self._enter_epoch(*rest[0])
         elif kind == "stop":
             self.stop_reason = rest[0]
         elif kind == "dropped":
             self._note_dropped()
-        elif kind == "asked_to_stop":
-            self._take_stop(*rest)
         elif kind in ("drain", "drained"):
             self.rewiring.handle(event)
         self.rewiring.answer()
@@ -297,17 +295,16 @@ class MeshNode:
             if epoch == self.epoch + 1:
                 self._early_dropped[key] += count
 
-    def _take_epoch(self, payload: bytes) -> None:
-        try:
-            epoch = self.signatures.open("epoch", payload, flow.decode_epoch)
-        except MessageError as error:
-            self.invalid.note("epoch", error)
-        else:
-            self._enter_epoch(*epoch)
+    def control_came(self, key: str, payload: bytes) -> None:
+        """Take up a control message, in Zenoh's thread: one that is malformed or not signed waits nowhere.
 
-    def _take_stop(self, key: str, payload: bytes) -> None:
+        key: below @control/, one of `epoch`, `stop`, and `leave` with this node's name
+        """
         try:
-            self.stop_reason = self.signatures.open(key, payload, flow.decode_stop)
+            if key == "epoch":
+                self.inbox.put(("epoch", self.signatures.open(key, payload, flow.decode_epoch)))
+            else:
+                self.inbox.put(("stop", self.signatures.open(key, payload, flow.decode_stop)))
         except MessageError as error:
             self.invalid.note(key, error)
 
@@ -342,12 +339,10 @@ class MeshNode:
     def _declare(self) -> None:
         for key in self.ports.inputs:
             self.hear(key)
-        put = self.inbox.put
-        drain: Any = zenoh.handlers.Callback(lambda query: put(("drain", query)), indirect=False)
+        drain: Any = zenoh.handlers.Callback(self.rewiring.take_question, indirect=False)
         self._subscribers.append(self.session.declare_queryable(f"{self._prefix}/@control/drain/{self.name}", drain))
-        self._subscribers.append(self.subscribe("@control/epoch", lambda s: put(("epoch", s.payload.to_bytes()))))
-        for key in ("stop", f"leave/{self.name}"):
-            self._subscribers.append(self.subscribe(f"@control/{key}", self._on_stop(key)))
+        for key in ("epoch", "stop", f"leave/{self.name}"):
+            self._subscribers.append(self.subscribe(f"@control/{key}", self._on_control(key)))
         for wire, leg in self.wiring.legs():
             if leg.publisher.node == self.name:
                 self.outlets[leg.key] = Outlet(leg.key, self.declare_publisher(leg.key, wire.message))
@@ -378,8 +373,8 @@ class MeshNode:
         """Have what comes on a wire's key come to the inbox."""
         self._subscribers.append(self.subscribe(key, self._on_sample(key)))
 
-    def _on_stop(self, key: str) -> Callable[[zenoh.Sample], None]:
-        return lambda sample: self.inbox.put(("asked_to_stop", key, sample.payload.to_bytes()))
+    def _on_control(self, key: str) -> Callable[[zenoh.Sample], None]:
+        return lambda sample: self.control_came(key, sample.payload.to_bytes())
 
     def _on_sample(self, key: str) -> Callable[[zenoh.Sample], None]:
         put = self.inbox.put_sample

@@ -95,10 +95,10 @@ class Pacer:
     def implausible(self) -> str:
         """Who has reported what cannot be, in words; to be asked when no report has come for a while.
 
-        A report is late only while its node is busy. A publisher that has handled all that was sent to it is not: its
-        count of messages sent is final, and nobody can have handled more. Where all who hear a key have, and these are
-        several, it is the publisher that does not tell the truth; where there is only one, it is one of the two. The
-        node that drives the scene counts as truthful.
+        A report is late only while its node is busy: with what was sent to it, or with what a busy node before it may
+        have sent since its own report. The count of a publisher that is not busy is final, and nobody can have handled
+        more. Where all who hear a key have, and these are several, it is the publisher that does not tell the truth;
+        where there is only one, it is one of the two. The node that drives the scene counts as truthful.
         """
         reports = self._reports
         owing, over, agree = set[str](), dict[str, list[tuple[str, str, int, int]]](), defaultdict[str, int](int)
@@ -112,9 +112,12 @@ class Pacer:
                 over.setdefault(key, []).append((publisher, subscriber, sent, handled))
             else:
                 agree[key] += 1
+        busy = owing | self.silent
+        while more := {subscriber for _, publisher, subscriber in self._flows if publisher in busy} - busy:
+            busy |= more
         for key, lies in over.items():
             publisher, subscriber, sent, handled = lies[0]
-            if publisher in owing:
+            if publisher in busy:
                 continue
             if len(lies) > 1 and not agree[key]:
                 heard = ", ".join(f"{name} {n}" for _, name, _, n in lies[:3])

@@ -84,6 +84,7 @@ class Rewiring:
         self._next: dict[str, tuple[str, zenoh.Publisher]] = {}  # by outlet: its next key and publisher
         self._draining: dict[str, float] = {}  # outlets that hold back, since when
         self._asked: list[tuple[zenoh.Query, str, int]] = []  # with the key, and the frame in which it came
+        self._questions = 0  # that have been taken up
 
     @property
     def busy(self) -> bool:
@@ -98,7 +99,7 @@ class Rewiring:
     def follow(self, told: WiringUpdate) -> None:
         """Do what an epoch says."""
         self._prepare(told.wiring)
-        self.leaving = self._node.name in told.leaving
+        self.leaving, self._questions = self._node.name in told.leaving, 0
         if self.leaving and self._node.lockstep:
             self._node.host.flush()
         if told.speak:
@@ -109,25 +110,29 @@ class Rewiring:
         kind, *rest = event
         if kind == "drain":
             self._node.host.flush()
-            self._take_question(rest[0])
+            self._asked.append((*rest, self._node.host.frame))
         elif kind == "drained":
             self._go_on(*rest)
 
-    def _take_question(self, query: zenoh.Query) -> None:
-        """Somebody asks whether all is passed on: while this node is to leave, whoever sends it something may ask."""
+    def take_question(self, query: zenoh.Query) -> None:
+        """Somebody asks whether all is passed on, in Zenoh's thread.
+
+        While this node is to leave, whoever sends it something may ask. Any other question waits nowhere.
+        """
         try:
             key = flow.decode_drain(query.payload.to_bytes() if query.payload else b"")
             if not self.leaving:
                 raise MessageError(f"drain: {self._node.name} has not been told to leave")
             if key not in taps_into(self._node.wiring, (self._node.name,)):
                 raise MessageError(f"drain: found {key!r:.80}, which {self._node.name} is not on")
-            if len(self._asked) >= MAX_ASKED:
-                raise MessageError(f"drain: more than {MAX_ASKED} questions wait")
+            if self._questions >= MAX_ASKED:
+                raise MessageError(f"drain: more than {MAX_ASKED} questions")
+            self._questions += 1
         except MessageError as error:
             self._node.invalid.note(f"drain/{self._node.name}", error)
             query.drop()
         else:
-            self._asked.append((query, key, self._node.host.frame))
+            self._node.inbox.put(("drain", query, key))
 
     def answer(self) -> None:
         """Tell those who have asked whether all is passed on, as soon as it is."""
@@ -267,7 +272,7 @@ class Rewirer:
         self.told: WiringUpdate | None = None  # what every epoch says since the first change
 
     def ask(self, query: zenoh.Query) -> None:
-        """Take up a change as soon as those before it are done."""
+        """Take up a change as soon as those before it are done; in Zenoh's thread: what is none waits nowhere."""
         try:
             payload = query.payload.to_bytes() if query.payload else b""
             told = self._driver.signatures.open("rewire", payload, flow.decode_rewire)
@@ -278,6 +283,7 @@ class Rewirer:
             query.drop()
         else:
             self._asked.append(Change(*told, query))
+            self._driver.inbox.put(("rewire",))
 
     def turn(self) -> bool:
         """Go on with the change as far as it goes; whether it waits for what everybody says."""

@@ -150,19 +150,22 @@ def launch(tmp_path: Path) -> Launch:
 
 @pytest.mark.parametrize("payload", RUBBISH)
 def test_a_malformed_epoch_costs_a_node_one_message(ego: MeshNode, payload: bytes) -> None:
-    ego.handle(("epoch", payload))
+    ego.control_came("epoch", payload)
     assert (ego.epoch, ego.invalid.counts) == (0, {"epoch": 1})
-    ego.handle(("epoch", flow.encode_epoch(1, {"ego": "agent"}, None)))
+    with pytest.raises(queue.Empty):
+        ego.inbox.get_nowait()
+    ego.control_came("epoch", flow.encode_epoch(1, {"ego": "agent"}, None))
+    ego.handle(ego.inbox.get_nowait())
     assert (ego.epoch, ego.stop_reason) == (1, None)
 
 
 @pytest.mark.parametrize("key", ["stop", "leave/ego"])
 def test_a_stop_that_is_no_text_costs_a_node_one_message(ego: MeshNode, key: str) -> None:
-    sample = MagicMock(payload=MagicMock(to_bytes=lambda: b"\xff\xfe", to_string=b"\xff\xfe".decode))
-    ego._on_stop(key)(sample)
-    ego.handle(ego.inbox.get_nowait())
+    ego.control_came(key, b"\xff\xfe")
     assert (ego.stop_reason, ego.invalid.counts) == (None, {key: 1})
-    ego._on_stop(key)(MagicMock(payload=MagicMock(to_bytes=lambda: b"end")))
+    with pytest.raises(queue.Empty):
+        ego.inbox.get_nowait()
+    ego.control_came(key, b"end")
     ego.handle(ego.inbox.get_nowait())
     assert ego.stop_reason == "end"
 
@@ -183,14 +186,15 @@ def eve() -> MeshNode:
 def told_to_leave(node: MeshNode) -> None:
     """A change of the wiring has begun, after which the node is not there any more."""
     update = flow.WiringUpdate(WIRING, False, (node.name,))
-    node.handle(("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update)))
+    node.control_came("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update))
+    node.handle(node.inbox.get_nowait())
 
 
 @pytest.mark.parametrize("payload", [b"\xff\xfe", b"", b"a//b", b"**", b"agent/other/status", b"x" * 5000, b"clock"])
 def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
     told_to_leave(eve)
     query = Query("drain/eve", payload)
-    eve.handle(("drain", query))
+    eve.rewiring.take_question(query)  # type: ignore[arg-type]
     assert query.dropped
     assert query.answers == []
     assert not eve.rewiring.asked
@@ -199,10 +203,11 @@ def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshN
 
 def test_a_drain_is_answered_by_a_node_that_is_to_leave_and_by_no_other(eve: MeshNode) -> None:
     early, due = Query("drain/eve", TAP.encode()), Query("drain/eve", TAP.encode())
-    eve.handle(("drain", early))
+    eve.rewiring.take_question(early)  # type: ignore[arg-type]
     assert (early.answers, early.dropped, eve.invalid.counts) == ([], True, {"drain/eve": 1})
     told_to_leave(eve)
-    eve.handle(("drain", due))
+    eve.rewiring.take_question(due)  # type: ignore[arg-type]
+    eve.handle(eve.inbox.get_nowait())
     assert due.answers == [("ok", b"")]
 
 
@@ -221,7 +226,7 @@ def test_malformed_counts_cost_the_driver_one_message(driver: Driver, node: str,
 @pytest.mark.parametrize("payload", [*RUBBISH, msgpack.packb({"wiring": {"wires": [[]]}, "join": {}, "leave": []})])
 def test_a_malformed_change_of_the_wiring_costs_the_driver_one_message(driver: Driver, payload: bytes) -> None:
     query = Query("rewire", payload)
-    driver.handle(("rewire", query))
+    driver.rewirer.ask(query)  # type: ignore[arg-type]
     assert query.dropped
     assert driver.invalid.counts == {"rewire": 1}
 
@@ -250,6 +255,18 @@ def test_a_node_that_reports_too_little_is_a_stall_as_before(driver: Driver) -> 
     for name in ("ego", "watch"):
         driver._on_counts(sample(f"counts/{name}", flow.encode_counts(1, {}, {})))
     assert driver._await_quiet(everyone=True) == "stall: ego has handled 0 of 3 messages of sim on clock"
+
+
+def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
+    def told(there: bool) -> None:
+        driver._note_presence("ego", there)
+
+    told(False)
+    told(True)
+    driver._leaving.add("ego")  # the scenario kills it, and starts it again
+    told(False)
+    told(True)
+    assert [each["what"] for each in driver.churn] == ["lost", "back"]
 
 
 # -- the launcher ----------------------------------------------------------------------------------------------------

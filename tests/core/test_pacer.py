@@ -147,3 +147,16 @@ def test_whatever_reports_of_a_sound_mesh_are_still_missing_nobody_is_accused() 
         made.report("broker", 1, {}, {"clock": of_broker, "tracks": of_broker})
         assert made.implausible() == ""
         assert made.quiet() == ((of_agent, of_broker) == (3, 3))
+
+
+def test_a_node_behind_a_busy_one_may_have_more_to_report_than_it_has_yet() -> None:
+    """The agent has published on, and works on; so does the broker, of whose last report nobody knows how old it is."""
+    made = pacer()
+    made.report("simulator", 1, {"clock": 2}, {})
+    made.report("agent", 1, {"tracks": 1}, {"clock": 1})
+    made.report("broker", 1, {"collated": 1}, {"clock": 2, "tracks": 1})
+    made.members["evaluator"] = "evaluator"
+    made.report("evaluator", 1, {}, {"clock": 2, "collated": 2})
+    assert made.implausible() == "", "the broker may have handled what the agent has sent since"
+    made.report("agent", 1, {"tracks": 1}, {"clock": 2})
+    assert made.implausible() != "", "now nobody is busy: one of the two does not tell the truth"

@@ -45,7 +45,8 @@ def test_all_that_a_node_can_send_changes_nothing_and_is_told(tmp_path: Path) ->
     assert refused == {"result/infra_1": 10, "fetch/infra_1": 10, "file/infra_1": 10, "failed/infra_1": 7}
     assert record["nodes"]["simulator"]["invalid_control"]["counts/infra_1"][0] == len(compromised.RUBBISH)
     (notice,) = (notice for notice in record["notices"] if notice["kind"] == "control")
-    assert notice["text"].startswith("44 invalid control messages refused on 5 keys (most: fetch/infra_1, 10")
+    assert notice["text"].startswith("37 invalid control messages refused on 4 keys (most: fetch/infra_1, 10,")
+    assert "nodes report 7 invalid control messages on 1 key (most: counts/infra_1, 7 by simulator," in notice["text"]
 
 
 def test_a_node_that_reports_more_than_it_was_sent_ends_the_run_and_is_named(tmp_path: Path) -> None:

@@ -53,12 +53,12 @@ def at(node: str) -> Position:
     return position(resolved(), node, release.named())
 
 
-def concluded(node: str, payload: bytes, out: Path) -> dict[str, Any]:
+def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dict[str, Any]:
     """run.json of a run in which one node hands this in, and the others nothing."""
     folder = run_folder.create(out, "false")
     resolved().write(folder)
     record: dict[str, Any] = {"id": "x", "message": "", "timings": {}, "churn": [], "nodes": {}}
-    launch = Launch(resolved(), folder, record, Display(Console(quiet=True), "x", 3), None, "tcp/127.0.0.1:0")
+    launch = Launch(resolved(), folder, record, Display(Console(quiet=True), "x", 3), None, "tcp/127.0.0.1:0", secure)
     supervisor = MagicMock(children={name: Ended(name, spec) for name, spec in resolved().nodes.items()})
     supervisor.to_json = functools.partial(Supervisor.to_json, supervisor)
     launch.reports = Reports(MagicMock(), "mast/x/@control", supervisor.children, launch.invalid)
@@ -73,6 +73,13 @@ def concluded(node: str, payload: bytes, out: Path) -> dict[str, Any]:
         assert "recorder" in str(error)
     run_folder.write_json(folder / "run.json", record)
     return record
+
+
+def test_above_the_level_open_no_node_can_claim_to_have_obeyed_what_was_not_signed(tmp_path: Path) -> None:
+    (claim,) = (outcome for outcome in false_results(at("infra_1")) if outcome["unsigned"] > 10**6)
+    claimed, secured = (concluded("infra_1", results.pack(claim), tmp_path / at, at) for at in ("open", "acl"))
+    assert claimed["unsigned_control"] == claimed["nodes"]["infra_1"]["unsigned_control"] == claim["unsigned"]
+    assert secured["unsigned_control"] == secured["nodes"]["infra_1"]["unsigned_control"] == 0
 
 
 @pytest.mark.parametrize("node", NODES)

@@ -92,8 +92,9 @@ def test_refused_control_messages_name_the_key_with_most_and_why(world: Resolved
     }
     said = texts(world, nodes, invalid_control={"result/ego": [4, "result: it has handed in its results before"]})
     assert said["control"] == (
-        "7 invalid control messages refused on 2 keys "
-        "(most: result/ego, 4, the first: result: it has handed in its results before)"
+        "4 invalid control messages refused on 1 key "
+        "(most: result/ego, 4, the first: result: it has handed in its results before); "
+        "nodes report 3 invalid control messages on 1 key (most: epoch, 3 by ego, the first: epoch: not MessagePack)"
     )
 
 

@@ -64,7 +64,9 @@ def test_what_is_not_signed_changes_nothing_and_is_counted(launch, tmp_path: Pat
         expected |= {"broker": {"leave/broker": 1}, "ego": {"drain/ego": 1}, "simulator": {"rewire": 1}}.get(name, {})
         assert {key: count for key, (count, _) in node["invalid_control"].items()} == expected, name
         assert "found no signature" in node["invalid_control"]["stop"][1]
-    assert "invalid control messages refused" in output
+    assert "1 invalid control message refused on 1 key (most: act, 1, the first: act: found no" in " ".join(
+        output.split()
+    )
 
 
 def test_an_open_run_says_how_many_unsigned_messages_it_has_obeyed(launch) -> None:
