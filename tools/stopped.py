@@ -28,7 +28,6 @@ import psutil
 
 from mast_zenoh.errors import (
     HandlerFailed,
-    ImplausibleCounts,
     NodeDied,
     NodeLost,
     RunFolderError,
@@ -52,7 +51,7 @@ LAUNCHER = "launcher"
 SAID = {
     "node_lost": (NodeLost.exit_code,),
     "handler_failures": (HandlerFailed.exit_code,),
-    "failed": tuple(error.exit_code for error in (StartError, NodeDied, StallError, ImplausibleCounts)),
+    "failed": tuple(error.exit_code for error in (StartError, NodeDied, StallError)),
 }
 LATEST_S = 6.0  # after the start of the nodes, a stop begins
 LONGEST_S = 240.0

@@ -11,5 +11,8 @@ conclusion   what is written at the end;  notices: what deserves attention
 folder       what the run leaves behind;  nodelogs: logs of nodes in this process
 display      what is shown meanwhile
 ending       how an ending becomes a status and an exit code;  liveness: whether a launcher lives
+interception puts nodes on wires of a run that goes on;  asking: asks for it
+engine       where nodes live that are not processes of this machine
+measuring    a run measured again, from its recording
 network      the hosts of a run as network namespaces
 """
