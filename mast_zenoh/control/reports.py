@@ -63,6 +63,8 @@ def failure(value: object) -> Entry:
     fields.text(entry["where"], "a handler failure: where")
     for name, least in (("count", 1), ("frames", 1), ("first_frame", -1), ("last_frame", -1)):
         fields.whole(entry[name], f"a handler failure: {name}", least)
+    if any(len(entry[name].splitlines()) > 1 for name in ("handler", "exception", "where")):
+        raise MessageError("a handler failure: found text of several lines, expected one")
     return entry
 
 

@@ -16,6 +16,7 @@ _LEFT_OUT = {
     "absurd": "tracks that are not physical, left out by a broker",
 }
 _KEYS_NAMED = 3
+_EVENTS_NAMED = 10
 _KEEPS_PACE = 0.95  # of the frame rate that was asked for
 
 
@@ -41,7 +42,7 @@ def of_run(
         _foreign(nodes),
         _control(record),
         _behind(resolved, record, measured),
-        _churned(resolved, record),
+        _churned(record),
         _first(of_recording(record)),
         (len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
@@ -135,10 +136,11 @@ def _most(found: Mapping[str, tuple[int, str, str]]) -> str:
     return f"{_number(len(found), 'key')} (most: {key}, {count}{by}, the first: {reason})"
 
 
-def _churned(resolved: Resolved, record: Mapping[str, Any]) -> tuple[int, str]:
-    """Nodes that were lost, where everybody is to be waited for; in real time they may be."""
-    found = record.get("churn", ()) if resolved.mode == "lockstep" else ()
-    return len(found), churn.sentence(found)
+def _churned(record: Mapping[str, Any]) -> tuple[int, str]:
+    """Nodes that were lost, and came back."""
+    found = record.get("churn", ())
+    more = f"; and {len(found) - _EVENTS_NAMED} more times" if len(found) > _EVENTS_NAMED else ""
+    return len(found), churn.sentence(found[:_EVENTS_NAMED]) + more
 
 
 def of_recording(record: Mapping[str, Any]) -> list[str]:

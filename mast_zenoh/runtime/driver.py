@@ -36,6 +36,9 @@ REALTIME_GRACE_S = 0.5
 #: After so long without a report in lock-step, seconds, it is asked whether the reports can be true.
 SUSPECT_S = 3.0
 
+#: How often a node may be lost and come back: one that does so more often is made to.
+MAX_LOSSES = 50
+
 MAX_REASON = 2000  #: characters of why a run stops
 
 #: How many frames those who only listen may fall behind in lock-step.
@@ -90,7 +93,8 @@ class Driver(MeshNode):
         self._ready: list[Outgoing] | None = None
         self._sent: Counter[str] = Counter()
         self._newest_counts: dict[str, flow.Counts] = {}  # by node, until they are looked at
-        self._counts_lock = threading.Lock()
+        self._presence: dict[str, tuple[bool, bool]] = {}  # by node, until it is looked at: has gone, is there
+        self._lock = threading.Lock()  # of the two
         # A queue of their own: in that of the data they would wait for one whom nothing reaches any more.
         urgent: Any = {
             "congestion_control": zenoh.CongestionControl.BLOCK,
@@ -100,15 +104,11 @@ class Driver(MeshNode):
         self._epoch = session.declare_publisher(f"{self._prefix}/@control/epoch", **urgent)
         self._act = session.declare_publisher(f"{self._prefix}/@control/act", **urgent)
         self._stop = session.declare_publisher(f"{self._prefix}/@control/stop", **urgent)
-        put = self.inbox.put
         self._subscribers.append(self.subscribe("@control/counts/*", self._on_counts))
         self.rewirer = Rewirer(self)
         rewire: Any = zenoh.handlers.Callback(self.rewirer.ask, indirect=False)
         self._subscribers.append(session.declare_queryable(f"{self._prefix}/@control/rewire", rewire))
-        presence: Any = zenoh.handlers.Callback(
-            lambda s: put(("alive", str(s.key_expr).rpartition("/")[2], s.kind == zenoh.SampleKind.PUT)),
-            indirect=False,
-        )
+        presence: Any = zenoh.handlers.Callback(self._on_presence, indirect=False)
         liveliness = session.liveliness()
         self._subscribers.append(liveliness.declare_subscriber(f"{self._prefix}/alive/*", presence, history=True))
 
@@ -271,7 +271,7 @@ class Driver(MeshNode):
         if kind == "counts":
             self._take_counts(*rest)
         elif kind == "alive":
-            self._note_presence(*rest)
+            self._take_presence(*rest)
         else:
             self.handle(event)
             self._report_self()
@@ -289,16 +289,36 @@ class Driver(MeshNode):
         except MessageError as error:
             self.invalid.note(f"counts/{node if node in self.expected else '*'}", error)
             return
-        with self._counts_lock:
+        with self._lock:
             waits = node in self._newest_counts
             self._newest_counts[node] = counts
         if not waits:
             self.inbox.put(("counts", node))
 
     def _take_counts(self, node: str) -> None:
-        with self._counts_lock:
+        with self._lock:
             counts = self._newest_counts.pop(node)
         self.complaint = self.complaint or self.pacer.report(node, *counts)
+
+    def _on_presence(self, token: zenoh.Sample) -> None:
+        """A node's token has come or gone, in Zenoh's thread: the newest of each waits, and that it was gone."""
+        name, there = str(token.key_expr).rpartition("/")[2], token.kind == zenoh.SampleKind.PUT
+        with self._lock:
+            waits = name in self._presence
+            gone, _ = self._presence.get(name, (False, False))
+            self._presence[name] = (gone or not there, there)
+        if not waits:
+            self.inbox.put(("alive", name))
+
+    def _take_presence(self, name: str) -> None:
+        """First that it has gone, and in an event of its own, after which members may have changed, that it is back."""
+        with self._lock:
+            gone, there = self._presence.pop(name)
+            if gone and there:
+                self._presence[name] = (False, True)
+        if gone and there:
+            self.inbox.put(("alive", name))
+        self._note_presence(name, there and not gone)
 
     def _note_presence(self, name: str, there: bool) -> None:
         """A node has come or gone: as the scenario wants it, by a change of the wiring, or of itself."""
@@ -312,6 +332,8 @@ class Driver(MeshNode):
         self.alive.discard(name)
         if name in self.members and name in self.expected and name not in self._leaving:
             self.churn.append({"frame": self.frames, "node": name, "what": LOST})
+            if sum(each["node"] == name for each in self.churn) > 2 * MAX_LOSSES:
+                self.complaint = self.complaint or f"{name} has gone and come back more than {MAX_LOSSES} times"
 
     def _membership_changed(self) -> bool:
         return (self.alive & self.expected.keys()) != self.members.keys()

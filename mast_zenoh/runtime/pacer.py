@@ -132,12 +132,25 @@ class Pacer:
         """Why the mesh is not quiet, in words: for the error when it stays so."""
         for node in sorted(self.silent):
             yield f"{node} has not reported"
+        owed: dict[tuple[str, str, int], dict[str, int]] = {}
+        hearers = defaultdict[str, int](int)
         for key, publisher, subscriber in self._flows:
             if publisher in self._reports and subscriber in self._reports:
                 sent = self._reports[publisher][0].get(key, 0)
                 handled = self._reports[subscriber][1].get(key, 0)
+                hearers[key] += 1
                 if sent != handled:
-                    yield f"{subscriber} has handled {handled} of {sent} messages of {publisher} on {key}"
+                    owed.setdefault((key, publisher, sent), {})[subscriber] = handled
+        for (key, publisher, sent), counts in owed.items():
+            if len(counts) == hearers[key] > 1 and len({*counts.values()}) == 1:  # perhaps it has not sent them
+                handled, names = next(iter(counts.values())), ", ".join(counts)
+                yield (
+                    f"{publisher} reports {sent} messages sent on {key}, of which all who hear it "
+                    f"have handled {handled} ({names})"
+                )
+                continue
+            for subscriber, handled in counts.items():
+                yield f"{subscriber} has handled {handled} of {sent} messages of {publisher} on {key}"
 
 
 def _first(counters: Mapping[str, int], known: Collection[str]) -> str:

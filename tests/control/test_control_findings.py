@@ -11,6 +11,7 @@ from unittest.mock import MagicMock
 
 import msgpack
 import pytest
+import zenoh
 from rich.console import Console
 
 from mast_zenoh.control import CONTROLS, flow
@@ -267,6 +268,30 @@ def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
     told(False)
     told(True)
     assert [each["what"] for each in driver.churn] == ["lost", "back"]
+
+
+def presence(driver: Driver, *there: bool) -> None:
+    """Ego's token comes and goes like this, before the driver looks."""
+    for each in there:
+        kind = zenoh.SampleKind.PUT if each else zenoh.SampleKind.DELETE
+        driver._on_presence(MagicMock(key_expr="mast/x/alive/ego", kind=kind))
+
+
+def test_of_a_node_that_comes_and_goes_waits_only_that_it_was_gone_and_where_it_is(driver: Driver) -> None:
+    presence(driver, *[False, True] * 1000)
+    assert driver._wait(time.monotonic() + 1.0)
+    assert "ego" not in driver.alive, "first it has gone, so that a new epoch begins"
+    assert driver._wait(time.monotonic() + 1.0)
+    assert "ego" in driver.alive
+    assert [each["what"] for each in driver.churn] == ["lost", "back"]
+    with pytest.raises(queue.Empty):
+        driver.inbox.get_nowait()
+
+
+def test_a_node_that_comes_and_goes_all_the_time_ends_the_run_and_is_named(driver: Driver) -> None:
+    for there in [False, True] * 60:
+        driver._note_presence("ego", there)
+    assert driver._over == "implausible: ego has gone and come back more than 50 times"
 
 
 # -- the launcher ----------------------------------------------------------------------------------------------------

@@ -160,3 +160,12 @@ def test_a_node_behind_a_busy_one_may_have_more_to_report_than_it_has_yet() -> N
     assert made.implausible() == "", "the broker may have handled what the agent has sent since"
     made.report("agent", 1, {"tracks": 1}, {"clock": 2})
     assert made.implausible() != "", "now nobody is busy: one of the two does not tell the truth"
+
+
+def test_who_reports_more_than_all_others_have_heard_is_named_first() -> None:
+    made = pacer()
+    made.report("simulator", 1, {"clock": 2}, {})
+    made.report("agent", 1, {}, {"clock": 1})
+    made.report("broker", 1, {}, {"clock": 1})
+    said = "simulator reports 2 messages sent on clock, of which all who hear it have handled 1 (agent, broker)"
+    assert list(made.owing()) == [said]
