@@ -169,4 +169,4 @@ def test_whoever_is_killed_the_recording_can_be_read(launch, tmp_path: Path, vic
         assert run.end()[0] == 22, "a run that cannot be recorded any more has failed"
     frames = [message.frame for message in read(run.out) if message.key == "clock"]
     assert frames == list(range(len(frames)))
-    assert len(frames) >= (60 if victim == "launcher" else 25)
+    assert len(frames) >= 25, "a recorder on a busy machine is behind, but not by half of the run"

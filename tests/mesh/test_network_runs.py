@@ -120,9 +120,9 @@ def test_a_slow_link_makes_what_crosses_it_twice_later_by_twice_its_delay(two_ho
     assert len(far) > 20
     # Detections cross to the agent, tracks back. The quicker frames, for the machine may be busy with others; not the
     # very quickest, whose clock the stopwatch may have noted late.
-    quick = np.percentile(far, 10)
+    quick = np.percentile(far, 25)
     assert quick >= 40.0
-    rise = quick - np.percentile(near, 10)
+    rise = quick - np.percentile(near, 25)
     assert 30.0 < rise < 60.0
     measured = json.loads((run.out / "metrics.json").read_text())["latency_ms"]["by_wire"]
     for agent in WEST:
