@@ -28,6 +28,9 @@ from mast_zenoh.messagelog.writer import FILE
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
 
+#: A chunk holds little more than one message, and none is recorded that is longer than a node's inbox takes.
+MAX_CHUNK_BYTES = 256 << 20
+
 #: No message's log time is so much later than the time in its header: it is later by the rank of its key.
 _RANKS_NS = 1 << 16
 
@@ -212,7 +215,11 @@ def _messages(file: IO[bytes], path: Path, place: _Place, channels: dict[int, Ch
     """The messages of the chunk at a place; channels that it introduces are added to `channels`."""
     file.seek(place.byte)
     try:
-        records = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
+        chunk = Chunk.read(ReadDataStream(file))
+        if chunk.uncompressed_size > MAX_CHUNK_BYTES:  # zeros take no room in a file
+            found = f"{chunk.uncompressed_size} bytes in one chunk, expected at most {MAX_CHUNK_BYTES}"
+            raise RunFolderError(f"{path}: byte {place.byte}: found {found}")
+        records = breakup_chunk(chunk, validate_crc=True)
     except (McapError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
         raise RunFolderError(f"{path}: byte {place.byte}: a damaged chunk: {error}") from None
     count = 0

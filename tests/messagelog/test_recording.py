@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 from hypothesis import given, settings
@@ -241,6 +242,20 @@ def test_a_recording_that_had_just_begun_is_empty_and_readable(tmp_path: Path) -
     assert list(read(tmp_path / "run.mcap")) == []
     log.close()
     assert list(read(tmp_path / "run.mcap")) == []
+
+
+def test_a_chunk_that_claims_to_hold_more_than_any_can_is_refused_before_it_is_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path / "run.mcap", small_run())
+    unpacked = MagicMock()
+    monkeypatch.setattr("mast_zenoh.messagelog.reader.breakup_chunk", unpacked)
+    monkeypatch.setattr("mast_zenoh.messagelog.reader.MAX_CHUNK_BYTES", 100)
+    with pytest.raises(
+        RunFolderError, match=r"run\.mcap: byte \d+: found \d+ bytes in one chunk, expected at most 100"
+    ):
+        list(read(path))
+    unpacked.assert_not_called()
 
 
 def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
