@@ -251,9 +251,7 @@ def test_a_chunk_that_claims_to_hold_more_than_any_can_is_refused_before_it_is_u
     unpacked = MagicMock()
     monkeypatch.setattr("mast_zenoh.messagelog.reader.breakup_chunk", unpacked)
     monkeypatch.setattr("mast_zenoh.messagelog.reader.MAX_CHUNK_BYTES", 100)
-    with pytest.raises(
-        RunFolderError, match=r"run\.mcap: byte \d+: found \d+ bytes in one chunk, expected"
-    ):
+    with pytest.raises(RunFolderError, match=r"run\.mcap: byte \d+: found \d+ bytes in one chunk, expected"):
         list(read(path))
     unpacked.assert_not_called()
 
