@@ -19,16 +19,17 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import psutil
+from disturbing import Tried, left_behind, numbers, parser, tell
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.liveness import seen_now
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.reader import first_gap, read
 
 WAYS = (
     *("SIGINT", "SIGTERM", "SIGHUP", "SIGINT SIGINT", "SIGTERM SIGINT", "SIGINT SIGINT SIGINT"),
@@ -42,8 +43,8 @@ CODES = {
     "killed": (-9,),
     "": (130, 28, -9),
 }
+FRAMES = 60
 LONGEST_S = 120.0
-GONE_S = 10.0  # from the end of the launcher to that of its last node
 
 
 @dataclass(frozen=True)
@@ -66,16 +67,21 @@ class Plan:
         return cls(runtime, drawn.choice(WAYS), after_s, drawn.uniform(0.0, 1.0), drawn.randrange(1 << 14, 4 << 20))
 
 
-def end_one(plan: Plan, folder: Path) -> tuple[str, list[str]]:
+def command(runtime: str, out: Path) -> list[str]:
+    """What plays the run."""
+    run = [sys.executable, "-m", "mast_zenoh", "run", "baseline", "--mode", "lockstep", "--runtime", runtime]
+    return [*run, "--frames", str(FRAMES), "--out", str(out)]
+
+
+def end_one(plan: Plan, folder: Path, undisturbed: Path) -> tuple[str, list[str]]:
     """Carry out a plan in an empty folder: how the run ended, and the promises that it broke."""
     out = folder / "run"
-    command = [sys.executable, "-m", "mast_zenoh", "run", "baseline", "--runtime", plan.runtime, "--frames", "60"]
     limit: Callable[[], None] | None = None
     if plan.way == "disk":
         limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (plan.room, plan.room))  # noqa: E731
     reading, writing = os.pipe()
     with (folder / "stderr").open("wb") as errors:
-        process = subprocess.Popen([*command, "--out", str(out)], stdout=writing, stderr=errors, preexec_fn=limit)
+        process = subprocess.Popen(command(plan.runtime, out), stdout=writing, stderr=errors, preexec_fn=limit)
     os.close(writing)
     with open(reading, "rb") as output:
         reader = threading.Thread(target=_read, args=(output, plan.after_s if plan.way == "output" else LONGEST_S))
@@ -88,7 +94,7 @@ def end_one(plan: Plan, folder: Path) -> tuple[str, list[str]]:
             process.kill()
             return "hung", [f"did not end within {LONGEST_S:.0f} s"]
         reader.join()
-    return _judge(plan, out, code, (folder / "stderr").read_text(errors="replace"))
+    return _judge(plan, out, undisturbed, code, (folder / "stderr").read_text(errors="replace"))
 
 
 def _read(output: object, seconds: float) -> None:
@@ -123,7 +129,7 @@ def _answers(pid: int) -> bool:
     return bool(int(caught, 16) >> (signal.SIGTERM - 1) & 1)
 
 
-def _judge(plan: Plan, out: Path, code: int, errors: str) -> tuple[str, list[str]]:
+def _judge(plan: Plan, out: Path, undisturbed: Path, code: int, errors: str) -> tuple[str, list[str]]:
     """How it ended, in words, and what is wrong about that."""
     broken = []
     record = json.loads((out / "run.json").read_text()) if (out / "run.json").is_file() else {}
@@ -136,56 +142,56 @@ def _judge(plan: Plan, out: Path, code: int, errors: str) -> tuple[str, list[str
         broken.append(f"a traceback: {errors[-2000:]}")
     if code not in (0, -9) and "error: " not in errors:
         broken.append("no message")
-    deadline = time.monotonic() + GONE_S
-    while (left := _processes(out)) and time.monotonic() < deadline:
-        threading.Event().wait(0.1)
-    if left:
+    if left := left_behind(out):
         broken.append(f"processes left behind: {left}")
     if (out / "messages.mcap").is_file():
-        try:
-            messages = sum(1 for _ in read(out))
-            noted = record.get("recorded", {}).get("messages", messages)
-            if status != "killed" and noted != messages:
-                broken.append(f"{messages} messages are recorded, run.json says {noted}")
-        except RunFolderError as error:
-            broken.append(str(error))
+        broken += _wrongly_told(record, status, out, undisturbed)
     return f"{status or 'no run folder'}, exit code {code}", broken
 
 
-def _processes(out: Path) -> list[int]:
-    """Processes that have the run folder on their command line."""
-    found = []
-    for process in psutil.process_iter(["cmdline", "status"]):
-        alive = process.info["status"] != psutil.STATUS_ZOMBIE
-        if alive and any(str(out) in word for word in process.info["cmdline"] or ()) and process.pid != os.getpid():
-            found.append(process.pid)
-    return found
+def _wrongly_told(record: dict[str, Any], status: str, out: Path, undisturbed: Path) -> list[str]:
+    """What run.json says of the recording that is not so.
+
+    What it calls complete equals the undisturbed run, but for the last frame, in which the run may have ended. What it
+    calls incomplete equals it up to the frame that it names.
+    """
+    try:
+        frames = [message.frame for message in read(out)]
+        noted = record.get("recorded", {}).get("messages", len(frames))
+        if status != "killed" and noted != len(frames):
+            return [f"{len(frames)} messages are recorded, run.json says {noted}"]
+        said = record.get("recording", {"from_frame": first_gap(out)})
+        sound = min(said.get("from_frame", FRAMES), FRAMES if status == "ok" else max(frames, default=0))
+        if sound and compare(undisturbed, out, taps=True, before=sound).first is not None:
+            return [f"run.json says {said} of a recording that is not that of the undisturbed run before frame {sound}"]
+        if status != "killed" and "recording" not in record:
+            return ["run.json does not say whether the recording is complete"]
+    except RunFolderError as error:
+        return [str(error)]
+    return []
 
 
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--runtime", choices=("mesh", "inproc"), help="Default: either.")
-    parser.add_argument("--only", type=int, help="the number of one run")
-    arguments = parser.parse_args()
-    numbers = range(arguments.runs) if arguments.only is None else [arguments.only]
-    endings: Counter[str] = Counter()
-    failed = 0
-    for number in numbers:
-        plan = Plan.draw(arguments.seed, number, arguments.runtime)
-        with tempfile.TemporaryDirectory(prefix="mast-ending-") as folder:
-            how, broken = end_one(plan, Path(folder))
-        endings[how] += 1
-        print(f"{number:4} {plan.runtime:6} {plan.way:20} at {plan.after_s:4.1f} s: {how}", flush=True)
-        for promise in broken:
-            failed += 1
-            repeat = f"python tools/endings.py --seed {arguments.seed} --only {number}"
-            repeat += f" --runtime {arguments.runtime}" if arguments.runtime else ""
-            print(f"     BROKEN: {promise}\n     {repeat}", flush=True)
-    print("; ".join(f"{count} {how}" for how, count in endings.most_common()))
-    sys.exit(1 if failed else 0)
+    arguments = _arguments()
+    with tempfile.TemporaryDirectory(prefix="mast-ending-") as kept:
+        undisturbed = Path(kept) / "undisturbed"
+        subprocess.run([*command("inproc", undisturbed), "--no-report"], check=True, capture_output=True)
+
+        def carry_out(number: int) -> Tried:
+            plan = Plan.draw(arguments.seed, number, arguments.runtime)
+            with tempfile.TemporaryDirectory(prefix="mast-ending-") as folder:
+                how, broken = end_one(plan, Path(folder), undisturbed)
+            return Tried(number, f"{plan.runtime:6} {plan.way:20} at {plan.after_s:4.1f} s", how, broken)
+
+        more = ["--runtime", arguments.runtime] if arguments.runtime else []
+        tell(map(carry_out, numbers(arguments)), arguments.seed, *more)
+
+
+def _arguments() -> argparse.Namespace:
+    made = parser(__doc__, 100)
+    made.add_argument("--runtime", choices=("mesh", "inproc"), help="Default: either.")
+    return made.parse_args()
 
 
 if __name__ == "__main__":

@@ -18,13 +18,13 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import psutil
+from disturbing import Tried, left_behind, numbers, parser, tell
 
 from mast_zenoh.errors import (
     HandlerFailed,
@@ -55,7 +55,6 @@ SAID = {
 }
 LATEST_S = 6.0  # after the start of the nodes, a stop begins
 LONGEST_S = 240.0
-GONE_S = 10.0  # from the end of the launcher to that of its last node
 
 
 @dataclass(frozen=True)
@@ -159,7 +158,7 @@ def _judge(out: Path, undisturbed: Path, code: int, output: str) -> tuple[str, l
     status, broken = record["status"], []
     if "Traceback" in output:
         broken.append(f"a traceback: {output[-2000:]}")
-    if left := _left(out):
+    if left := left_behind(out):
         broken.append(f"processes left behind: {left}")
     try:
         found = compare(undisturbed, out, taps=True)
@@ -184,31 +183,9 @@ def _judge(out: Path, undisturbed: Path, code: int, output: str) -> tuple[str, l
     return how, broken
 
 
-def _left(out: Path) -> list[int]:
-    """Processes with the run folder on their command line that do not end."""
-    deadline = time.monotonic() + GONE_S
-    while True:
-        left = []
-        for process in psutil.process_iter(["cmdline", "status"]):
-            alive = process.info["status"] != psutil.STATUS_ZOMBIE
-            if alive and any(str(out) in word for word in process.info["cmdline"] or ()):
-                left.append(process.pid)
-        if not left or time.monotonic() > deadline:
-            return left
-        threading.Event().wait(0.1)
-
-
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--runs", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
-    parser.add_argument("--only", type=int, help="the number of one run")
-    arguments = parser.parse_args()
-    numbers = range(arguments.runs) if arguments.only is None else [arguments.only]
-    endings: Counter[str] = Counter()
-    failed = 0
+    arguments = _arguments()
     with tempfile.TemporaryDirectory(prefix="mast-stopped-") as kept, ThreadPoolExecutor(arguments.jobs) as pool:
         lock = threading.Lock()
 
@@ -218,22 +195,21 @@ def main() -> None:
             subprocess.run(command(scenario, out, "--runtime", "inproc"), check=True, capture_output=True)
             return out
 
-        def carry_out(number: int) -> tuple[int, Plan, str, str, list[str]]:
+        def carry_out(number: int) -> Tried:
             plan = Plan.draw(arguments.seed, number)
             with lock:
                 twin = undisturbed(plan.scenario)
             with tempfile.TemporaryDirectory(prefix="mast-stopped-") as folder:
-                return number, plan, *run_one(plan, twin, Path(folder))
+                done, how, broken = run_one(plan, twin, Path(folder))
+            return Tried(number, f"{plan.scenario:9} {done}", how, broken)
 
-        for number, plan, what, how, broken in pool.map(carry_out, numbers):
-            endings[how] += 1
-            print(f"{number:4} {plan.scenario:9} {what}: {how}", flush=True)
-            for promise in broken:
-                failed += 1
-                repeat = f"python tools/stopped.py --seed {arguments.seed} --only {number}"
-                print(f"     BROKEN: {promise}\n     {repeat}", flush=True)
-    print("; ".join(f"{count} {how}" for how, count in endings.most_common()))
-    sys.exit(1 if failed else 0)
+        tell(pool.map(carry_out, numbers(arguments)), arguments.seed)
+
+
+def _arguments() -> argparse.Namespace:
+    made = parser(__doc__, 50)
+    made.add_argument("--jobs", type=int, default=1, help="runs at a time")
+    return made.parse_args()
 
 
 if __name__ == "__main__":

@@ -1,0 +1,75 @@
+"""What tools/stopped.py and tools/endings.py say of a run that was disturbed: sound, or which promise is broken."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import endings
+import pytest
+import stopped
+
+from mast_zenoh import scenario
+from mast_zenoh.launch import local
+
+ERROR = "error: NodeLost: infra_1 was lost before frame 3"
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The undisturbed one, one that equals it, and one that does not."""
+    folder = tmp_path_factory.mktemp("runs")
+    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
+    made = [
+        local.run(
+            scenario.resolve(path, loaded, frames=4, seed=seed, record=True), folder / str(number), runtime="inproc"
+        )
+        for number, seed in enumerate((1, 1, 2))
+    ]
+    return [run.folder for run in made]
+
+
+def says(run: Path, **record: object) -> None:
+    path = run / "run.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | record))
+
+
+def test_a_run_that_equals_the_undisturbed_one_is_sound(runs: list[Path]) -> None:
+    assert stopped._judge(runs[1], runs[0], 0, "") == ("ok, exit code 0: equal", [])
+
+
+def test_a_run_that_differs_must_say_so(runs: list[Path]) -> None:
+    how, broken = stopped._judge(runs[2], runs[0], 0, "")
+    assert how == "ok, exit code 0: not equal"
+    assert "first difference" in broken[0] or "frame 0" in broken[0]
+    says(runs[2], status="node_lost", message="infra_1 was lost\nbecause")
+    how = "node_lost, exit code 33: not equal (infra_1 was lost)"
+    assert stopped._judge(runs[2], runs[0], 33, ERROR) == (how, [])
+    assert stopped._judge(runs[2], runs[0], 33, "")[1] == ["no message"]
+    assert stopped._judge(runs[2], runs[0], 0, ERROR)[1] == ["status 'node_lost' with exit code 0"]
+
+
+def test_a_run_that_is_ok_has_no_churn_and_no_traceback(runs: list[Path]) -> None:
+    assert stopped._judge(runs[1], runs[0], 0, "Traceback")[1]
+    says(runs[1], churn=[{"frame": 3, "node": "infra_1", "what": "lost"}])
+    assert stopped._judge(runs[1], runs[0], 0, "")[1]
+
+
+def test_a_plan_follows_from_its_number_and_every_scenario_has_its_turn() -> None:
+    plans = [stopped.Plan.draw(0, number) for number in range(12)]
+    assert plans == [stopped.Plan.draw(0, number) for number in range(12)]
+    assert {plan.scenario for plan in plans} == stopped.SCENARIOS.keys()
+    assert all(0.5 <= stop.for_s <= 10.0 for plan in plans for stop in plan.stops)
+
+
+def test_what_is_said_of_a_recording_must_be_so(runs: list[Path]) -> None:
+    def judged(run: Path, status: str, **said: object) -> list[str]:
+        record = json.loads((run / "run.json").read_text())
+        return endings._wrongly_told({**record, **said}, status, run, runs[0])
+
+    complete, cut = {"complete": True}, {"complete": False, "from_frame": 0}
+    assert judged(runs[1], "ok", recording=complete) == []
+    assert judged(runs[1], "ok", recording=complete, recorded={"messages": 7})[0].endswith("run.json says 7")
+    assert judged(runs[2], "interrupted", recording=cut) == []
+    assert "not that of the undisturbed run" in judged(runs[2], "interrupted", recording=complete)[0]
+    assert judged(runs[2], "killed", recorded={})  # nothing is missing of it, and it is another run
