@@ -6,7 +6,7 @@ docs/endings.md has the tables of all endings, and its tests read them.
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -18,6 +18,7 @@ from mast_zenoh.errors import (
     MastError,
     NodeLost,
     RunError,
+    StallError,
     StartError,
     is_disk_full,
 )
@@ -112,6 +113,12 @@ def written(note: Callable[[str], None]) -> Iterator[None]:
 def from_failed_start(line: str, exception: str) -> RunError:
     """The error of a run one of whose nodes failed in `start`, with an exception as `failures.described` has it."""
     return DiskFull(line) if exception.startswith(f"{DiskFull.__name__}:") else StartError(line)
+
+
+def of_stall(error: StallError, notices: Sequence[Mapping[str, Any]]) -> StallError:
+    """The same error with the messages that nodes refused: a flood can keep nodes from the messages they owe."""
+    refused = [notice["text"] for notice in notices if notice["kind"] == "rejected"]
+    return StallError(f"{error}; refused: {refused[0]}") if refused else error
 
 
 def _no_room(error: BaseException | None) -> BaseException | None:

@@ -374,6 +374,8 @@ class Launch:
             measured["latency_ms"] = latency.measured(Wiring.from_json(self.resolved.wiring), outcomes)
             measured["frames_per_second"] = self.record["timings"].get("frames_per_second")
         conclusion.write(self.resolved, self.folder, self.record, handed_in, measured)
+        if isinstance(self.problem, StallError):
+            self.problem = ending.of_stall(self.problem, self.record["notices"])
         if self.problem is None and EVALUATOR not in handed_in:
             self.problem = RunError("the evaluator handed in no results")
         if self.problem is not None:

@@ -11,7 +11,8 @@ import pytest
 from tiny_world import tiny
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import local, notices
+from mast_zenoh.errors import StallError
+from mast_zenoh.launch import ending, local, notices
 from mast_zenoh.report import write_report
 from mast_zenoh.resolved import Resolved
 
@@ -150,3 +151,10 @@ def test_a_run_too_short_to_leave_out_its_first_frames_says_so(tmp_path: Path, f
     assert json.loads((ended.folder / "metrics.json").read_text())["settled"] == (not expected)
     assert ("unsettled" in found) == bool(expected)
     assert expected in found.get("unsettled", "")
+
+
+def test_a_stall_tells_of_the_messages_that_were_refused() -> None:
+    refused = {"kind": "rejected", "count": 7, "text": "7 messages on 1 key (first: agent/x/mission: queued: …)"}
+    stall = StallError("stall: evaluator has handled 4 of 5 messages")
+    assert str(ending.of_stall(stall, [refused])) == f"{stall}; refused: {refused['text']}"
+    assert str(ending.of_stall(stall, [refused | {"kind": "foreign"}])) == str(stall)
