@@ -35,7 +35,7 @@ bench: .venv/ready
 	$(BIN)/python benchmarks/link.py
 
 docs: .venv/ready
-	$(BIN)/python -m mast_zenoh.documentation docs
+	$(BIN)/python tools/generate_docs.py docs
 
 # After a change of dependencies in pyproject.toml; `make lock UPGRADE=--upgrade` takes the newest versions of all.
 LOCK := $(TOOLS)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --custom-compile-command 'make lock'

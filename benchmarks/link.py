@@ -31,16 +31,19 @@ import msgpack
 import numpy as np
 import zenoh
 
-from mast_zenoh import bundle, codec, endpoints, keyexpr, links, loading, registry
+from mast_zenoh import links
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.links import Chain, Passage, Rule
-from mast_zenoh.messages import Header
-from mast_zenoh.runtime.mesh import MeshNode, prefix
-from mast_zenoh.runtime.session import open_client, open_router
-from mast_zenoh.runtime.stamp import ATTACHMENT, MARK
-from mast_zenoh.states import ObjectStates
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header
+from mast_zenoh.runtime.mesh.node import MeshNode, prefix
+from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
 from mast_zenoh.streams import stream
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring import endpoints, maps
+from mast_zenoh.wiring.model import Wiring
 
 WAYS = ("direct", "callback", "relay", "link", "wired")
 BARE = ("callback", "relay")
@@ -70,7 +73,7 @@ def wiring() -> Wiring:
         "broker": endpoints.NodeOptions("broker", {}, {"tracks": "tracks"}, {}),
         "link_ego": endpoints.NodeOptions("link", {"agent": "ego"}, link.inputs, link.outputs),
     }
-    return keyexpr.resolve([("benchmark", MAP)], nodes)
+    return maps.resolve([("benchmark", MAP)], nodes)
 
 
 def link_class() -> type:

@@ -28,11 +28,11 @@ from pathlib import Path
 import zenoh
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import local
-from mast_zenoh.resolved import Resolved
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.launch import run
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.runtime.session import open_client, open_router
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.wiring.model import Wiring
 
 #: What a node of a role waits for before it publishes, in the bare loop.
 TRIGGERS = {"agent": ("pose", "detections"), "broker": ("tracks",), "command_center": ("collated",)}
@@ -50,7 +50,7 @@ def payload_sizes(resolved: Resolved) -> dict[str, int]:
 def testbed(resolved: Resolved) -> float:
     """Frames/s of the testbed on its mesh."""
     with tempfile.TemporaryDirectory() as out:
-        ended = local.run(resolved, Path(out) / "run")
+        ended = run.run(resolved, Path(out) / "run")
         if ended.error:
             raise ended.error
         return float(ended.record["timings"]["frames_per_second"])

@@ -18,7 +18,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run
 from mast_zenoh.security.levels import LEVELS, SECURE
 
 GOAL = 0.7
@@ -29,7 +29,7 @@ def played(mode: str, level: str, frames: int) -> dict[str, float]:
     path, loaded = scenario.load("baseline")
     resolved = scenario.resolve(path, loaded, frames=frames, mode=mode)
     with tempfile.TemporaryDirectory() as out:
-        ended = local.run(resolved, Path(out) / "run", secure=level)
+        ended = run.run(resolved, Path(out) / "run", secure=level)
         if ended.error:
             raise ended.error
         if mode == "lockstep":

@@ -23,18 +23,19 @@ for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
     if _number != signal.SIGHUP or signal.getsignal(_number) != signal.SIG_IGN:
         signal.signal(_number, _end_at_once)
 
-from mast_zenoh import standard_streams, stop_signals  # noqa: E402  # these import what takes time
+from mast_zenoh.cli import standard_streams  # noqa: E402  # these import what takes time
+from mast_zenoh.launch import stop_signals  # noqa: E402
 
 
 def main() -> None:
     """Carry out the command, and end the process with its exit code; see docs/exit_codes.md."""
     standard_streams.replace()
-    from mast_zenoh import cli
+    from mast_zenoh.cli import app
 
     code = stop_signals.EXIT_CODE
     try:
         with stop_signals.interrupting():
-            code = cli.carry_out()
+            code = app.carry_out()
     except KeyboardInterrupt:
         sys.stderr.write("error: Interrupted: stopped before anything was started\n")
     for number in stop_signals.SIGNALS:

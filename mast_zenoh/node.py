@@ -11,7 +11,7 @@
 A node acts only on messages, and publishes only through its context. It never sees Zenoh, a socket, a clock or a
 global random generator: the runtime (`mast_zenoh.runtime`) owns them, so the same node runs in one process, on a
 mesh of processes, and on many hosts. What it publishes for a frame must depend on the set of messages of that frame,
-never on their order: `mast_zenoh.fusion.collation.Gather` is there for that.
+never on their order: `mast_zenoh.gather.Gather` is there for that.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from mast_zenoh.messages import Body
-from mast_zenoh.received import Overheard, Received, Unopened
-from mast_zenoh.wiring import Input, Wiring
+from mast_zenoh.messages.schemas import Body
+from mast_zenoh.wiring.model import Input, Wiring
+from mast_zenoh.wiring.received import Overheard, Received, Unopened
 
 #: All that the file of a node imports, and the runtime that hosts it.
 __all__ = ["Context", "Node", "Overheard", "Received", "Source", "Unopened", "handler_names"]
@@ -114,7 +114,7 @@ class Context(Protocol):
 class Node:
     """Base of all nodes. A subclass names its role and ports, and has a handler `on_<port>` for each input.
 
-    Parameters of `__init__` come from the scenario, built by their annotations (`mast_zenoh.registry`).
+    Parameters of `__init__` come from the scenario, built by their annotations (`mast_zenoh.config.registry`).
     """
 
     role: ClassVar[str] = ""

@@ -12,16 +12,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_local, states_to_world
+from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.attacks import Attack, PassThrough, Surroundings, Tampering, Targets
 from mast_zenoh.attacks.campaign import shortfall
 from mast_zenoh.attacks.surroundings import UNKNOWN
-from mast_zenoh.fusion.collation import LatestBefore
-from mast_zenoh.geometry import rotation_from_quaternion, states_to_local, states_to_world
-from mast_zenoh.messages import Body
+from mast_zenoh.gather import LatestBefore
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.process import main
+from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
-from mast_zenoh.states import Detections, ObjectStates
 from mast_zenoh.tracking.view import SensorView
 
 POSES_KEPT = 16  #: frames for which a message may be late on its wire and still be attacked

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import states_to_world
+from mast_zenoh.arrays.states import Detections, ObjectStates, propagate
 from mast_zenoh.fusion.agent_pipeline import AgentPipeline, Pose
-from mast_zenoh.fusion.collation import Gather, LatestBefore
-from mast_zenoh.geometry import states_to_world
+from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.process import main
+from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.sensing import LidarSensor
-from mast_zenoh.states import Detections, ObjectStates, propagate
 
 #: The frame of reference of what is in the world frame.
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}

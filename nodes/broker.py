@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.fusion.collation import CollationBuffer
-from mast_zenoh.geometry import states_to_world
-from mast_zenoh.messages import text
+from mast_zenoh.arrays.geometry import states_to_world
+from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
+from mast_zenoh.gather import CollationBuffer
+from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.process import main
-from mast_zenoh.states import ObjectStates, concatenate, propagate
+from mast_zenoh.runtime.mesh.main import main
 
 #: In SI units; a track beyond it is of no world, and brought to another time would make the whole batch unsound.
 MOST = 1e8

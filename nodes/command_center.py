@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion import Pipeline
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.process import main
-from mast_zenoh.states import ObjectStates
+from mast_zenoh.runtime.mesh.main import main
 
 
 class CommandCenter(Node):

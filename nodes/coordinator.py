@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.attacks import Coordination, Surroundings, Targets
 from mast_zenoh.attacks.campaign import shortfall
 from mast_zenoh.attacks.surroundings import UNKNOWN
-from mast_zenoh.fusion.collation import Gather
-from mast_zenoh.messages import Body
+from mast_zenoh.gather import Gather
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.process import main
-from mast_zenoh.states import ObjectStates, concatenate
+from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.tracking.view import SensorView
 
 

@@ -11,15 +11,15 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from mast_zenoh.arrays.geometry import states_to_world
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Pose
 from mast_zenoh.evaluation import Evaluation, Heard
-from mast_zenoh.geometry import states_to_world
 from mast_zenoh.metrics import Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Snapshot
 from mast_zenoh.node import Context, Node, Overheard
-from mast_zenoh.runtime.process import main
-from mast_zenoh.states import ObjectStates
-from mast_zenoh.wiring import ANY, Wiring
+from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.wiring.model import ANY, Wiring
 
 #: Numbers of messages of a wire that are remembered, so that one that is only passed on is recognised.
 REMEMBERED = 32

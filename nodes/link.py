@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh import codec
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import MessageError
-from mast_zenoh.fusion.collation import LatestBefore
+from mast_zenoh.gather import LatestBefore
 from mast_zenoh.links import FATES, WIRES, Chain, Outcome, Passage, Rule, displaced, flipped
-from mast_zenoh.messages import Body
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.process import main
-from mast_zenoh.states import Floats
+from mast_zenoh.runtime.mesh.main import main
 
 
 class Event(NamedTuple):

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.messages import codec
 from mast_zenoh.node import Context, Node, Overheard
-from mast_zenoh.runtime.process import main
-from mast_zenoh.wiring import ANY
+from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.wiring.model import ANY
 
 
 class Recorder(Node):

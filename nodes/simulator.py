@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.geometry import quaternion_from_rotation
-from mast_zenoh.messages import text
+from mast_zenoh.arrays.geometry import quaternion_from_rotation
+from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Source
-from mast_zenoh.runtime.process import main
+from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.scenes.recording import Recording
 
 

@@ -9,7 +9,7 @@ FILES = {
     # An attack that fails from frame 5 on, on the detections of infra_1.
     "attack": {
         "attack.py": """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 from mast_zenoh.attacks import Attack, Tampering
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
@@ -33,7 +33,7 @@ def scenario():
     # A stage of the command centre's pipeline that fails in every third frame.
     "center": {
         "center.py": """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 from mast_zenoh.fusion.clustering import SampledAssignmentClusterer
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
@@ -58,7 +58,7 @@ def scenario():
     # An adversary that cannot start.
     "start": {
         "start.py": """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 
@@ -94,7 +94,7 @@ class Idle(Node):
     # An evaluator that fails at the end.
     "evaluator": {
         "evaluator_fails.py": """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 
@@ -122,7 +122,7 @@ class Judge(Node):
     # A metric of the user's that fails beside one that does not.
     "metric": {
         "metric_fails.py": """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 from mast_zenoh.metrics import FrameMetric, RunMetric
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
@@ -146,7 +146,7 @@ def scenario():
     # Two further nodes that hear the clock alone, and return what would be metrics and tables.
     "second": {
         "second.py": """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import replace
 
+from mast_zenoh.arrays.geometry import within_range
+from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.attacks.application import carry_out
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, check_start
 from mast_zenoh.attacks.coverage import Coverage
@@ -15,8 +17,6 @@ from mast_zenoh.attacks.propagation import Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Tampering, Targets
-from mast_zenoh.geometry import within_range
-from mast_zenoh.states import Floats, ObjectStates
 from mast_zenoh.tracking.view import SensorView
 
 #: m; an object within this of a coordinator's target, which is the mean of several agents' tracks, may be that target.

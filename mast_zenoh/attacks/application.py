@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import within_range
+from mast_zenoh.arrays.matching import greedy
+from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.attacks.imitation import typical
 from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.targets import Changes, Tampering, Targets
-from mast_zenoh.geometry import within_range
-from mast_zenoh.matching import greedy
-from mast_zenoh.states import Floats, Ints, ObjectStates
-from mast_zenoh.tracking.neighbours import neighbours
 
 
 def alter(

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mast_zenoh.arrays.states import ObjectStates, propagate
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.propagation import Propagation
 from mast_zenoh.attacks.selection import Selection
 from mast_zenoh.attacks.targets import Targets
-from mast_zenoh.states import ObjectStates, propagate
 from mast_zenoh.streams import stream
 
 NANOSECONDS = 1e9

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.attacks.clusters import cluster_centres
 from mast_zenoh.attacks.coverage import Coverage, boxes_of
 from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.selection import Selection
 from mast_zenoh.attacks.surroundings import AgentSensor
 from mast_zenoh.attacks.targets import Targets
-from mast_zenoh.states import Bools, Floats, Ints, ObjectStates
 
 #: m; an object that is nearer than this to where the ego is, is the ego.
 EGO_M = 3.0

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.attacks.adversary import OWN_TARGET_M
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign
 from mast_zenoh.attacks.coverage import Coverage
@@ -16,7 +17,6 @@ from mast_zenoh.attacks.propagation import Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.selection import CoordinatedSelection, Selection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Targets
-from mast_zenoh.states import Floats, Ints, ObjectStates
 from mast_zenoh.tracking.view import SensorView
 
 #: m; a victim that is nearer than this to where the ego's route has it, is the ego.

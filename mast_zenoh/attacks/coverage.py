@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
-from mast_zenoh.states import Bools, Floats, ObjectStates
 from mast_zenoh.tracking.duplicates import overlap
-from mast_zenoh.tracking.neighbours import neighbours
 from mast_zenoh.tracking.view import SensorView
 
 #: Share of a box that must be in the field of view, see `SensorView.expects`.

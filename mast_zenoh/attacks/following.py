@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mast_zenoh.arrays.matching import greedy
+from mast_zenoh.arrays.neighbours import TABLE, neighbours
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.kernels import REFERENCES, kernel
-from mast_zenoh.matching import greedy
-from mast_zenoh.states import Bools, Floats, Ints, ObjectStates, concatenate
-from mast_zenoh.tracking.neighbours import TABLE, neighbours
 
 #: Columns of the table of tracks: place and velocity; s since it was last seen, and since it began; messages in which
 #: it was seen; the victim's id (-1: the wire has none); number of the target that it is (-1: none); row of the newest

@@ -8,11 +8,11 @@ from statistics import median
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.statistics import VictimStatistics
-from mast_zenoh.geometry import wrap_angle
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Floats, Ints, ObjectStates
 from mast_zenoh.streams import stream
 from mast_zenoh.tracking.view import SensorView
 

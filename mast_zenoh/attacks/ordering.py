@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.states import Ints, ObjectStates
+from mast_zenoh.arrays.states import Ints, ObjectStates
 
 
 def canonical_order(objects: ObjectStates, source: Ints | None = None) -> Ints:

@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mast_zenoh.geometry import wrap_angle
-from mast_zenoh.states import Floats, ObjectStates, propagate
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import Floats, ObjectStates, propagate
 
 #: m/s^2, of braking and of accelerating; comfortable in traffic (Bae et al., 2019: 2 to 3).
 MAX_ACCELERATION_MPS2 = 3.0

@@ -8,10 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
 from mast_zenoh.attacks.coverage import Coverage, touching
 from mast_zenoh.attacks.propagation import MAX_ACCELERATION_MPS2
-from mast_zenoh.geometry import rotation_from_quaternion
-from mast_zenoh.states import Bools, Floats, ObjectStates
 
 #: Places tried for each false object; one that finds none is left out.
 TRIES = 128

@@ -7,8 +7,8 @@ from math import sqrt
 
 import numpy as np
 
-from mast_zenoh.geometry import wrap_angle
-from mast_zenoh.states import Floats, ObjectStates
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import Floats, ObjectStates
 
 #: m, width and number of the bins of range; the last one is open.
 BIN_M, BINS = 20.0, 5

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.sensing.frames import sensor_pose
 from mast_zenoh.sensing.raycast import Walls
-from mast_zenoh.states import Bools, Floats, Ints
 from mast_zenoh.tracking.view import SensorView
 
 #: m; range of a sensor of which nothing is known.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.states import Bools, Floats, Ints, ObjectStates, concatenate, propagate
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate, propagate
 
 #: What can be done to an object; an attack report carries the index into this tuple.
 ACTIONS = ("inserted", "removed", "moved")

@@ -21,8 +21,8 @@ from mast_zenoh.checks.convergence import check_convergence
 from mast_zenoh.checks.evidence import Evidence
 from mast_zenoh.checks.processes import check_processes
 from mast_zenoh.checks.sequences import check_sequences
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.resolved import Resolved
 
 __all__ = ["FILE", "Check", "run"]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.checks import reference
 from mast_zenoh.checks.base import Check
 from mast_zenoh.checks.evidence import Evidence
 from mast_zenoh.metrics import Boxes, SetDistance
-from mast_zenoh.states import Floats, Ints
 
 NAME = "convergence"
 

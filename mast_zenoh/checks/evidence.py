@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_zenoh import codec
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.links import FATES, WIRES
 from mast_zenoh.messagelog import channels, reader
-from mast_zenoh.messages import Body
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body
+from mast_zenoh.wiring.model import Wiring
 
 #: In real time things happen about when they should; s of scene time.
 REALTIME_SLACK_S = 1.5

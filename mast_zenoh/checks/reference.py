@@ -9,13 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import codec, loading
-from mast_zenoh.messages import Message
-from mast_zenoh.resolved import RECORDING, NodeSpec, Resolved
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.config import loading
+from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Message
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.states import Floats
-from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 PICTURE = "cc/picture"
 

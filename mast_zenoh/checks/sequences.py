@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from mast_zenoh.checks.base import Check
 from mast_zenoh.checks.evidence import Evidence, Fate, Id
-from mast_zenoh.wiring import Leg, Wire
+from mast_zenoh.wiring.model import Leg, Wire
 
 NAME = "sequences"
 _SHOWN = 5

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import msgpack
 
+from mast_zenoh.config.process_steps import ACTIONS
 from mast_zenoh.control import CONTROLS, fields
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import SCHEMAS
-from mast_zenoh.steps import ACTIONS
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.messages.schemas import SCHEMAS
+from mast_zenoh.wiring.model import Wiring
 
 MAX_EPOCH = 1 << 32  #: as in the attachment of data messages
 _MAX_COUNTS = CONTROLS["counts"].max_bytes

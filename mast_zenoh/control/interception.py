@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control import fields
 from mast_zenoh.control.flow import wiring_of
 from mast_zenoh.errors import MessageError
-from mast_zenoh.interposition import Place
-from mast_zenoh.resolved import NodeSpec
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.insertion import Place
+from mast_zenoh.wiring.model import Wiring
 
 _SPEC = ("file", "type", "role", "config", "on_exit")
 _PLACE = ("wire", "input", "output", "hears", "says")

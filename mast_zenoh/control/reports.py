@@ -6,13 +6,12 @@ from typing import Any
 
 import msgpack
 
-from mast_zenoh.control import fields
+from mast_zenoh.control import fields, results
+from mast_zenoh.control.failures import Entry
 from mast_zenoh.control.files import versions
 from mast_zenoh.control.invalid import OTHERS
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.churn import BACK, LOST
-from mast_zenoh.runtime import results
-from mast_zenoh.runtime.failures import Entry
 
 #: Bytes that a node may hand in. The evaluator's tables have a row for each object, agent and frame.
 MAX_RESULT = 32 << 20

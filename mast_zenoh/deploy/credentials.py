@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.deploy.compose.document import CREDENTIALS, ROUTER, ROUTER_SETTINGS
-from mast_zenoh.launch.launching import Launch
-from mast_zenoh.runtime.mesh import prefix
+from mast_zenoh.launch.mesh_run import Launch
+from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 
 def deployment(launch: Launch) -> Deployment:

@@ -10,16 +10,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from mast_zenoh import release
+from mast_zenoh import version as release
 from mast_zenoh.deploy import docker as engine
 from mast_zenoh.deploy import image
 from mast_zenoh.deploy.compose.engine import command
 from mast_zenoh.deploy.swarm.engine import check_manager
 from mast_zenoh.deploy.swarm.placement import machines
 from mast_zenoh.errors import BackendError, EngineError
-from mast_zenoh.launch.network import machine
-from mast_zenoh.launch.network.namespaces import Owner
-from mast_zenoh.runtime.session import open_router
+from mast_zenoh.launch.netns import machine
+from mast_zenoh.launch.netns.namespaces import Owner
+from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import explain
 
 
@@ -44,7 +44,9 @@ def examine(credentials: Path | None = None, endpoint: str | None = None) -> Ite
 
 def python() -> Finding:
     """The interpreter, and this package."""
-    return Finding("python", sys.version_info >= (3, 11), f"{platform.python_version()}, mast-zenoh {release.named()}")
+    return Finding(
+        "python", sys.version_info >= (3, 11), f"{platform.python_version()}, mast-zenoh {release.version_string()}"
+    )
 
 
 def mesh() -> Finding:

@@ -7,7 +7,8 @@ import tempfile
 from pathlib import Path
 
 import mast_zenoh
-from mast_zenoh import bundle, kernels, release
+from mast_zenoh import kernels, version
+from mast_zenoh.config import bundle
 from mast_zenoh.deploy import wheel
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.errors import EngineError
@@ -55,13 +56,13 @@ def check(tag: str = TAG) -> None:
     if code != _code():
         raise EngineError(
             f"the image {tag} holds mast-zenoh {mast_zenoh.__version__} (sources {code or 'unknown'}), this is "
-            f"{release.named()}: build it again by `mast deploy image`"
+            f"{version.version_string()}: build it again by `mast deploy image`"
         )
 
 
 def _code() -> str:
     """What an image made here carries: these sources, and compiled kernels if there are any here."""
-    return release.fingerprint() + ("+kernels" if kernels.COMPILED else "")
+    return version.fingerprint() + ("+kernels" if kernels.COMPILED else "")
 
 
 def size_over_base(tag: str = TAG, base: str = BASE) -> int:

@@ -10,7 +10,7 @@ import zenoh
 
 from mast_zenoh.errors import CredentialsError, EngineError, Interrupted
 from mast_zenoh.launch.supervisor import how_ended
-from mast_zenoh.runtime.session import open_client
+from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.security import explain
 from mast_zenoh.security.credentials import UNREACHED, Credentials
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import DiskFull
-from mast_zenoh.resolved import Resolved
 
 #: Logs, tables, figures, and what is not to be taken from everybody else.
 _ALWAYS = 64 << 20

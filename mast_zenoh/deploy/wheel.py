@@ -16,7 +16,7 @@ from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 
 import mast_zenoh
-from mast_zenoh import bundle
+from mast_zenoh.config import bundle
 from mast_zenoh.errors import EngineError
 
 REQUIREMENTS = "node-requirements.txt"

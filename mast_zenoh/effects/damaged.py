@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mast_zenoh.received import Overheard
+from mast_zenoh.wiring.received import Overheard
 
 #: What identifies a message among those of its wire's publisher: frame and sequence number.
 Id = tuple[int, int]

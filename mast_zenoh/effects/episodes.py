@@ -7,8 +7,8 @@ from math import hypot
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.effects.table import Effects
-from mast_zenoh.states import Floats, Ints
 
 #: s, for which an inserted object may be left out of the messages and still be the same one.
 LONGEST_GAP_S = 1.0

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from mast_zenoh.effects.message_effects import Interval
 from mast_zenoh.effects.passages import PassageMeter
-from mast_zenoh.received import Overheard
-from mast_zenoh.wiring import Passage, Wiring
+from mast_zenoh.wiring.model import Passage, Wiring
+from mast_zenoh.wiring.received import Overheard
 
 
 class Meter:

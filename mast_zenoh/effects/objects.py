@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects.rows import UNCHANGED, Changes, compare, has_objects
-from mast_zenoh.messages import Body
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.manipulations import INSERTED, REMOVED
-from mast_zenoh.states import Bools, Floats, Ints
 
 #: Columns that say what the frame of reference of all positions is: in the world, or in the agent's frame.
 _REFERENCES = (("origin", "rotation"), ("mount_position", "mount_rotation"))

@@ -18,7 +18,7 @@ from mast_zenoh.effects.message_effects import (
 )
 from mast_zenoh.effects.objects import ObjectChanges, Passed
 from mast_zenoh.errors import MessageError
-from mast_zenoh.received import Overheard
+from mast_zenoh.wiring.received import Overheard
 
 #: Changed messages that are compared at once.
 BATCH = 64

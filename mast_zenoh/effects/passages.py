@@ -17,9 +17,9 @@ from mast_zenoh.effects.message_effects import (
 )
 from mast_zenoh.effects.passage_effects import PassageEffects
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import same_columns
-from mast_zenoh.received import Overheard
-from mast_zenoh.wiring import Passage
+from mast_zenoh.messages.schemas import same_columns
+from mast_zenoh.wiring.model import Passage
+from mast_zenoh.wiring.received import Overheard
 
 #: Messages of one passage that wait for their counterpart; beyond these the oldest is judged without it.
 MOST_WAITING = 4096

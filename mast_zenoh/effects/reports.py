@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.matching import greedy
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects.message_effects import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
-from mast_zenoh.matching import greedy
-from mast_zenoh.messages import Body
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.boxes import pairs_within
 from mast_zenoh.metrics.lookup import find, occurs
 from mast_zenoh.metrics.manipulations import KINDS
 from mast_zenoh.metrics.places import Places
-from mast_zenoh.states import Bools, Floats, Ints
 
 #: m, from the place that a report names to that of the effect on the wire.
 SAME_PLACE_M = 0.05

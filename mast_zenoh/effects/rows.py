@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.matching import cheapest
-from mast_zenoh.messages import SCHEMAS, Body
+from mast_zenoh.arrays.matching import cheapest
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.messages.schemas import SCHEMAS, Body
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
-from mast_zenoh.states import Bools, Floats, Ints
 
 #: Beside the kinds of manipulation: nothing happened to the object.
 UNCHANGED = -1

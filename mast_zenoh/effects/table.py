@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.effects.message_effects import MESSAGE_EFFECTS
 from mast_zenoh.effects.passages import PassageMeter
 from mast_zenoh.effects.rows import UNCHANGED
-from mast_zenoh.geometry import rotation_from_quaternion
 from mast_zenoh.metrics.manipulations import KINDS, MOVED
-from mast_zenoh.states import Floats, Ints
-from mast_zenoh.wiring import Passage
+from mast_zenoh.wiring.model import Passage
 
 #: Every effect, by its code in `Effects`: what happens to objects, then what happens to whole messages.
 EFFECTS = KINDS + MESSAGE_EFFECTS

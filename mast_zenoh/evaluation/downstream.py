@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED, RECEIVED
-from mast_zenoh.states import Bools
-from mast_zenoh.wiring import Passage
+from mast_zenoh.wiring.model import Passage
 
 _OF_THE_CENTRE = (PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
 _OF_THE_DOWNLINK = (PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)

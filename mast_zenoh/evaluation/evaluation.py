@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools
 from mast_zenoh.effects import Effects, effects_of, reports
 from mast_zenoh.evaluation.from_effects import Limits, absent, manipulations, stopped
 from mast_zenoh.evaluation.heard import Heard
@@ -31,7 +32,6 @@ from mast_zenoh.metrics import (
 )
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import COLUMNS
-from mast_zenoh.states import Bools
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.episodes import insertions
 from mast_zenoh.evaluation.downstream import reached
 from mast_zenoh.metrics import Boxes, Manipulations
 from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED
 from mast_zenoh.metrics.places import Places, nearest
-from mast_zenoh.states import Bools, Ints
-from mast_zenoh.wiring import Passage
+from mast_zenoh.wiring.model import Passage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mast_zenoh.effects import Meter, Pose
-from mast_zenoh.messages import Body
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics import Presence, Record
 
 _PERIOD_S = 0.1  #: of a run of which a single frame is known

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.effects import Effects
 from mast_zenoh.effects.message_effects import Spoof
-from mast_zenoh.geometry import rotation_from_quaternion
 from mast_zenoh.metrics import Manipulations
 from mast_zenoh.metrics.manipulations import MOVED, REMOVED
 from mast_zenoh.metrics.record import TruthTable
-from mast_zenoh.states import Floats, Ints
 
 #: Effects on a pose without which an agent cannot place what it sees.
 _WITHHELD = ("dropped", "delayed", "corrupted", "unsettled")

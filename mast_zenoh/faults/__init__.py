@@ -10,6 +10,7 @@
 Pure: nothing here starts, kills or sends. See docs/faults.md.
 """
 
+from mast_zenoh.config.process_steps import ACTIONS, ProcessStep
 from mast_zenoh.faults.base import Fault
 from mast_zenoh.faults.churn import Join, Kill, Leave, Pause, ProcessFault, Restart, Unplug
 from mast_zenoh.faults.impairments import (
@@ -28,7 +29,6 @@ from mast_zenoh.faults.impairments import (
 )
 from mast_zenoh.faults.plan import Plan, plan
 from mast_zenoh.faults.schedule import random_schedule
-from mast_zenoh.steps import ACTIONS, ProcessStep
 
 __all__ = [
     "ACTIONS",

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Ints
+from mast_zenoh.config.process_steps import REALTIME, UNDONE_BY, ProcessStep
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import targets
 from mast_zenoh.faults.base import DIRECTIONS, Fault, Rule
-from mast_zenoh.states import Ints
-from mast_zenoh.steps import REALTIME, UNDONE_BY, ProcessStep
 from mast_zenoh.streams import stream
 
 #: What becomes of a node by an action: the states that it may be in, and the one it is in afterwards.

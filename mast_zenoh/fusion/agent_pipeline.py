@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.states import Detections, Floats, ObjectStates, concatenate
 from mast_zenoh.fusion.base import Clusterer, Fusion
-from mast_zenoh.geometry import rotation_from_quaternion
 from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
-from mast_zenoh.states import Detections, Floats, ObjectStates, concatenate
 from mast_zenoh.tracking.base import Tracker
-from mast_zenoh.tracking.neighbours import neighbours
 from mast_zenoh.tracking.view import SensorView
 
 _NO_OFFSET = np.zeros(3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from mast_zenoh.states import Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 
 
 class Clusterer(ABC):

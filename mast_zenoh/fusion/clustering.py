@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 
+from mast_zenoh.arrays.neighbours import TABLE, neighbours
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.tracking.neighbours import TABLE, neighbours
 
 
 class SampledAssignmentClusterer(Clusterer):

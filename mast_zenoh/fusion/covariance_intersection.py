@@ -6,10 +6,10 @@ from typing import Literal
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Fusion
 from mast_zenoh.fusion.members import Members, state_vectors
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Floats, Ints, ObjectStates
 from mast_zenoh.tracking.inversion import inverse
 
 #: Steps of the search for weights: the trace is then within 1 % of the least one.

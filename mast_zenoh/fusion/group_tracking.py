@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.fusion.base import Fusion, GroupTracker
-from mast_zenoh.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
-from mast_zenoh.tracking.neighbours import neighbours
 
 _BIPARTITE = BipartiteAssignment()
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.tracking.soundness import sound
 from mast_zenoh.tracking.tracks import known_class
 

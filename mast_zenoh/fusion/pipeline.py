@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer, GroupTracker, Pipeline
-from mast_zenoh.states import Floats, Ints, ObjectStates
 
 
 class CommandCenterPipeline(Pipeline):

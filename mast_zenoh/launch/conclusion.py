@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import results
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import notices
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import results
 
 
 def write(

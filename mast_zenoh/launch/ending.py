@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from mast_zenoh import stop_signals
 from mast_zenoh.errors import (
     DiskFull,
     HandlerFailed,
@@ -22,6 +21,7 @@ from mast_zenoh.errors import (
     StartError,
     is_disk_full,
 )
+from mast_zenoh.launch import stop_signals
 
 RUNNING, KILLED, OK = "running", "killed", "ok"
 _NAMES = {"": "Ctrl-C", "SIGINT": "Ctrl-C", "SIGHUP": "SIGHUP: its terminal is gone"}

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import zenoh
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.resolved import Resolved
 
 if TYPE_CHECKING:
-    from mast_zenoh.launch.launching import Launch
+    from mast_zenoh.launch.mesh_run import Launch
 
 
 class Engine(ABC):

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh import kernels
+from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messagelog.reader import first_gap
-from mast_zenoh.resolved import NodeSpec
-from mast_zenoh.runtime.results import EVALUATOR, TABLES, counts_of
 
 #: Takes up room until the final run.json is written: a run that filled the disk can still say so.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
@@ -173,7 +173,9 @@ def _write_named(folder: Path, name: object, table: object) -> str:
         return f"found a {type(table).__name__}, expected a dict of columns"
     if len(table) > MAX_COLUMNS:
         return f"found {len(table)} columns, expected at most {MAX_COLUMNS}"
-    from mast_zenoh.tables import write_table  # only the launcher writes tables; nodes must not pay for the import
+    from mast_zenoh.launch.tables import (
+        write_table,  # only the launcher writes tables; nodes must not pay for the import
+    )
 
     folder.mkdir(parents=True, exist_ok=True)
     try:

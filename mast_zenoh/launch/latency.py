@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.wiring import Wire, Wiring
+from mast_zenoh.wiring.model import Wire, Wiring
 
 #: When the first message of each frame came, by key and frame, ns; and when each frame was sent, ns.
 Arrivals = Mapping[str, Mapping[int, int]]

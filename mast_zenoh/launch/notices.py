@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.messagelog import churn
-from mast_zenoh.resolved import Resolved
 
 #: Other counters of a broker, and what they count.
 _LEFT_OUT = {

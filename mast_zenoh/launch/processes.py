@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import IO, Any
 
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.resolved import NodeSpec
 
 #: One thread per node: many small arrays gain nothing from more, and the nodes share the machine.
 ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

@@ -13,10 +13,10 @@ import zenoh
 
 from mast_zenoh.control import files
 from mast_zenoh.control import reports as control
+from mast_zenoh.control.failures import Entry, merged
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.supervisor import Child
-from mast_zenoh.runtime.failures import Entry, merged
 
 #: Reports of one node that may wait to be looked at; a node of ours sends results one at a time.
 MAX_WAITING = {"result": 2, "failed": 1000}

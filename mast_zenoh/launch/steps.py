@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.errors import BackendError, MessageError
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.resolved import NodeSpec, Resolved
-from mast_zenoh.steps import ProcessStep
 
 _LEAVE_GRACE_S = 5.0  # for a node that was asked to leave, before it is started again
 

@@ -7,8 +7,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import Any, Generic, TypeVar
 
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import BackendError
-from mast_zenoh.resolved import NodeSpec
 
 MAX_RESTARTS = 5
 

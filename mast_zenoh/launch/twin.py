@@ -11,14 +11,16 @@ from typing import Any
 
 from rich.console import Console
 
-from mast_zenoh import interposition, loading, release
+from mast_zenoh import version
+from mast_zenoh.config import loading
+from mast_zenoh.config.resolved import RECORDING, Resolved
 from mast_zenoh.errors import HandlerFailed, MastError, NotComparable
 from mast_zenoh.launch import folder as run_folder_files
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run
 from mast_zenoh.launch.folder import json_or_empty
-from mast_zenoh.resolved import RECORDING, Resolved
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring import insertion
+from mast_zenoh.wiring.model import Wiring
 
 #: Where it lies in the folder of its run, and what it is called.
 FOLDER, NAME = "twin", "unattacked"
@@ -45,7 +47,7 @@ def unattacked(resolved: Resolved) -> Resolved:
         name=NAME,
         mode="lockstep",
         nodes=nodes,
-        wiring=interposition.never_inserted(wiring, gone).to_json(),
+        wiring=insertion.never_inserted(wiring, gone).to_json(),
         timeline=tuple(each for each in resolved.timeline if each["kind"] != "attack"),
         steps=tuple(step for step in resolved.steps if step.node not in gone),
     )
@@ -58,7 +60,7 @@ def of(run_folder: Path, console: Console | None = None) -> Path:
     Raises NotComparable when the run's scenario cannot be read, or cannot be played in one process.
     """
     twin = _read(run_folder)
-    sources = {"versions": release.versions(), "files": _digests(twin)}
+    sources = {"versions": version.versions(), "files": _digests(twin)}
     folder = run_folder / FOLDER
     if _is_played(folder, twin) and _is_up_to_date(folder, sources):
         return folder
@@ -72,7 +74,7 @@ def of(run_folder: Path, console: Console | None = None) -> Path:
             "faults: run the scenario without adversaries yourself, and name that folder with --against"
         )
     try:
-        ended = local.run(replace(twin, network={}), folder, runtime="inproc", console=console)
+        ended = run.run(replace(twin, network={}), folder, runtime="inproc", console=console)
     except MastError as error:
         raise NotComparable(f"the unattacked twin of {run_folder} cannot be played: {error}") from error
     if ended.error and not isinstance(ended.error, HandlerFailed):

@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.states import Floats
+from mast_zenoh.arrays.states import Floats
 
 NANOSECONDS = 1e9
 LONGEST_S = 600.0  #: no rule holds a message up for longer

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.links.base import NANOSECONDS, Passage, Rule, expect, expect_part
-from mast_zenoh.states import Floats
 
 MOST_FLIPS = 1000
 FARTHEST_M = 1e5

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.links.base import Passage, Rule, expect, expect_part
-from mast_zenoh.states import Floats
 
 
 class Loss(Rule):

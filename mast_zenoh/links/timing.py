@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.links.base import LONGEST_S, NANOSECONDS, Passage, Rule, expect, expect_duration, expect_part
-from mast_zenoh.states import Floats
 
 Distribution = Literal["constant", "normal", "gamma", "lognormal"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from mast_zenoh.messages import Column, Schema
-from mast_zenoh.wiring import TAP
+from mast_zenoh.messages.schemas import Column, Schema
+from mast_zenoh.wiring.model import TAP
 
 PROFILE = "mast-zenoh"
 ENCODING = "msgpack"

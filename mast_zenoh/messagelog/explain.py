@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.difference import Difference
 from mast_zenoh.messagelog.reader import Recorded
-from mast_zenoh.messages import SCHEMAS, Column, Message
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import SCHEMAS, Column, Message
 
 _WIRES_SHOWN = 12
 _HEADER_UNITS = {"time_ns": " ns"}

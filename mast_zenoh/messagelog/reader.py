@@ -20,10 +20,10 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
-from mast_zenoh import codec
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
 from mast_zenoh.messagelog.writer import FILE
+from mast_zenoh.messages import codec
 
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")

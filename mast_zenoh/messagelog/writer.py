@@ -12,8 +12,8 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import channels
 from mast_zenoh.messagelog.events import EVENT, ORDER, STEPS, Event
-from mast_zenoh.messages import SCHEMAS, Header
-from mast_zenoh.wiring import Input
+from mast_zenoh.messages.schemas import SCHEMAS, Header
+from mast_zenoh.wiring.model import Input
 
 if TYPE_CHECKING:
     from mcap.writer import Writer

@@ -22,6 +22,7 @@ from mast_zenoh.metrics.attribution import Attribution
 from mast_zenoh.metrics.blame import causes_of
 from mast_zenoh.metrics.boxes import Boxes
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, FAULT_CAUSES, named
+from mast_zenoh.metrics.cut_off import Presence, Reach, Severed
 from mast_zenoh.metrics.driving import Driving
 from mast_zenoh.metrics.increments import increments
 from mast_zenoh.metrics.manipulations import Manipulations
@@ -30,7 +31,6 @@ from mast_zenoh.metrics.overlap import birdseye_intersection, iou_3d
 from mast_zenoh.metrics.record import ESTIMATORS, Record, Series
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table
 from mast_zenoh.metrics.scoring import Scorer
-from mast_zenoh.metrics.severed import Presence, Reach, Severed
 from mast_zenoh.metrics.user_metrics import Estimate, FrameMetric, Metric, RunMetric
 
 __all__ = [

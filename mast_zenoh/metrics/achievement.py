@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.displacement import followed
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.record import MISSION, PICTURE, TruthTable
 from mast_zenoh.metrics.scores import MATCHED, MISSED, UNEVALUATED, Scores, Table, Texts
-from mast_zenoh.states import Bools, Floats, Ints
 
 #: Name in the summary of all adversaries together.
 ALL = "all"

@@ -6,10 +6,10 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from mast_zenoh.matching import cheapest, greedy
+from mast_zenoh.arrays.matching import cheapest, greedy
+from mast_zenoh.arrays.states import Ints
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
 from mast_zenoh.metrics.overlap import iou_3d
-from mast_zenoh.states import Ints
 
 
 class Assigner(ABC):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.causes import (
     CLUTTER,
     DUPLICATE,
@@ -21,14 +22,13 @@ from mast_zenoh.metrics.causes import (
     joined,
     shown,
 )
+from mast_zenoh.metrics.cut_off import Severed
 from mast_zenoh.metrics.histories import Histories
 from mast_zenoh.metrics.lookup import find, latest, occurs
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, Manipulations
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.record import LOCAL, RECEIVED, TruthTable
 from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores, Texts
-from mast_zenoh.metrics.severed import Severed
-from mast_zenoh.states import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Ints
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, FAULT_CAUSES, UNKNOWN
 from mast_zenoh.metrics.scores import Scores
-from mast_zenoh.states import Ints
 
 
 def causes_of(scores: Scores, cause: Ints, switch_cause: Ints, frames: Ints) -> list[dict[str, Any]]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Floats, Ints
 
 
 @dataclass(frozen=True, slots=True)

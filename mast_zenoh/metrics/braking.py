@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from mast_zenoh.states import Bools, Floats
+from mast_zenoh.arrays.states import Bools, Floats
 
 #: m/s; a vehicle that is slower stands, and need not brake.
 STANDING_MPS = 0.3

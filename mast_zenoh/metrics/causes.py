@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.places import Places
-from mast_zenoh.states import Bools, Ints
 
 #: Causes of false tracks, missed objects and identity switches: attacks first, with the codes of KINDS.
 CAUSES = (*KINDS, "duplicate", "lag", "occlusion or range", "clutter", "tracking", "fusion", "link or fault")

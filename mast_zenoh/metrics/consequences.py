@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.attribution import Labels
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.driving import Ahead, Driving, Objects, Vehicle
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.record import LOCAL, MISSION, Record, Series, TruthTable
 from mast_zenoh.metrics.scores import FALSE, MISSED, Scores, Table
-from mast_zenoh.states import Bools, Floats, Ints
 
 TRUTH = "truth"
 #: The estimates by which a vehicle might drive.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.manipulations import MOVED, Manipulations
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.metrics.scores import Scores, Texts
-from mast_zenoh.states import Bools, Floats, Ints
 
 
 def followed(

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Boxes, pairs_in_groups
 from mast_zenoh.metrics.braking import BrakingRule, SafeDistance, time_to_collision
 from mast_zenoh.metrics.overlap import birdseye_intersection
-from mast_zenoh.states import Bools, Floats, Ints
 
 #: m, between points of the path; and from such a point to the centre of an object that may reach into the corridor.
 _STEP_M, _REACH_M = 1.0, 8.0

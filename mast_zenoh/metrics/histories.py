@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.places import Places
 from mast_zenoh.metrics.scores import UNEVALUATED, Scores
-from mast_zenoh.states import Bools, Floats, Ints
 
 #: Ids below it are used as they are; an adversary may send any.
 _PLAIN_IDS = 1 << 32

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.record import PICTURE
 from mast_zenoh.metrics.scores import Table, mean_and_std
-from mast_zenoh.states import Floats
 
 COUNTS = ("fn", "fp", "tp")
 

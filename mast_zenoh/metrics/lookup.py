@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mast_zenoh.states import Bools, Ints
+from mast_zenoh.arrays.states import Bools, Ints
 
 _MOST = 1 << 62
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.states import Bools, Floats, Ints
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 
 #: Kinds of manipulation, by their code.
 KINDS = ("inserted", "removed", "moved", "altered")

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.matching import cheapest
+from mast_zenoh.arrays.matching import cheapest
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
-from mast_zenoh.states import Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

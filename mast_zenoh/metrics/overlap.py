@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics.boxes import Boxes
-from mast_zenoh.states import Bools, Floats
 
 _CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 #: m, how far outside a side a corner may lie and still count as on it; keeps coinciding boxes whole.

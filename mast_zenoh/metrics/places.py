@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
-from mast_zenoh.states import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.boxes import Boxes
-from mast_zenoh.states import Floats, Ints, ObjectStates
 
 #: What an agent believes from its own sensors alone, as it computed it, and as the broker received it.
 LOCAL, RECEIVED = "local", "received"

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Boxes
 from mast_zenoh.metrics.record import place_of
-from mast_zenoh.states import Bools, Floats, Ints
 
 #: A table: one array per column, all of one length.
 Table = dict[str, NDArray[Any]]

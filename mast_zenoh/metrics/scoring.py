@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, order_by
 from mast_zenoh.metrics.ospa import SetDistance
 from mast_zenoh.metrics.record import Record, Series, TruthTable
 from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUATED, Judged, Scores, Seen, Switches
-from mast_zenoh.states import Bools, Floats, Ints
 
 
 class Scorer:

@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.attribution import Labels
 from mast_zenoh.metrics.causes import named
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table, Texts, mean_and_std
-from mast_zenoh.states import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,8 @@ illustrations        which figures a page has;  html, page: the pages themselves
 study_*              tables, figures and pages of studies with trials;  attempts_table: of outsiders
 """
 
-from mast_zenoh.report import backend  # noqa: F401  # first: imports Matplotlib
+from mast_zenoh.report.figures import backend  # noqa: F401  # first: imports Matplotlib
 from mast_zenoh.report.html import write_report, write_study_report
-from mast_zenoh.report.table import ScoreTable, as_markdown, as_rich, score_table
+from mast_zenoh.report.tables.scores import ScoreTable, as_markdown, as_rich, score_table
 
 __all__ = ["ScoreTable", "as_markdown", "as_rich", "score_table", "write_report", "write_study_report"]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from mast_zenoh.report.table import DASH
+from mast_zenoh.report.tables.scores import DASH
 
 #: Who can be to blame, as in `fn_split` and `fp_split` of metrics.json.
 BLAMED = ("fault", "attack", "natural")

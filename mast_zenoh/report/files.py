@@ -12,10 +12,10 @@ import pyarrow
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import MastError
+from mast_zenoh.launch.tables import from_arrow, read_arrow
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.states import Bools
-from mast_zenoh.tables import from_arrow, read_arrow
 
 #: A table: one array per column, all of one length.
 Table = dict[str, NDArray[Any]]

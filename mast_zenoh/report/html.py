@@ -12,19 +12,12 @@ from urllib.parse import quote
 
 import numpy as np
 
+from mast_zenoh.control import failures
 from mast_zenoh.report import comparison
-from mast_zenoh.report.achievement import achieved_rows
-from mast_zenoh.report.changes import largest_change
-from mast_zenoh.report.circumstances import reference_status
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.driving import driving_rows
 from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
-from mast_zenoh.report.illustrations import how_chosen, run_figures, study_figures
-from mast_zenoh.report.interposers import BAD, EFFECTS, exit_expected, failures_of, interposers
-from mast_zenoh.report.page import render
-from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.table import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
-from mast_zenoh.report.view import (
+from mast_zenoh.report.figures.catalogue import how_chosen, run_figures, study_figures
+from mast_zenoh.report.figures.view import (
     PANELS,
     FrameView,
     check_frame,
@@ -34,9 +27,16 @@ from mast_zenoh.report.view import (
     has_boxes,
     settled,
 )
-from mast_zenoh.report.wiring import wire_rows
-from mast_zenoh.report.words import headline, reading, study_headline, study_reading
-from mast_zenoh.runtime import failures
+from mast_zenoh.report.narrative.changes import largest_change
+from mast_zenoh.report.narrative.circumstances import reference_status
+from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
+from mast_zenoh.report.page import render
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.tables.achievement import achieved_rows
+from mast_zenoh.report.tables.driving import driving_rows
+from mast_zenoh.report.tables.interposers import BAD, EFFECTS, exit_expected, failures_of, interposers
+from mast_zenoh.report.tables.scores import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
+from mast_zenoh.report.tables.wiring import wire_rows
 
 
 def write_report(run_folder: Path, frame: int | None = None, against: Path | None = None) -> Path:

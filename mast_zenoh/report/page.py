@@ -29,5 +29,5 @@ def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
 def environment() -> Environment:
     """The templates of this package, which escape what they are given."""
     return Environment(
-        loader=PackageLoader("mast_zenoh.report", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=PackageLoader("mast_zenoh.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )

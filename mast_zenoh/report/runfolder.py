@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.report import files
 from mast_zenoh.report.faulted import with_faults
 from mast_zenoh.report.files import Reader, Table, rows
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.states import Floats
 
 _COUNTS = ("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches")
 _OBJECTS = ("frame", "agent", "estimator", "kind", "outcome", "id", "x", "y", "z", "l", "w", "h", "yaw")

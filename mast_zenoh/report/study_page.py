@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mast_zenoh.report.figures import Picture
+from mast_zenoh.report.figures.drawing import Picture
+from mast_zenoh.report.narrative.study import comparisons_made, other_changes, reservations, result, titled
+from mast_zenoh.report.narrative.study_comparisons import compare
 from mast_zenoh.report.page import render
-from mast_zenoh.report.study_comparisons import compare
 from mast_zenoh.report.study_facts import StudyFacts, plural
-from mast_zenoh.report.study_rows import StudyRow
-from mast_zenoh.report.study_sections import sections, side_by_side
-from mast_zenoh.report.study_words import comparisons_made, other_changes, reservations, result, titled
+from mast_zenoh.report.tables.study_rows import StudyRow
+from mast_zenoh.report.tables.study_sections import sections, side_by_side
 
 #: So many failed trials are listed openly, the rest behind a click.
 _SHOWN_AT_ONCE = 10

@@ -9,15 +9,15 @@ from rich.console import Console
 from rich.markup import escape
 
 from mast_zenoh.report import comparison
-from mast_zenoh.report.circumstances import reference_status, status
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.explanations import explanations
 from mast_zenoh.report.faulted import blame_table, check_lines
-from mast_zenoh.report.interposers import BAD, interposers
-from mast_zenoh.report.phrases import effects, plural
+from mast_zenoh.report.narrative.circumstances import reference_status, status
+from mast_zenoh.report.narrative.explanations import explanations
+from mast_zenoh.report.narrative.phrases import effects, plural
+from mast_zenoh.report.narrative.run import headline
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.table import as_rich, score_table
-from mast_zenoh.report.words import headline
+from mast_zenoh.report.tables.interposers import BAD, interposers
+from mast_zenoh.report.tables.scores import as_rich, score_table
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:

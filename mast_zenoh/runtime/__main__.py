@@ -1,5 +1,5 @@
 """A node as a process: `python -m mast_zenoh.runtime nodes/agent.py --run-folder DIR …`; see process.py."""
 
-from mast_zenoh.runtime.process import main
+from mast_zenoh.runtime.mesh.main import main
 
 main()

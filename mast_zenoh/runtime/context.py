@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
-from mast_zenoh.messages import Body, Header, Message
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Node, Received
 from mast_zenoh.runtime.delayed import Delayed
 from mast_zenoh.runtime.limits import DELAYED, Room
 from mast_zenoh.streams import stream
-from mast_zenoh.wiring import Input, Ports, Wiring
+from mast_zenoh.wiring.model import Input, Ports, Wiring
 
 MAX_DELAY_S = 3600.0  #: no message leaves later than that
 _FOREVER = 1 << 62  # ns, or steps

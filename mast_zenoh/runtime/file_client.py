@@ -21,13 +21,13 @@ from typing import Any, TypeVar
 
 import zenoh
 
-from mast_zenoh import release
+from mast_zenoh import version
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import files
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.errors import MessageError, RunError
 from mast_zenoh.messagelog.writer import MessageLog
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime.mesh import prefix
+from mast_zenoh.runtime.mesh.node import prefix
 
 _HAND_IN_EVERY_S = 1.0
 _HAND_IN_TIMEOUT_S = 20.0
@@ -52,7 +52,7 @@ class FileClient:
 
     def fetch(self, folder: Path, patience_s: float) -> list[str]:
         """All files of this node into a folder; returns who is not up now. Raises what the launcher refuses it for."""
-        asked = {"do": "join", "version": release.named(), "versions": release.versions()}
+        asked = {"do": "join", "version": version.version_string(), "versions": version.versions()}
         told = self.ask("fetch", asked, patience_s, files.decode_belongings)
         for path, size in told.files.items():
             target = _below(folder, path)

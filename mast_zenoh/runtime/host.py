@@ -12,16 +12,16 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from mast_zenoh import codec
+from mast_zenoh.control import results
+from mast_zenoh.control.failures import Failure
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import Header, Message
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header, Message
+from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
-from mast_zenoh.runtime import results
 from mast_zenoh.runtime.context import NodeContext, Outgoing
-from mast_zenoh.runtime.failures import Failure
 from mast_zenoh.runtime.limits import HELD, Room
-from mast_zenoh.timespan import Timespan
-from mast_zenoh.wiring import ANY, NO_WIRING, Input, Ports, Wiring
+from mast_zenoh.wiring.model import ANY, NO_WIRING, Input, Ports, Wiring
 
 
 class _Held(NamedTuple):

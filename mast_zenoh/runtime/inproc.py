@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import Resolved, build_node
+from mast_zenoh.control.failures import Entry, described, lines, location, merged
 from mast_zenoh.errors import NodeDied, RunError, StartError
 from mast_zenoh.node import Source
-from mast_zenoh.resolved import Resolved, build_node
 from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.failures import Entry, described, lines, location, merged
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.runtime.timetable import LEAVING, Timetable
-from mast_zenoh.steps import ProcessStep
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.runtime.lockstep.timetable import LEAVING, Timetable
+from mast_zenoh.wiring.model import Wiring
 
 
 class InProcess:

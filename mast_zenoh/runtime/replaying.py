@@ -12,14 +12,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.config.resolved import Resolved, build_node
+from mast_zenoh.control import failures
 from mast_zenoh.errors import HandlerFailed, RunFolderError
 from mast_zenoh.messagelog import channels
 from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
-from mast_zenoh.resolved import Resolved, build_node
-from mast_zenoh.runtime import failures
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.wiring import ANY, Endpoint, Wiring
+from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
 
 #: Frames for which messages wait for others of their key and frame: as far as times in headers may be wrong.
 _HELD_FRAMES = 8

@@ -8,11 +8,11 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import bundle, loading
+from mast_zenoh.config import bundle, loading
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.metrics.achievement import ALL
-from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.scenario.reconnaissance import surroundings_of
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 

@@ -8,10 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import loading, registry, scenes
+from mast_zenoh import scenes
+from mast_zenoh.config import loading, registry
+from mast_zenoh.config.settings import reach, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
 from mast_zenoh.scenario.shape import spelt
-from mast_zenoh.settings import reach, split
 
 
 def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.geometry import quaternion_from_rotation
+from mast_zenoh.arrays.geometry import quaternion_from_rotation
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.states import Floats, Ints
 
 #: s, between two rows of a route.
 ROUTE_STEP_S = 0.5

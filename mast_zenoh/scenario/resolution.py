@@ -9,18 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh import bundle, endpoints, keyexpr, loading, registry, scenes
+from mast_zenoh import scenes
+from mast_zenoh.config import bundle, loading, registry
+from mast_zenoh.config.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
+from mast_zenoh.messages.timespan import LEEWAY_S
 from mast_zenoh.node import Node
-from mast_zenoh.resolved import NodeSpec, Resolved, build_node
 from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.scenario.nodes import nodes_of
 from mast_zenoh.scenario.reading import choose_scene
 from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, spelt
 from mast_zenoh.scenario.timeline import REWRITE, timeline_of
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.timespan import LEEWAY_S
-from mast_zenoh.wiring import ANY, Wiring
+from mast_zenoh.wiring import endpoints, maps
+from mast_zenoh.wiring.model import ANY, Wiring
 
 
 def resolve(
@@ -103,13 +105,13 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
             sources.append((f"{path}: keyexpr.rewrites[{index - 1}]", source))
         else:
             file = bundle.find("keyexpr_maps", str(source), path.parent)
-            sources.append((str(source), keyexpr.load(file or bundle.ROOT / "keyexpr_maps" / str(source))))
+            sources.append((str(source), maps.load(file or bundle.ROOT / "keyexpr_maps" / str(source))))
     views = {}
     for name, spec in nodes.items():
         cls = loading.node_class(Path(spec.file), spec.type)
         bound = {key: value for key, value in spec.config.items() if isinstance(value, str)}
         views[name] = endpoints.NodeOptions(spec.role, bound, cls.inputs, cls.outputs)
-    wiring = keyexpr.resolve(sources, views, _usual_ports())
+    wiring = maps.resolve(sources, views, _usual_ports())
     hearing = {name for _, _, name in wiring.flows()}
     for name, view in views.items():
         if view.inputs and name not in hearing:

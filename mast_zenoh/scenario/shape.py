@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from mast_zenoh.config.settings import ALIASES, KEYS
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.settings import ALIASES, KEYS
 
 MODES = ("lockstep", "realtime")
 

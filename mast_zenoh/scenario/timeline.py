@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import links, registry
+from mast_zenoh import links
 from mast_zenoh.attacks import Attack
+from mast_zenoh.config import registry
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
 from mast_zenoh.faults.base import DIRECTIONS, Rule
-from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.scenario.nodes import matching, node_spec
 from mast_zenoh.scenes.recording import Recording
 

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import heading, rotation_from_yaw_pitch
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.geometry import heading, rotation_from_yaw_pitch
 from mast_zenoh.scenes.av2_files import Boxes, find_log, read_boxes, read_poses
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.observe import World, detect, recorded, see
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
-from mast_zenoh.states import CLASS_INDEX, Floats
 
 #: The recording car. Its frame has its origin in the rear axle; the ego's box is about its body.
 _EGO_ID = 0

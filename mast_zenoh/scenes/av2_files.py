@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.geometry import rotation_from_quaternion
-from mast_zenoh.states import CLASS_INDEX, Floats, Ints
 
 POSES = "city_SE3_egovehicle.feather"
 _POSE = {**dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float"), "timestamp_ns": "int"}

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import beside
 from mast_zenoh.scenes.avstack_decode import Calibration, ObjectState, read_calibration, read_objects, read_seen
@@ -19,7 +20,6 @@ from mast_zenoh.scenes.observe import World, detect, recorded, see
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
-from mast_zenoh.states import Floats, Ints, ObjectStates
 
 #: The id of agent 0 as an object; agent k, where it is an object, has this plus k. The layout numbers agents and
 #: objects apart, both from 0, and its original reader gives the ego this id.

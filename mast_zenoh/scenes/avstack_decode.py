@@ -15,9 +15,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError
-from mast_zenoh.geometry import heading, rotation_from_quaternion
-from mast_zenoh.states import CLASS_INDEX, Floats
 
 _CLASSES = {
     "van": "car",

@@ -10,10 +10,10 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
+from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.geometry import heading, rotation_from_quaternion
 from mast_zenoh.scenes.avstack_decode import class_of
-from mast_zenoh.states import DETECTION_COLUMNS, Detections, Floats, Ints
 
 _HEIGHT_M = 12.0  # of buildings, where nothing is said
 

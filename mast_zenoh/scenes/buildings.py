@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.scenes.junction import PAVEMENT, PAVEMENT_END, REACH, Arm, corners
-from mast_zenoh.states import Floats
 
 _GAP = 3.0  # m, between two buildings
 

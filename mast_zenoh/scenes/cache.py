@@ -10,7 +10,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from mast_zenoh import __version__, geometry, scenes, sensing, states, streams
+from mast_zenoh import __version__, scenes, sensing, streams
+from mast_zenoh.arrays import geometry, states
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.recording import Recording

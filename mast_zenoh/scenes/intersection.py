@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitch
+from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.geometry import rotation_from_yaw, rotation_from_yaw_pitch
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.buildings import rows_of_buildings
 from mast_zenoh.scenes.junction import ROAD, Arm, arms_of, plan
@@ -14,7 +15,6 @@ from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.road_users import road_users
 from mast_zenoh.scenes.traffic import Motion, Movers, Network, Traffic
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
-from mast_zenoh.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.streams import stream
 
 _DETECTOR = DetectionModel()

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.scenes.paths import Path, arc, bend, oval, rounded, straight
-from mast_zenoh.states import Floats
 
 LANE = 3.5  # m, width of a lane
 BIKE_LANE = 2.0

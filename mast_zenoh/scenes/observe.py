@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Detector, Walls, lidar_points, sensor_pose
-from mast_zenoh.states import DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.streams import stream
 
 

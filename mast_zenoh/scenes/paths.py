@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.states import Floats, Ints
+from mast_zenoh.arrays.states import Floats, Ints
 
 #: m, spacing of the samples of a path.
 SPACING = 0.25

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import SceneError
 from mast_zenoh.sensing.camera import Camera
 from mast_zenoh.sensing.lidar import LidarSensor
-from mast_zenoh.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 
 #: Columns of the truth that a recording keeps; covariance and score say nothing about truth.
 TRUTH_COLUMNS = ("id", "position", "velocity", "size", "yaw", "class_id")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.states import Floats, Ints
+from mast_zenoh.arrays.states import Floats, Ints
 
 
 def fill_velocity(ids: Ints, position: Floats, velocity: Floats, times_ns: Ints) -> Floats:

@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from mast_zenoh.security.credentials import LAUNCHER
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 CONTROL = "@control"
 

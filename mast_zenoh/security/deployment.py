@@ -14,7 +14,7 @@ from mast_zenoh.security import control_keys, levels
 from mast_zenoh.security.access import access_control
 from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.credentials import LAUNCHER, LIFETIME, ROUTER, Credentials, common_name
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 if TYPE_CHECKING:
     from mast_zenoh.security.authority import Authority

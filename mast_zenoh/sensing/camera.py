@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mast_zenoh.geometry import to_local, to_world
-from mast_zenoh.states import Floats
+from mast_zenoh.arrays.geometry import to_local, to_world
+from mast_zenoh.arrays.states import Floats
 
 
 @dataclass(frozen=True, eq=False)

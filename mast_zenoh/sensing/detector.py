@@ -7,11 +7,11 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import CLASS_INDEX, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.geometry import wrap_angle
 from mast_zenoh.sensing.frames import to_sensor
 from mast_zenoh.sensing.lidar import LidarSensor, in_view
-from mast_zenoh.states import CLASS_INDEX, Detections, Floats, Ints, ObjectStates
 
 #: Usual sizes (l, w, h) m of what clutter is mistaken for, and how often.
 _CLUTTER_KINDS = (

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mast_zenoh import geometry
+from mast_zenoh.arrays import geometry
+from mast_zenoh.arrays.states import Detections, Floats
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Detections, Floats
 
 
 def sensor_pose(

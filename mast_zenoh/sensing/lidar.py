@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mast_zenoh.geometry import to_local
-from mast_zenoh.states import Bools, Floats
+from mast_zenoh.arrays.geometry import to_local
+from mast_zenoh.arrays.states import Bools, Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.geometry import box_corners, to_local, wrap_angle
+from mast_zenoh.arrays.geometry import box_corners, to_local, wrap_angle
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.sensing.lidar import LidarSensor
-from mast_zenoh.states import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,11 @@ from pathlib import Path
 from rich.console import Console
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import HandlerFailed
-from mast_zenoh.launch import ending, local
+from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.resolved import Resolved
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.study.definition import Configuration, Study
 
 
@@ -20,7 +21,7 @@ class Compared:
     """A study that has ended: its folder, and the run of each configuration."""
 
     out: Path
-    runs: dict[str, local.Run]
+    runs: dict[str, launcher.Run]
 
     @property
     def folders(self) -> dict[str, Path]:
@@ -56,7 +57,7 @@ def run(
     folder = run_folder.create(out, study.name)
     for part in ("logs", "figures"):
         (folder / part).rmdir()
-    runs: dict[str, local.Run] = {}
+    runs: dict[str, launcher.Run] = {}
     place = runtime or study.runtime or "mesh"
 
     def note(status: str) -> None:
@@ -64,7 +65,7 @@ def run(
 
     with ending.written(note):
         for label, run_ in resolved.items():
-            ended = local.run(run_, folder / label, runtime=place, allow_failures=allow_failures, console=console)
+            ended = launcher.run(run_, folder / label, runtime=place, allow_failures=allow_failures, console=console)
             if ended.error and not isinstance(ended.error, HandlerFailed):
                 raise ended.error
             runs[label] = ended

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import loading
+from mast_zenoh.config import loading
+from mast_zenoh.config.settings import split
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
-from mast_zenoh.settings import split
 
 #: The keys of a study, and of one of its `runs`.
 KEYS = {

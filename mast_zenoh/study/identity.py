@@ -12,24 +12,21 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import mast_zenoh
-from mast_zenoh import bundle, kernels, scenes
+from mast_zenoh import kernels, scenes
+from mast_zenoh.config import bundle
+from mast_zenoh.version import fingerprint
 
-#: Packages whose versions decide over the numbers, and parts of this one that do not.
+#: Packages whose versions decide over the numbers.
 _PACKAGES = ("mast-zenoh", "numpy", "scipy", "filterpy", "msgpack")
-_OUTSIDE = {"study", "report", "launch", "cli.py", "live_commands.py", "documentation.py", "__main__.py"}
 
 
 @cache
 def environment() -> dict[str, str]:
-    """Python, the packages that decide over the numbers, the kernels, and a hash of this package's code."""
+    """Python, the packages that decide over the numbers, the kernels, and hashes of this package's code and files."""
     found = {"python": platform.python_version(), "kernels": kernels.USED} | {name: version(name) for name in _PACKAGES}
-    root = Path(mast_zenoh.__file__).parent
-    files = [path for path in root.rglob("*.p[yx]*") if path.suffix in (".py", ".pyx", ".pxd")]
-    files = [path for path in files if path.relative_to(root).parts[0] not in _OUTSIDE]
-    for kind in ("nodes", "keyexpr_maps", "scenarios"):
-        files += [path for path in (bundle.ROOT / kind).iterdir() if path.suffix in (".py", ".toml")]
-    return found | {"code": _hash(path.read_bytes() for path in sorted(set(files)))}
+    folders = [bundle.ROOT / kind for kind in ("nodes", "keyexpr_maps", "scenarios")]
+    files = sorted(path for folder in folders for path in folder.iterdir() if path.suffix in (".py", ".toml"))
+    return found | {"code": fingerprint(), "files": _hash(path.read_bytes() for path in files)}
 
 
 def scene_key(scene: scenes.Scene) -> str:

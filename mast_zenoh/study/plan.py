@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from mast_zenoh import registry, scenario, scenes
-from mast_zenoh.resolved import Resolved
+from mast_zenoh import scenario, scenes
+from mast_zenoh.config import registry
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.scenario.timeline import attack_starts
 from mast_zenoh.study import identity
 from mast_zenoh.study.definition import Study

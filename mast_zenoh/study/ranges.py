@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from mast_zenoh.metrics import CAUSES
-from mast_zenoh.report.study_rows import Series
+from mast_zenoh.report.tables.study_rows import Series
 from mast_zenoh.study.numbers import ACHIEVED, DRIVING
 
 #: Of what every estimate scores, lengths and counts; user-defined metrics can be anything.

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import betaincinv, stdtr, stdtrit
 
-from mast_zenoh.report.study_rows import LEAST_SEEDS
-from mast_zenoh.states import Bools, Floats
+from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.report.tables.study_rows import LEAST_SEEDS
 
 CONFIDENCE = 0.95
 #: Fewer seeds than this have no interval, and fewer scenes none to other scenes.

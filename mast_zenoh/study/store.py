@@ -11,10 +11,10 @@ from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.tables import from_arrow, read_arrow, to_arrow
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.table_file import write_parquet
 from mast_zenoh.study.trial import Outcome, Trial
-from mast_zenoh.tables import from_arrow, read_arrow, to_arrow
 
 _ABOUT = b"mast-zenoh"
 

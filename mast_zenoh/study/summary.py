@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from mast_zenoh.report.study_rows import Estimate, Series, StudyRow
-from mast_zenoh.states import Floats
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.report.tables.study_rows import Estimate, Series, StudyRow
 from mast_zenoh.study import statistics
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import ACHIEVED, NAN, SELECTIVE, Number

@@ -11,8 +11,9 @@ from pathlib import Path
 import pyarrow
 
 from mast_zenoh.errors import TrialsFailed
+from mast_zenoh.launch.tables import to_arrow
 from mast_zenoh.report.study_facts import FailedTrial, IdleAttack, StudyFacts
-from mast_zenoh.report.study_rows import StudyRow
+from mast_zenoh.report.tables.study_rows import StudyRow
 from mast_zenoh.study import results
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import ACHIEVED
@@ -21,7 +22,6 @@ from mast_zenoh.study.store import Store
 from mast_zenoh.study.summary import Samples
 from mast_zenoh.study.table_file import TableFile
 from mast_zenoh.study.trial import Outcome, Trial
-from mast_zenoh.tables import to_arrow
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,10 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     trials:   those planned, all of one scene and seed together
     failures: by digest, the error of a trial that failed
     """
-    from mast_zenoh.report import study_export, study_page, study_table  # drawing libraries are slow to load
-    from mast_zenoh.report.study_figure import figures_over_trials
+    from mast_zenoh.report import study_page  # drawing libraries are slow to load
+    from mast_zenoh.report.figures.study import figures_over_trials
+    from mast_zenoh.report.tables import study as study_table
+    from mast_zenoh.report.tables import study_export
 
     seeds = tuple(sorted({trial.seed for trial in trials}))
     done, rows = _write_parquet(study, store, trials, seeds)

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import failures, results
+from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError
 from mast_zenoh.metrics import Table
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import failures, results
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.runtime.results import EVALUATOR
 from mast_zenoh.study import identity
 
 
@@ -129,12 +129,12 @@ def _in_process(resolved: Resolved, allow_failures: bool) -> Played:
 
 def _on_a_mesh(resolved: Resolved, allow_failures: bool) -> Played:
     from mast_zenoh.launch import folder as run_folder  # a trial in this process needs neither Zenoh nor Parquet
-    from mast_zenoh.launch import local
-    from mast_zenoh.tables import read_table
+    from mast_zenoh.launch import run as launcher
+    from mast_zenoh.launch.tables import read_table
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:
-        ended = local.run(resolved, folder / "run", allow_failures=allow_failures)
+        ended = launcher.run(resolved, folder / "run", allow_failures=allow_failures)
         if isinstance(ended.error, HandlerFailed):
             raise HandlerFailed(failures.summary(ended.failures))  # without the logs, which are not kept
         if ended.error:

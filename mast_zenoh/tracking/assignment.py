@@ -6,9 +6,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from mast_zenoh.arrays.matching import alone, cheapest, greedy
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.matching import alone, cheapest, greedy
-from mast_zenoh.states import Bools, Floats, Ints
 
 #: Rows times columns up to which the best choice is looked for: it takes their power of 3/2 in time.
 LARGEST = 1_000_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from mast_zenoh.states import Detections, Ints, ObjectStates
+from mast_zenoh.arrays.states import Detections, Ints, ObjectStates
 from mast_zenoh.tracking.view import SensorView
 
 

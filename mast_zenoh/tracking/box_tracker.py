@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.states import CLASSES, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.tracking import classes, existence, kalman, tracks
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
@@ -14,8 +14,8 @@ from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, duplicates, overlap
 from mast_zenoh.tracking.gating import Pairs, gains, near_pairs
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, settle_sense
+from mast_zenoh.tracking.lateral_constraint import roll
 from mast_zenoh.tracking.measured import Measured
-from mast_zenoh.tracking.rolling import roll
 from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
 from mast_zenoh.tracking.view import SensorView
 

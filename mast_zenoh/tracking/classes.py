@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import CLASS_INDEX, CLASSES, Floats, Ints
 
 #: Per class:
 #: speed_along, speed_across  m/s, standard deviation of a new object's speed along and across its heading: urban to

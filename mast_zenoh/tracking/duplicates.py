@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Bools, Floats
-from mast_zenoh.tracking.neighbours import neighbours
 from mast_zenoh.tracking.tracks import CONFIRMED, ROW, YAW
 
 #: Share of the distance at which two boxes touch, below which they are one object: boxes are only so exact.

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Bools, Floats
 from mast_zenoh.tracking.tracks import AGE, CONFIRMED, HITS, MISSES, ODDS, RECORD, XX, YY, planar
 
 #: Nothing is surer than this: products of odds stay finite, however many measurements come in no time at all.

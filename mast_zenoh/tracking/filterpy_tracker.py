@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from mast_zenoh.states import Floats
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.tracking import kalman, tracks
 from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
 

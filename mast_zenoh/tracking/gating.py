@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Floats, Ints
-from mast_zenoh.tracking.neighbours import neighbours
 from mast_zenoh.tracking.tracks import ODDS, XX, XY, YY, classes_of, planar
 
 #: Squared Mahalanobis distance in the plane beyond which steady motion does not explain a pair: probability 3e-4 of a

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Floats
 from mast_zenoh.tracking.tracks import TURN, YAW, YAW_VARIANCE, planar
 
 #: m/s along its axis above which an object is taken to move forward.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.states import Floats
+from mast_zenoh.arrays.states import Floats
 
 #: Of the 81 numbers of a covariance: horizontal motion [x y vx vy], height and its rate, sizes. A tracker in the world
 #: frame correlates nothing across these blocks.

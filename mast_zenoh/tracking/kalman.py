@@ -12,8 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Floats
 from mast_zenoh.tracking.inversion import inverse
 from mast_zenoh.tracking.tracks import COVARIANCE, MEAN, classes_of, covariances
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Detections, Floats, Ints, ObjectStates
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Detections, Floats, Ints, ObjectStates
 from mast_zenoh.tracking.soundness import LEAST, MOST
 from mast_zenoh.tracking.tracks import known_class
 

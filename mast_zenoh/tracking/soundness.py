@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Floats
 
 #: m^2, (m/s)^2: no source knows anything better than this (1 cm), nor is so ignorant that numbers overflow.
 LEAST = 1e-4

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.geometry import wrap_angle
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import CLASSES, Floats, Ints, ObjectStates
 
 #: Columns: the state (9) and its covariance (81, by rows).
 MEAN = slice(0, 9)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.neighbours import TABLE
+from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.kernels import kernel
-from mast_zenoh.states import Bools, Floats
-from mast_zenoh.tracking.neighbours import TABLE
 
 #: m; half the extent of a road user, over which an object at the edge of the field of view is seen in part.
 EDGE_M = 2.5

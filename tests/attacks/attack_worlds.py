@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.states import Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 
 
 def world(n: int, seed: int = 0, spread: float = 25.0) -> ObjectStates:

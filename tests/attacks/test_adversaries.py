@@ -10,6 +10,7 @@ from attack_worlds import ORIGIN, SECOND, at, equal, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
 from mast_zenoh.attacks import (
     ACTIONS,
     CoordinatedAttack,
@@ -24,7 +25,6 @@ from mast_zenoh.attacks import (
     UncoordinatedSelection,
 )
 from mast_zenoh.attacks.targets import INSERTED
-from mast_zenoh.states import ObjectStates, concatenate, propagate
 
 PERIOD = SECOND // 10
 

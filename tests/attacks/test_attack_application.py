@@ -7,10 +7,10 @@ from attack_worlds import at, equal, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import ACTIONS, Targets, alter, apply
 from mast_zenoh.attacks.application import carry_out
-from mast_zenoh.messages import SCHEMAS
-from mast_zenoh.states import ObjectStates
+from mast_zenoh.messages.schemas import SCHEMAS
 
 NONE = ObjectStates.empty()
 NO_ROWS = np.zeros(0, np.int64)

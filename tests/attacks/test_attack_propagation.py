@@ -8,9 +8,9 @@ from attack_worlds import at, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.attacks import MarkovPropagation, StaticPropagation, TrajectoryPropagation
 from mast_zenoh.attacks.propagation import MAX_ACCELERATION_MPS2, MAX_YAW_RATE
-from mast_zenoh.geometry import wrap_angle
 from mast_zenoh.streams import stream
 
 

@@ -8,6 +8,7 @@ from attack_worlds import ORIGIN, at, equal, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.attacks import (
     CoordinatedAttack,
     CoordinatedSelection,
@@ -19,7 +20,6 @@ from mast_zenoh.attacks import (
 )
 from mast_zenoh.attacks.clusters import cluster_centres
 from mast_zenoh.attacks.selection import ground_height
-from mast_zenoh.states import ObjectStates, concatenate
 from mast_zenoh.streams import stream
 
 TRIALS = 2000

@@ -8,11 +8,11 @@ from attack_worlds import at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.attacks import ConflictSelection, Coordinator, Coverage, Surroundings, UncoordinatedSelection
 from mast_zenoh.attacks.coverage import touching
 from mast_zenoh.attacks.propagation import TrajectoryPropagation
 from mast_zenoh.attacks.regions import fastest_within, path_ahead
-from mast_zenoh.states import ObjectStates, concatenate
 from mast_zenoh.streams import stream
 
 LEVEL = np.eye(3).ravel().tolist()

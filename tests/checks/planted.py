@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh import checks, codec
+from mast_zenoh import checks
 from mast_zenoh.checks import Check
-from mast_zenoh.launch import local
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.launch import run
 from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messagelog.writer import FILE, MessageLog
-from mast_zenoh.messages import text
-from mast_zenoh.resolved import Resolved
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import text
 from mast_zenoh.scenario import resolve
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 FRAMES = 50
 FAULTS = [
@@ -43,7 +44,7 @@ def recorded(out: Path, *, frames: int = FRAMES, record: bool = True, **keys: An
     """A run in one process: its folder, and what was run."""
     path, content = scenario(**keys)
     resolved = resolve(path, content, frames=frames, record=record)
-    ended = local.run(resolved, out, runtime="inproc")
+    ended = run.run(resolved, out, runtime="inproc")
     assert ended.error is None
     assert not any(node["failures"] for node in ended.record["nodes"].values())
     return ended.folder, resolved

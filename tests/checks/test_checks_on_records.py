@@ -25,8 +25,8 @@ from planted import (
 
 from mast_zenoh import checks, scenes
 from mast_zenoh.checks import convergence, reference
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.resolved import Resolved
 from mast_zenoh.scenario import resolve
 
 Run = tuple[Path, Resolved]
@@ -275,7 +275,7 @@ def test_the_reference_is_the_picture_of_the_run_without_links_and_faults(run: R
     plain = {m.frame: m.payload for m in read(folder) if m.key == "cc/picture"}
     found = reference.pictures(run[1], run[0])
     assert found.keys() == plain.keys()
-    from mast_zenoh import codec
+    from mast_zenoh.messages import codec
 
     for frame, payload in plain.items():
         assert np.array_equal(found[frame], codec.decode(payload, "picture").body["position"])

@@ -9,10 +9,10 @@ from pathlib import Path
 import failing
 import pytest
 
-from mast_zenoh import cli, options
+from mast_zenoh.cli import app, options
+from mast_zenoh.cli.options import PlainConsole
 from mast_zenoh.errors import HandlerFailed, MastError, RunFolderError
-from mast_zenoh.launch.local import Run
-from mast_zenoh.options import PlainConsole
+from mast_zenoh.launch.run import Run
 
 SHORT = ("--frames", "4", "--runtime", "inproc")
 
@@ -25,7 +25,7 @@ def mast(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tm
     def run(*words: str) -> tuple[int, str, str]:
         monkeypatch.setattr("sys.argv", ["mast", *words])
         with pytest.raises(SystemExit) as ended:
-            cli.main()
+            app.main()
         said = capsys.readouterr()
         return int(ended.value.code or 0), said.out, said.err
 
@@ -105,7 +105,7 @@ def test_what_is_wrong_is_said_before_anything_starts(
 def test_the_paper_s_listing_pasted_as_it_is_builds_and_runs(mast, tmp_path: Path) -> None:
     (tmp_path / "paper.py").write_text(
         """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 
 commandcenter = dict(

@@ -8,9 +8,8 @@ from typing import Any
 import msgpack
 from control_samples import DRIVEN, ENTRY, OUTCOME
 
-from mast_zenoh.control import fields, files, flow, interception, reports
-from mast_zenoh.runtime import results
-from mast_zenoh.wiring import Endpoint, Leg, Listener, Wire, Wiring
+from mast_zenoh.control import fields, files, flow, interception, reports, results
+from mast_zenoh.wiring.model import Endpoint, Leg, Listener, Wire, Wiring
 
 TAP = "agent/ego/tracks/@tap/0"
 WIRING = Wiring(

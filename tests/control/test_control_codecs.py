@@ -15,10 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sound_controls import CODECS, MEMBERS, TAP, WIRING, packed
 
-from mast_zenoh.control import CONTROLS, files, flow, reports
+from mast_zenoh.control import CONTROLS, files, flow, reports, results
 from mast_zenoh.errors import MessageError, RunError
-from mast_zenoh.runtime import results
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 every_codec = pytest.mark.parametrize("name", CODECS)
 ANYTHING = st.recursive(

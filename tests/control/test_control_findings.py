@@ -14,25 +14,25 @@ import pytest
 import zenoh
 from rich.console import Console
 
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control import CONTROLS, flow
 from mast_zenoh.control.files import encode
 from mast_zenoh.control.invalid import MAX_KEYS, OTHERS, InvalidMessages
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, ServiceDied
-from mast_zenoh.launch.depot import Depot
 from mast_zenoh.launch.display import Display
-from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.file_server import Depot
+from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.steps import Steps
 from mast_zenoh.node import Node, Source
-from mast_zenoh.resolved import NodeSpec, Resolved
-from mast_zenoh.runtime.driver import Driver
-from mast_zenoh.runtime.mesh import MeshNode
-from mast_zenoh.runtime.timetable import Timetable
+from mast_zenoh.runtime.lockstep.timetable import Timetable
+from mast_zenoh.runtime.mesh.driver import Driver
+from mast_zenoh.runtime.mesh.node import MeshNode
 from mast_zenoh.security.access import rights
 from mast_zenoh.security.credentials import LAUNCHER
-from mast_zenoh.steps import ProcessStep
-from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 RUBBISH = [b"", b"\xc1", b"\xff\xfe", msgpack.packb(7), msgpack.packb([]), msgpack.packb([1, 2]), msgpack.packb({})]
 WIRING = Wiring(
@@ -134,7 +134,7 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
         timetable=Timetable(RESOLVED, lockstep=True),
         stall_timeout_s=2.0,
     )
-    monkeypatch.setattr("mast_zenoh.runtime.driver.SUSPECT_S", 0.01)
+    monkeypatch.setattr("mast_zenoh.runtime.mesh.driver.SUSPECT_S", 0.01)
     made.alive |= {"ego", "watch"}
     made._begin_epoch()
     return made

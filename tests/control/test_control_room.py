@@ -12,9 +12,9 @@ from test_control_findings import RUBBISH, Query
 
 from mast_zenoh.control import flow
 from mast_zenoh.control.files import encode
-from mast_zenoh.launch.depot import Depot
-from mast_zenoh.launch.interception import Interceptions, seal
-from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.file_server import Depot
+from mast_zenoh.launch.interception.server import Interceptions, seal
+from mast_zenoh.launch.mesh_run import Launch
 
 launch, depot = findings.launch, findings.depot  # fixtures
 

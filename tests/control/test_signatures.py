@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from mast_zenoh.control import CONTROLS
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError, MessageError
-from mast_zenoh.runtime import hosting
+from mast_zenoh.runtime.mesh import hosting
 from mast_zenoh.security.control_keys import DRIVER, LAUNCHER, ControlKeys, make
 from mast_zenoh.security.credentials import CONTROL, Credentials
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.security.levels import LEVELS
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 KEYS = make()
 NODE = Signatures("r", KEYS[""])

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh import codec
+from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import SCHEMAS, Column, Header, Message, text
-from mast_zenoh.states import CLASSES
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import SCHEMAS, Column, Header, Message, text
 
 finite = st.floats(-1e5, 1e5)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.fusion.collation import CollationBuffer, Gather, LatestBefore
+from mast_zenoh.gather import CollationBuffer, Gather, LatestBefore
 
 messages = st.lists(st.tuples(st.integers(0, 4), st.sampled_from("abc")), max_size=12, unique=True)  # (frame, member)
 

@@ -2,26 +2,27 @@
 
 from pathlib import Path
 
+import generate_docs
 import pytest
 
-from mast_zenoh import documentation, errors
+from mast_zenoh import errors
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-@pytest.mark.parametrize("name", sorted(documentation.PAGES))
+@pytest.mark.parametrize("name", sorted(generate_docs.PAGES))
 def test_a_generated_page_is_up_to_date(name: str) -> None:
-    assert (DOCS / name).read_text(encoding="utf-8") == documentation.PAGES[name](), "run `make docs`"
+    assert (DOCS / name).read_text(encoding="utf-8") == generate_docs.PAGES[name](), "run `make docs`"
 
 
 def test_every_error_has_an_exit_code_of_its_own() -> None:
-    codes = {error.__name__: error.exit_code for error in documentation.error_types()}
+    codes = {error.__name__: error.exit_code for error in generate_docs.error_types()}
     assert len(set(codes.values())) == len(codes), codes
     assert 2 not in codes.values(), "2 is a usage error on the command line"
 
 
 def test_the_error_tree_is_printed_in_its_module() -> None:
-    for error in documentation.error_types():
+    for error in generate_docs.error_types():
         assert f"{error.__name__} " in (errors.__doc__ or ""), error
         assert f" {error.exit_code} " in (errors.__doc__ or ""), error
 

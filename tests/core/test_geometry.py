@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from mast_zenoh import geometry
-from mast_zenoh.states import ObjectStates
+from mast_zenoh.arrays import geometry
+from mast_zenoh.arrays.states import ObjectStates
 
 angles = st.floats(-50.0, 50.0)
 coordinates = st.floats(-500.0, 500.0)

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh import codec
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import ConfigurationError, MessageError
-from mast_zenoh.messages import Header, Message, text
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header, Message, text
 from mast_zenoh.node import Context, Node, Overheard, Received, handler_names
 from mast_zenoh.runtime import host as host_module
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.limits import Limit
-from mast_zenoh.states import ObjectStates
 from mast_zenoh.streams import stream
-from mast_zenoh.wiring import ANY, Input, Ports
+from mast_zenoh.wiring.model import ANY, Input, Ports
 
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
 

@@ -1,51 +1,16 @@
-"""Imports run one way, down the list in docs/architecture.md; nodes and algorithms stay free of I/O."""
+"""Imports run one way, down the list of layers, and in no circle; nodes and algorithms stay free of I/O."""
 
 import ast
 from pathlib import Path
 
 import pytest
 
+from mast_zenoh.layers import LAYERS
+
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "mast_zenoh"
 
-#: From the top down. Modules of one line may import each other.
-LAYERS = (
-    ("__main__", "standard_streams", "cli", "deploying", "live_commands", "options", "documentation"),
-    ("study",),
-    ("report",),
-    ("deploy",),
-    ("launch",),
-    ("checks",),
-    ("runtime", "control"),
-    ("scenario",),
-    ("resolved",),
-    ("loading",),
-    ("evaluation",),
-    ("effects",),
-    ("node",),
-    (
-        "registry",
-        "settings",
-        "keyexpr",
-        "rewrites",
-        "endpoints",
-        "interposition",
-        "wiring",
-        "messagelog",
-        "security",
-        "codec",
-        "flaws",
-        "columns",
-        "messages",
-        "received",
-        "bundle",
-        "tables",
-        "timespan",
-    ),
-    ("scenes", "sensing", "tracking", "fusion", "attacks", "metrics", "links", "faults"),
-    ("geometry", "matching", "states", "steps", "streams", "kernels", "errors", "release", "stop_signals", "__init__"),
-)
-RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+RANK = {name: rank for rank, name in enumerate(LAYERS)}
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.errors import WiringError
-from mast_zenoh.interposition import Place, insert, interposer_of, never_inserted, remove, taps_into
-from mast_zenoh.wiring import TAP, Branch, Endpoint, Leg, Listener, Wire, Wiring
+from mast_zenoh.wiring.insertion import Place, insert, interposer_of, never_inserted, remove, taps_into
+from mast_zenoh.wiring.model import TAP, Branch, Endpoint, Leg, Listener, Wire, Wiring
 
 
 def wire(key: str, publisher: str, *subscribers: str) -> Wire:

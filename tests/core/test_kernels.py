@@ -19,11 +19,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mast_zenoh
-from mast_zenoh import codec, kernels
+from mast_zenoh import kernels
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import following
-from mast_zenoh.columns import LAYOUTS
-from mast_zenoh.messages import SCHEMAS, Header
-from mast_zenoh.states import ObjectStates
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.layout import LAYOUTS
+from mast_zenoh.messages.schemas import SCHEMAS, Header
 from mast_zenoh.tracking import classes, tracks
 
 for package in ("tracking", "fusion", "metrics", "sensing", "attacks"):

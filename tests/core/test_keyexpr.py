@@ -7,10 +7,11 @@ import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh import bundle, keyexpr
-from mast_zenoh.endpoints import NodeOptions
+from mast_zenoh.config import bundle
 from mast_zenoh.errors import WiringError
-from mast_zenoh.wiring import TAP, Input, Wiring, to_mermaid, to_text
+from mast_zenoh.wiring import maps
+from mast_zenoh.wiring.endpoints import NodeOptions
+from mast_zenoh.wiring.model import TAP, Input, Wiring, to_mermaid, to_text
 
 MAPS = bundle.ROOT / "keyexpr_maps"
 
@@ -49,7 +50,7 @@ def insertion(role: str = "adversary") -> dict:
 
 
 def resolve(nodes: dict[str, NodeOptions], *sources: dict) -> Wiring:
-    return keyexpr.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *sources))], nodes)
+    return maps.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *sources))], nodes)
 
 
 def test_a_placeholder_makes_one_wire_for_each_node_of_its_role() -> None:
@@ -148,21 +149,21 @@ def test_a_name_that_is_no_chunk_is_refused() -> None:
 
 def test_a_missing_or_broken_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(WiringError, match=r"did you mean 'on_detections\.toml'"):
-        keyexpr.load(MAPS / "on_detection.toml")
+        maps.load(MAPS / "on_detection.toml")
     (tmp_path / "map.toml").write_text("[[wire")
     with pytest.raises(WiringError, match="not TOML"):
-        keyexpr.load(tmp_path / "map.toml")
+        maps.load(tmp_path / "map.toml")
 
 
-@pytest.mark.parametrize("name", keyexpr.RENAMED)
+@pytest.mark.parametrize("name", maps.RENAMED)
 def test_a_renamed_rewrite_is_refused_and_its_successors_exist(name: str, tmp_path: Path) -> None:
     with pytest.raises(WiringError, match=f"^{name}: ") as caught:
-        keyexpr.load(MAPS / name)
-    for successor in keyexpr.RENAMED[name]:
+        maps.load(MAPS / name)
+    for successor in maps.RENAMED[name]:
         assert repr(successor) in str(caught.value)
-        assert keyexpr.load(MAPS / successor)
+        assert maps.load(MAPS / successor)
     (tmp_path / name).write_text("insert = []")
-    assert keyexpr.load(tmp_path / name) == {"insert": []}, "a user's own file may have any name"
+    assert maps.load(tmp_path / name) == {"insert": []}, "a user's own file may have any name"
 
 
 def test_the_wiring_is_printed_as_text_and_drawn_with_its_rewrites() -> None:

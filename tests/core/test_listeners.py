@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh import keyexpr
-from mast_zenoh.endpoints import NodeOptions
 from mast_zenoh.errors import WiringError
-from mast_zenoh.interposition import Place, insert, parties, remove
-from mast_zenoh.wiring import Input, Wiring, to_mermaid, to_text
+from mast_zenoh.wiring import maps
+from mast_zenoh.wiring.endpoints import NodeOptions
+from mast_zenoh.wiring.insertion import Place, insert, parties, remove
+from mast_zenoh.wiring.model import Input, Wiring, to_mermaid, to_text
 
 AGENTS = ("ego", "infra_1", "infra_2")
 
@@ -58,7 +58,7 @@ def listen(wire: str, input: str, role: Any = "adversary", **more: Any) -> dict[
 
 
 def resolve(nodes: dict[str, NodeOptions], *rewrites: dict[str, Any]) -> Wiring:
-    return keyexpr.resolve([("map.toml", MAP), *((f"rewrite_{i}.toml", r) for i, r in enumerate(rewrites))], nodes)
+    return maps.resolve([("map.toml", MAP), *((f"rewrite_{i}.toml", r) for i, r in enumerate(rewrites))], nodes)
 
 
 def heard(wiring: Wiring, name: str, port: str) -> dict[str, str]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mast_zenoh import bundle, loading
+from mast_zenoh.config import bundle, loading
 from mast_zenoh.errors import ConfigurationError, NodeFileError
 
 NODE = """

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh import kernels
-from mast_zenoh.matching import alone, cheapest
+from mast_zenoh.arrays.matching import alone, cheapest
 
 EITHER = pytest.mark.parametrize("choose", [cheapest, kernels.REFERENCES["cheapest"]], ids=["used", "reference"])
 

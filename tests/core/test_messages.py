@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mast_zenoh import bundle, links, loading
+from mast_zenoh import links
+from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.attacks import ACTIONS
-from mast_zenoh.columns import INDEX_LIMITS
-from mast_zenoh.messages import SCHEMAS, text
+from mast_zenoh.config import bundle, loading
+from mast_zenoh.messages.layout import INDEX_LIMITS
+from mast_zenoh.messages.schemas import SCHEMAS, text
 from mast_zenoh.node import Node
-from mast_zenoh.states import CLASSES
-from mast_zenoh.wiring import ANY
+from mast_zenoh.wiring.model import ANY
 
 OURS = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
 

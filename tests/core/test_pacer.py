@@ -2,8 +2,8 @@
 
 import itertools
 
-from mast_zenoh.runtime.pacer import Pacer
-from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+from mast_zenoh.runtime.lockstep.pacer import Pacer
+from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 
 def wire(key: str, publisher: str, *subscribers: str) -> Wire:

@@ -12,7 +12,7 @@ from typing import Literal
 import pytest
 
 import mast_zenoh
-from mast_zenoh import registry
+from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
 
 

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from tiny_world import Run, TinyScene, tiny
 
-from mast_zenoh import bundle, loading, scenario, scenes, settings
+from mast_zenoh import scenario, scenes
 from mast_zenoh.attacks import PassThrough
+from mast_zenoh.config import bundle, loading, settings
+from mast_zenoh.config.resolved import RECORDING, Resolved, build_node
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, WiringError
 from mast_zenoh.fusion import CommandCenterPipeline
-from mast_zenoh.resolved import RECORDING, Resolved, build_node
 from mast_zenoh.scenario import load, resolve
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 TINY = dict(type="TinyScene", n_infrastructure=2)
 TRACKER = dict(type="KalmanBoxTracker3D")
@@ -612,7 +613,8 @@ def test_a_node_to_which_no_wire_leads_is_refused(tmp_path: Path) -> None:
     )
     file = str(tmp_path / "own.py")
     Path(file).write_text(
-        "from mast_zenoh import loading\n\n_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n\n\n"
+        "from mast_zenoh.config import loading\n\n"
+        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n\n\n"
         "def scenario():\n    return baseline() | dict(name='own', evaluator=dict(file='judge.py'))\n"
     )
     with pytest.raises(WiringError, match=r"evaluator would hear nothing: .*\(picture\); .* of the type '\*'"):

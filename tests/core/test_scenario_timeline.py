@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from tiny_world import Run, tiny
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import ProcessStep
-from mast_zenoh.resolved import Resolved
 from mast_zenoh.scenario import load, resolve
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 TRACKER = dict(type="KalmanBoxTracker3D")
 AGENT = dict(pipeline=dict(type="AgentPipeline", tracker=TRACKER, mission=dict(type="PictureFirst")))

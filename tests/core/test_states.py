@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.messages import SCHEMAS
-from mast_zenoh.states import (
+from mast_zenoh.arrays.states import (
     CLASS_INDEX,
     CLASSES,
     COVARIANCE_ORDER,
@@ -19,6 +18,7 @@ from mast_zenoh.states import (
     concatenate,
     propagate,
 )
+from mast_zenoh.messages.schemas import SCHEMAS
 
 SHAPES = {"position": (3,), "velocity": (3,), "size": (3,), "covariance": (9, 9)}
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.tables import from_arrow, read_table, to_arrow, write_table
+from mast_zenoh.launch.tables import from_arrow, read_table, to_arrow, write_table
 
 texts = st.lists(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=8), max_size=20)
 
@@ -53,7 +53,7 @@ def test_pandas_is_not_loaded_for_tables_and_still_there_for_who_needs_it(tmp_pa
     program = (
         "import sys, numpy as np\n"
         "from pathlib import Path\n"
-        "from mast_zenoh.tables import read_arrow, read_table, write_table\n"
+        "from mast_zenoh.launch.tables import read_arrow, read_table, write_table\n"
         "path = Path('t.parquet')\n"
         "write_table(path, {'name': np.array(['a', 'b']), 'x': np.array([1.0, np.nan])})\n"
         "read_table(path)\n"

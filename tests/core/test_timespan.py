@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_host import CLOCK, OUTPUTS, TRACKS, Listener, clock, said_by, tracks
 
-from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
 from mast_zenoh.links import ClockSkew
-from mast_zenoh.messages import Header
-from mast_zenoh.received import Overheard
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header
+from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.timespan import Timespan
-from mast_zenoh.wiring import Ports
+from mast_zenoh.wiring.model import Ports
+from mast_zenoh.wiring.received import Overheard
 
 PERIOD_NS, SECOND = 10**8, 10**9
 SPAN = Timespan(frames=200, period_ns=PERIOD_NS, leeway_ns=SECOND)

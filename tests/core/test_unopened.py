@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import Header
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header
 
 BODY = {"mobile": np.array([1], np.uint8), "detections": np.array([3]), "tracks": np.array([2])}
 

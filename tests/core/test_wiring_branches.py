@@ -7,10 +7,11 @@ import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh import bundle, keyexpr
-from mast_zenoh.endpoints import NodeOptions
+from mast_zenoh.config import bundle
 from mast_zenoh.errors import WiringError
-from mast_zenoh.wiring import TAP, Branch, Endpoint, Input, Leg, Wiring, to_mermaid, to_text
+from mast_zenoh.wiring import maps
+from mast_zenoh.wiring.endpoints import NodeOptions
+from mast_zenoh.wiring.model import TAP, Branch, Endpoint, Input, Leg, Wiring, to_mermaid, to_text
 
 
 def node(role: str, inputs: str = "", outputs: str = "", **options: str) -> NodeOptions:
@@ -60,7 +61,7 @@ def down(role: str = "link", to: str | None = "agent") -> dict:
 
 
 def resolve(nodes: dict[str, NodeOptions], *rewrites: dict) -> Wiring:
-    return keyexpr.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *rewrites))], nodes)
+    return maps.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *rewrites))], nodes)
 
 
 def test_a_link_before_the_broker_is_heard_by_the_broker_alone() -> None:
@@ -218,7 +219,7 @@ def test_branches_are_printed_drawn_and_overheard() -> None:
 
 
 def test_our_network_map_leaves_the_evaluator_alone() -> None:
-    entries = keyexpr.load(bundle.ROOT / "keyexpr_maps" / "network.toml")["insert"]
+    entries = maps.load(bundle.ROOT / "keyexpr_maps" / "network.toml")["insert"]
     assert {(entry["wire"], entry["to"]) for entry in entries} == {
         ("agent/{agent}/tracks", "broker"),
         ("agent/{agent}/status", "broker"),

@@ -24,14 +24,14 @@ from launched_apart import Beside
 from rich.console import Console
 
 from mast_zenoh import scenario
+from mast_zenoh.cli.options import reporting
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MastError
-from mast_zenoh.launch import local
-from mast_zenoh.launch.launching import Launch
-from mast_zenoh.options import reporting
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.report import html
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime.mesh import prefix
-from mast_zenoh.runtime.session import open_session
+from mast_zenoh.runtime.mesh.node import prefix
+from mast_zenoh.runtime.mesh.session import open_session
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.security.levels import client_settings
 from mast_zenoh.study.rogue.position import MARKER
@@ -43,7 +43,7 @@ FRAMES, HELD_BEFORE = 8, 4
 _XDG = ("CACHE", "CONFIG")
 
 SCENARIO = """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, network = loading.function("scenarios", "realistic_network", "scenario")
 
@@ -193,7 +193,9 @@ def main(folder: Path) -> None:
         watchers[0].start()
 
     try:
-        ended = local.run(run, folder / "run", secure="acl", engine=engine, prepare=prepare, console=Console(width=400))
+        ended = launcher.run(
+            run, folder / "run", secure="acl", engine=engine, prepare=prepare, console=Console(width=400)
+        )
     finally:
         over.set()
         for watcher in watchers:

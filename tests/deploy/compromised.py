@@ -9,9 +9,9 @@ from typing import Any
 
 import msgpack
 
-from mast_zenoh.runtime import results
-from mast_zenoh.runtime.driver import Driver
-from mast_zenoh.runtime.mesh import MeshNode
+from mast_zenoh.control import results
+from mast_zenoh.runtime.mesh.driver import Driver
+from mast_zenoh.runtime.mesh.node import MeshNode
 
 RUBBISH = (b"", b"\xc1", b"\x93", b"\xff" * 40, msgpack.packb([]), msgpack.packb({}), msgpack.packb([1, 2, 3]))
 

@@ -10,16 +10,16 @@ from typing import Any
 
 import zenoh
 
+from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.launch.processes import Processes
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.resolved import NodeSpec, Resolved
-from mast_zenoh.runtime.mesh import prefix
-from mast_zenoh.runtime.session import open_router
+from mast_zenoh.runtime.mesh.node import prefix
+from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import levels
 from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 
 class BesideProcesses(Processes):
@@ -31,7 +31,7 @@ class BesideProcesses(Processes):
         self.patience_s = patience_s
 
     def command(self, name: str, spec: NodeSpec) -> list[str]:
-        code = f"from mast_zenoh.runtime import elsewhere\n{self.code}\nelsewhere.main()"
+        code = f"from mast_zenoh.runtime import remote_node\n{self.code}\nremote_node.main()"
         words = ["--name", name, "--run", self.run, "--endpoint", self.endpoint, "--patience", str(self.patience_s)]
         return [sys.executable, "-c", code, *words, *self.told(name), *self.inside(name)]
 

@@ -13,8 +13,8 @@ import psutil
 import pytest
 
 from mast_zenoh.errors import BackendError
-from mast_zenoh.launch.network import machine
-from mast_zenoh.launch.network.namespaces import Namespace, Owner
+from mast_zenoh.launch.netns import machine
+from mast_zenoh.launch.netns.namespaces import Namespace, Owner
 
 NAMES = ("alpha", "beta", "gamma")
 LAUNCHER = "10.78.0.1"

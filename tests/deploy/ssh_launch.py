@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh import scenario
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.ssh.engine import Ssh
 from mast_zenoh.errors import MastError
-from mast_zenoh.launch import local
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.steps import ProcessStep
+from mast_zenoh.launch import run as launcher
 
 
 def resolved(
@@ -33,7 +33,7 @@ def resolved(
 def run(hosts: str, options: str, out: str) -> None:
     told: dict[str, Any] = json.loads(options)
     secure = told.pop("secure", "open")
-    ended = local.run(resolved(**told), Path(out), engine=Ssh(Path(hosts)), secure=secure)
+    ended = launcher.run(resolved(**told), Path(out), engine=Ssh(Path(hosts)), secure=secure)
     if ended.error:
         sys.stderr.write(f"{type(ended.error).__name__}: {ended.error}\n")
         sys.exit(ended.error.exit_code)

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.swarm.engine import Swarm
-from mast_zenoh.launch import local
-from mast_zenoh.resolved import Resolved
+from mast_zenoh.launch import run
 
 
 def resolved(
@@ -33,7 +33,7 @@ if __name__ == "__main__":
     image, options, out = sys.argv[1:]
     told: dict[str, Any] = json.loads(options)
     secure = told.pop("secure", "open")
-    ended = local.run(resolved(**told), Path(out), engine=Swarm(image, patience_s=5.0), secure=secure)
+    ended = run.run(resolved(**told), Path(out), engine=Swarm(image, patience_s=5.0), secure=secure)
     if ended.error:
         sys.stderr.write(f"{type(ended.error).__name__}: {ended.error}\n")
         sys.exit(ended.error.exit_code)

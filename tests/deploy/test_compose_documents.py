@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.compose.examples import EXAMPLES, example
 from mast_zenoh.deploy.yamltext import dump
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.resolved import Resolved
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "deploy" / "compose"

@@ -13,11 +13,11 @@ from launched import MAST, Launched, eventually
 
 from mast_zenoh import scenario
 from mast_zenoh.deploy.docker import docker
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.runtime.launcher_watch import UP
+from mast_zenoh.runtime.mesh.launcher_watch import UP
 
 pytestmark = [pytest.mark.mesh, pytest.mark.timeout(600)]
 SMALL = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1")
@@ -41,9 +41,9 @@ def settings(of: tuple[str, ...]) -> list[str]:
     return [word for setting in of for word in ("--set", setting)]
 
 
-def here(name: str, of: tuple[str, ...], frames: int, out: Path) -> local.Run:
+def here(name: str, of: tuple[str, ...], frames: int, out: Path) -> launcher.Run:
     path, loaded = scenario.load(name, of)
-    ended = local.run(scenario.resolve(path, loaded, frames=frames, record=True), out, runtime="inproc")
+    ended = launcher.run(scenario.resolve(path, loaded, frames=frames, record=True), out, runtime="inproc")
     assert ended.error is None
     return ended
 

@@ -10,10 +10,10 @@ import pytest
 from launched_apart import Beside
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ImplausibleCounts
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.resolved import Resolved
 
 pytestmark = pytest.mark.mesh
 
@@ -30,8 +30,8 @@ def taken_over(node: str, call: str) -> Beside:
 
 def test_all_that_a_node_can_send_changes_nothing_and_is_told(tmp_path: Path) -> None:
     resolved = small()
-    sound = local.run(resolved, tmp_path / "sound", runtime="inproc")
-    ended = local.run(resolved, tmp_path / "run", engine=taken_over("infra_1", "speak_up()"), secure="acl")
+    sound = launcher.run(resolved, tmp_path / "sound", runtime="inproc")
+    ended = launcher.run(resolved, tmp_path / "run", engine=taken_over("infra_1", "speak_up()"), secure="acl")
     assert ended.error is None
     assert compare(sound.folder, ended.folder, taps=True).first is None
     metrics = [json.loads((run.folder / "metrics.json").read_text()) for run in (sound, ended)]
@@ -50,7 +50,7 @@ def test_all_that_a_node_can_send_changes_nothing_and_is_told(tmp_path: Path) ->
 
 
 def test_a_node_that_reports_more_than_it_was_sent_ends_the_run_and_is_named(tmp_path: Path) -> None:
-    ended = local.run(small(), tmp_path / "run", engine=taken_over("infra_1", "exaggerate('clock')"), secure="acl")
+    ended = launcher.run(small(), tmp_path / "run", engine=taken_over("infra_1", "exaggerate('clock')"), secure="acl")
     assert isinstance(ended.error, ImplausibleCounts)
     assert str(ended.error).startswith("infra_1 reports 1000000000 messages of simulator handled on clock, of which ")
     record = json.loads((ended.folder / "run.json").read_text())

@@ -16,9 +16,9 @@ import pytest
 from mast_zenoh.deploy.compose import engine
 from mast_zenoh.deploy.image import USER
 from mast_zenoh.deploy.ssh import onhost
-from mast_zenoh.runtime import elsewhere
+from mast_zenoh.runtime import remote_node
 from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 WIRING = Wiring((Wire("w", "", "clock", (Leg("w", Endpoint("a", "out"), (Endpoint("b", "in"),)),)),))
 
@@ -76,6 +76,6 @@ def test_what_is_installed_on_a_host_is_not_for_others_to_change(tmp_path: Path)
 
 def test_a_node_elsewhere_writes_for_nobody_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["mast-node", "--run", "r", "--name", "ego", "--endpoint", "tcp/127.0.0.1:1"])
-    monkeypatch.setattr(elsewhere, "_host", lambda arguments: (tmp_path / "written").touch())
-    elsewhere.main()
+    monkeypatch.setattr(remote_node, "_host", lambda arguments: (tmp_path / "written").touch())
+    remote_node.main()
     assert modes(tmp_path)["written"] == 0o600

@@ -10,12 +10,13 @@ import pytest
 from launched_apart import Beside
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import HandlerFailed, VersionMismatch
-from mast_zenoh.launch import latency, local
-from mast_zenoh.launch.depot import belongings
+from mast_zenoh.launch import latency
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.file_server import belongings
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
-from mast_zenoh.resolved import Resolved
 
 pytestmark = pytest.mark.mesh
 
@@ -28,8 +29,8 @@ def small(frames: int = 5, **run: object) -> Resolved:
 @pytest.mark.parametrize("level", ["open", "acl"])
 def test_a_run_whose_nodes_live_elsewhere_equals_the_one_in_this_process(tmp_path: Path, level: str) -> None:
     resolved = small()
-    here = local.run(resolved, tmp_path / "here", runtime="inproc")
-    there = local.run(resolved, tmp_path / "there", engine=Beside(), secure=level)
+    here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
+    there = launcher.run(resolved, tmp_path / "there", engine=Beside(), secure=level)
     assert there.error is None
     found = compare(here.folder, there.folder, taps=True)
     assert found.first is None, "\n".join(explain(found))
@@ -43,7 +44,7 @@ def test_a_run_whose_nodes_live_elsewhere_equals_the_one_in_this_process(tmp_pat
 
 def test_a_node_of_another_version_is_refused_and_both_are_named(tmp_path: Path) -> None:
     other = Beside({"ego": "elsewhere.release.named = lambda: '0.0.9 (sources beef)'"})
-    ended = local.run(small(), tmp_path / "run", engine=other)
+    ended = launcher.run(small(), tmp_path / "run", engine=other)
     assert isinstance(ended.error, VersionMismatch)
     assert "ego runs mast-zenoh 0.0.9 (sources beef), the launcher 0.1.0 (sources " in str(ended.error)
     assert ended.record["nodes"]["ego"]["exit"] == VersionMismatch.exit_code
@@ -84,7 +85,7 @@ def test_a_users_own_files_and_what_they_import_from_beside_reach_the_nodes(tmp_
         (folder / f"{name}.py").write_text(text)
     path, loaded = scenario.load(str(folder / "my_scenario.py"), [])
     resolved = scenario.resolve(path, loaded, frames=3, record=True)
-    here = local.run(resolved, tmp_path / "here", runtime="inproc")
+    here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     assert here.error is None
     sent = {name: dict(belongings(resolved, name, here.folder)) for name in ("ego", "command_center")}
     assert {path for path in sent["ego"] if path.endswith(".py")} == {
@@ -92,7 +93,7 @@ def test_a_users_own_files_and_what_they_import_from_beside_reach_the_nodes(tmp_
         "files/0/my_scenario.py",
         "files/0/numbers_of_mine.py",
     }
-    there = local.run(resolved, tmp_path / "there", engine=Beside())
+    there = launcher.run(resolved, tmp_path / "there", engine=Beside())
     assert there.error is None, there.error
     found = compare(here.folder, there.folder)
     assert found.first is None, "\n".join(explain(found))
@@ -103,8 +104,8 @@ def test_failures_and_results_of_nodes_that_live_elsewhere_are_those_of_one_proc
     for name, error in (("attack", HandlerFailed), ("second", None)):
         file, loaded = scenario.load(str(failing.write(name, tmp_path)), [])
         resolved = scenario.resolve(file, loaded, frames=8)
-        runs["here"] = local.run(resolved, tmp_path / f"{name}_here", runtime="inproc")
-        runs["there"] = local.run(resolved, tmp_path / f"{name}_there", engine=Beside(), secure="acl")
+        runs["here"] = launcher.run(resolved, tmp_path / f"{name}_here", runtime="inproc")
+        runs["there"] = launcher.run(resolved, tmp_path / f"{name}_there", engine=Beside(), secure="acl")
         for run in runs.values():
             assert type(run.error) is (error or type(None)), run.error
         here, there = (

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from containers import base, built
 
-from mast_zenoh import release
+from mast_zenoh import version
 from mast_zenoh.deploy import image, wheel
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.errors import EngineError
@@ -27,8 +27,8 @@ class Refuse:
         if name.split(".")[0] in {refused}:
             raise ModuleNotFoundError(f"a node needs {{name}}")
 sys.meta_path.insert(0, Refuse())
-from mast_zenoh import loading
-from mast_zenoh.runtime import elsewhere
+from mast_zenoh.config import loading
+from mast_zenoh.runtime import remote_node
 for file in sorted(pathlib.Path({nodes!r}).glob("*.py")):
     loading.module(file)
 import filterpy.kalman, mcap.writer, mast_zenoh.security.diagnosis, mast_zenoh.tracking.filterpy_tracker
@@ -59,7 +59,7 @@ def test_the_wheel_has_the_same_sources_every_time_and_its_entry_points(tmp_path
     with zipfile.ZipFile(first) as archive:
         names = archive.namelist()
         info = next(name.split("/")[0] for name in names if ".dist-info/" in name)
-        assert "mast-node = mast_zenoh.runtime.elsewhere:main" in archive.read(f"{info}/entry_points.txt").decode()
+        assert "mast-node = mast_zenoh.runtime.remote_node:main" in archive.read(f"{info}/entry_points.txt").decode()
         recorded = {line.split(",")[0] for line in archive.read(f"{info}/RECORD").decode().splitlines()}
     assert recorded == set(names)
     assert {"mast_zenoh/bundled/deploy/Dockerfile", "mast_zenoh/bundled/nodes/agent.py"} <= recorded
@@ -76,11 +76,11 @@ def test_the_image_is_small_and_holds_these_sources_and_no_more_than_nodes_need(
     ]
     code = (
         "import importlib.metadata as m\n"
-        "from mast_zenoh import release\n"
-        "print(release.fingerprint(), *{d.name.lower() for d in m.distributions()})"
+        "from mast_zenoh import version\n"
+        "print(version.fingerprint(), *{d.name.lower() for d in m.distributions()})"
     )
     fingerprint, *there = docker("run", "--rm", "--network=none", "--entrypoint=python3", tag, "-c", code).split()
-    assert fingerprint == release.fingerprint()
+    assert fingerprint == version.fingerprint()
     assert set(there) - {"pip", "setuptools", "wheel", "mast-zenoh"} == needed()
 
 

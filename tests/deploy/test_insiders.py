@@ -16,13 +16,12 @@ import pytest
 from besieged_run import NODES, Ended, play, resolved
 from decoders import refused
 
-from mast_zenoh import release
-from mast_zenoh.control import flow
-from mast_zenoh.launch import local
+from mast_zenoh import version
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import flow, results
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import results
-from mast_zenoh.runtime.stamp import ATTACHMENT, MARK
+from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
 from mast_zenoh.study.rogue.falsehoods import false_results, falsehoods
 from mast_zenoh.study.rogue.forgeries import Forgery, everything
 from mast_zenoh.study.rogue.malformed import pack
@@ -47,13 +46,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Resolved:
 
 @pytest.fixture(scope="module")
 def twin(run: Resolved, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    ended = local.run(run, tmp_path_factory.mktemp("twin") / "run", runtime="inproc")
+    ended = launcher.run(run, tmp_path_factory.mktemp("twin") / "run", runtime="inproc")
     assert ended.error is None
     return ended.folder
 
 
 def at(run: Resolved, node: str) -> Position:
-    return position(run, node, release.named())
+    return position(run, node, version.version_string())
 
 
 def sending(messages: Collection[Forgery]) -> Callable[..., int]:

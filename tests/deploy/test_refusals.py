@@ -14,14 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy import doctor, engines, space
 from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.compose.containers import connected_as
 from mast_zenoh.errors import BackendError, DiskFull, EngineError, RunError
-from mast_zenoh.launch import local
-from mast_zenoh.launch.depot import belongings, with_neighbours
+from mast_zenoh.launch import run
+from mast_zenoh.launch.file_server import belongings, with_neighbours
 from mast_zenoh.messagelog.writer import MessageLog
-from mast_zenoh.resolved import Resolved
 from mast_zenoh.runtime.file_client import _below, written_by
 
 
@@ -82,7 +82,7 @@ def test_who_cannot_unplug_a_node_says_so_before_anything_starts(
     tmp_path: Path, engine: str, runtime: str, where: str
 ) -> None:
     with pytest.raises(BackendError, match=rf"'infra_1' \(before frame 5\).*compose.*found {where}; use Partition"):
-        local.run(unplugged(), tmp_path / "run", runtime=runtime, engine=engines.load(engine)() if engine else None)
+        run.run(unplugged(), tmp_path / "run", runtime=runtime, engine=engines.load(engine)() if engine else None)
     assert not (tmp_path / "run").exists()
 
 

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from launched import eventually
 
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.deploy.compose.containers import Containers
 from mast_zenoh.deploy.ssh.nodes import RemoteNodes
 from mast_zenoh.errors import EngineError
-from mast_zenoh.resolved import NodeSpec
 
 #: Stands for Docker: it starts what it is told to start, and tells of the deaths in a file.
 DOCKER = """#!/bin/sh

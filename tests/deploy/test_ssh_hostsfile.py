@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.bundle import ROOT
+from mast_zenoh.config.bundle import ROOT
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, Hosts, parse, read
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.resolved import NodeSpec
 
 TWO = '[hosts.alpha]\naddress = "a"\n[hosts.beta]\naddress = "b"\n'
 

@@ -21,7 +21,7 @@ from ssh_hosts import NAMES, SshHosts
 
 from mast_zenoh.deploy import wheel
 from mast_zenoh.errors import EngineError, Interrupted
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messagelog.reader import read
@@ -97,7 +97,7 @@ def test_a_secure_run_on_three_hosts_equals_the_one_in_this_process(launch, host
     assert sum(node["role"] == "agent" for node in record["nodes"].values()) == 8
     for node in record["nodes"].values():
         assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "it is the same clock"
-    here = local.run(ssh_launch.resolved(15, steps=steps), tmp_path / "here", runtime="inproc")
+    here = launcher.run(ssh_launch.resolved(15, steps=steps), tmp_path / "here", runtime="inproc")
     found = compare(here.folder, run.out)
     assert found.first is None, "\n".join(explain(found))
     assert found.equal > 0
@@ -201,7 +201,7 @@ def test_hosts_that_cannot_take_nodes_are_refused_before_anything_starts(hosts: 
     old.write_text("#!/bin/sh\necho 3.9 x86_64\n")
     old.chmod(0o755)
     (tmp_path / "closed").write_text("")
-    codecs = {path: path.read_text() for path in hosts.home("alpha").glob("releases/*/mast_zenoh/codec.py")}
+    codecs = {path: path.read_text() for path in hosts.home("alpha").glob("releases/*/mast_zenoh/messages/codec.py")}
     assert codecs, "a run before this one has brought it there"
     broken = {
         "fine": "",

@@ -13,15 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh import kernels, scenario
-from mast_zenoh.deploy import arithmetic
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.deploy import numeric_environment
 from mast_zenoh.deploy.compose import document as compose
 from mast_zenoh.deploy.swarm import document, engine, placement, services, stack, tasks
 from mast_zenoh.deploy.swarm.placement import Machine
 from mast_zenoh.deploy.swarm.services import Services
 from mast_zenoh.deploy.swarm.tasks import Task
 from mast_zenoh.errors import ConfigurationError, EngineError
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.steps import ProcessStep
 
 RUN = "uncoordinated-00c0ffee"
 HERE = Machine("id-here", "here", True, {"mast.host": "west"})
@@ -398,6 +398,6 @@ def test_a_machine_without_a_swarm_has_nothing_of_a_stack_but_containers(monkeyp
 
 def test_nodes_elsewhere_get_what_decides_over_last_digits_and_nothing_else() -> None:
     ours = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "2", "HOME": "/somewhere"}
-    theirs = arithmetic.environment(ours)
+    theirs = numeric_environment.environment(ours)
     assert theirs.pop("MAST_KERNELS", kernels.USED) == kernels.USED
     assert theirs == {"OPENBLAS_CORETYPE": "Haswell"}

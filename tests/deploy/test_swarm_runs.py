@@ -15,13 +15,14 @@ import swarm_launch
 import swarms
 from launched import Launched, eventually
 
-from mast_zenoh import bundle, scenario
+from mast_zenoh import scenario
+from mast_zenoh.config import bundle
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.deploy.swarm import document, stack
 from mast_zenoh.deploy.swarm.engine import Swarm
 from mast_zenoh.errors import EngineError
-from mast_zenoh.launch import local
-from mast_zenoh.launch.local import Run
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.run import Run
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
@@ -66,8 +67,8 @@ def same(here: Run, there: Run) -> None:
 
 def test_a_secure_run_gives_the_same_to_the_last_digit_and_tells_nobody_a_key(tmp_path: Path, image: str) -> None:
     resolved = swarm_launch.resolved()
-    here = local.run(resolved, tmp_path / "here", runtime="inproc")
-    there = local.run(resolved, tmp_path / "there", engine=Swarm(image), secure="acl")
+    here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
+    there = launcher.run(resolved, tmp_path / "there", engine=Swarm(image), secure="acl")
     same(here, there)
     for name, node in there.record["nodes"].items():
         assert node["service"] == f"{there.record['deployment']['stack']}_{name}"
@@ -82,8 +83,8 @@ def test_whom_the_scenario_kills_stays_away_until_it_is_started_and_messages_are
 ) -> None:
     kill = dict(type="Kill", at=0.5, node="infra_2", restart_after=0.5)
     resolved = swarm_launch.resolved(frames=14, faults=[kill])
-    here = local.run(resolved, tmp_path / "here", runtime="inproc")
-    there = local.run(resolved, tmp_path / "there", engine=Swarm(image))
+    here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
+    there = launcher.run(resolved, tmp_path / "there", engine=Swarm(image))
     same(here, there)
     assert there.record["nodes"]["infra_2"]["restarts"] == 1
     assert there.record["steps"] == [
@@ -124,7 +125,7 @@ class Patient(Agent):
         super().on_clock(received, context)
 """
 SCENARIO = """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 
@@ -145,7 +146,7 @@ def test_a_node_that_docker_starts_again_takes_part_at_the_current_frame_of_a_lo
         (tmp_path / f"{name}.py").write_text(content)
     path, loaded = scenario.load(str(tmp_path / "rising.py"), [])
     resolved = scenario.resolve(path, loaded, frames=150)
-    ended = local.run(resolved, tmp_path / "run", engine=Swarm(image), secure="acl", allow_churn=True)
+    ended = launcher.run(resolved, tmp_path / "run", engine=Swarm(image), secure="acl", allow_churn=True)
     assert ended.error is None, ended.error
     assert [(each["node"], each["what"]) for each in ended.record["churn"]] == [
         ("infra_2", "lost"),
@@ -221,7 +222,7 @@ def test_what_a_killed_launcher_leaves_goes_by_itself_and_down_removes_the_rest(
 def test_what_makes_a_run_impossible_is_said_before_anything_is_written(tmp_path: Path, image: str) -> None:
     resolved = swarm_launch.resolved()
     with pytest.raises(EngineError, match=r"there is no image mast-zenoh:nowhere: build it by `mast deploy image`"):
-        local.run(resolved, tmp_path / "run", engine=Swarm("mast-zenoh:nowhere"))
+        launcher.run(resolved, tmp_path / "run", engine=Swarm("mast-zenoh:nowhere"))
     with pytest.raises(EngineError, match=r"has the label mast\.host=moon"):
-        local.run(resolved, tmp_path / "run", engine=Swarm(image, place={"infra_*": "moon"}))
+        launcher.run(resolved, tmp_path / "run", engine=Swarm(image, place={"infra_*": "moon"}))
     assert not (tmp_path / "run").exists()

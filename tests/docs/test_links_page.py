@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh import scenario
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 PAGE = (Path(__file__).parents[2] / "docs" / "links.md").read_text(encoding="utf-8")
 

@@ -11,9 +11,9 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.effects import EFFECTS
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.tables import read_table
 from mast_zenoh.metrics.causes import CAUSES
-from mast_zenoh.tables import read_table
 
 DOCS = Path(__file__).parents[2] / "docs"
 METRICS = (DOCS / "metrics.md").read_text(encoding="utf-8")
@@ -38,7 +38,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pages")
     (folder / "mine.py").write_text(SCENARIO.format(metric=metric, options=", ".join(options)))
     path, content = scenario.load(str(folder / "mine.py"))
-    ended = local.run(scenario.resolve(path, content, frames=80), folder / "run", runtime="inproc")
+    ended = launcher.run(scenario.resolve(path, content, frames=80), folder / "run", runtime="inproc")
     assert ended.error is None
     return ended.folder
 

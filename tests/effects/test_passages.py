@@ -7,13 +7,13 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from mast_zenoh import codec
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects.message_effects import Interval
 from mast_zenoh.effects.passages import KNOWN_FRAMES, REMEMBERED, PassageMeter
-from mast_zenoh.messages import Header
-from mast_zenoh.received import Overheard
-from mast_zenoh.states import ObjectStates
-from mast_zenoh.wiring import Input, Passage
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header
+from mast_zenoh.wiring.model import Input, Passage
+from mast_zenoh.wiring.received import Overheard
 
 PERIOD_NS = 100_000_000
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}

@@ -11,9 +11,9 @@ import numpy as np
 from played import Played
 from shapely import LineString, Polygon, affinity
 
-from mast_zenoh import codec
-from mast_zenoh.geometry import heading, rotation_from_quaternion
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messages import codec
 
 HORIZON_M, MARGIN_M = 60.0, 0.3
 RESPONSE_S, ACCELERATION, BRAKING, BRAKING_AHEAD = 0.5, 2.0, 4.0, 8.0

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from watched import PERIOD_NS, Arrival, Read, Sent, Watched
 
-from mast_zenoh import codec
-from mast_zenoh.messages import SCHEMAS, Body, Message
-from mast_zenoh.wiring import Passage
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import SCHEMAS, Body, Message
+from mast_zenoh.wiring.model import Passage
 
 NAN3 = (math.nan, math.nan, math.nan)
 #: Pose of an agent in a frame: position and quaternion w x y z.

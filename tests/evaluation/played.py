@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from watched import Watched
 
-from mast_zenoh import codec, scenario
-from mast_zenoh.launch import local
+from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.launch import run
+from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.messages import Body
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.tables import read_table
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body
 
 DOCS = Path(__file__).parents[2] / "docs"
 FRAMES = 36
@@ -56,7 +57,7 @@ def play(folder: Path, name: str, *settings: str, frames: int = FRAMES, seed: in
         (folder / f"{file}.py").write_text(text)
     path, content = scenario.load(str(folder / f"{name}.py") if name in files else name, list(settings))
     resolved = scenario.resolve(path, content, frames=frames, seed=seed, record=True)
-    ended = local.run(resolved, folder / "run", runtime="inproc")
+    ended = run.run(resolved, folder / "run", runtime="inproc")
     assert ended.error is None, ended.error
     return Played(ended.folder)
 
@@ -76,7 +77,7 @@ def watch(folder: Path, resolved: Resolved) -> tuple[Played, Watched]:
         return made[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(local, "InProcess", process)
-        ended = local.run(resolved, folder / "run", runtime="inproc", allow_failures=True)
+        patch.setattr(run, "InProcess", process)
+        ended = run.run(resolved, folder / "run", runtime="inproc", allow_failures=True)
     assert ended.error is None, ended.error
     return Played(ended.folder), made[0]

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import motmetrics
 import numpy as np
 
-from mast_zenoh import codec
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.errors import MessageError
-from mast_zenoh.geometry import rotation_from_quaternion
 from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messages import codec
 
 RANGE_M, GATE_M, MIN_POINTS = 100.0, 2.0, 5
 HELD = 5  # frames: 0.5 s, for which an agent goes on with a picture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
-from mast_zenoh import bundle, loading
+from mast_zenoh.config import bundle, loading
 
 #: By name further settings, each in a list of variants; other scenarios are played as they are.
 VARIANTS: dict[str, list[tuple[str, ...]]] = {

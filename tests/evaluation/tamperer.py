@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh import codec
-from mast_zenoh.messages import Message
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Message
 from mast_zenoh.node import Context, Node, Received
 
 

@@ -10,7 +10,7 @@ from played import Played, play
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import HandlerFailed
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run
 
 Once = Callable[..., Played]
 
@@ -63,7 +63,7 @@ class Hider(Node):
             }, frame=received.frame, time_ns=received.time_ns)
 """,
     "hidden": """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 
@@ -126,7 +126,7 @@ def test_a_crashing_adversary_is_measured_as_dropping_messages_and_named_by_the_
     for file, text in FILES.items():
         (tmp_path / f"{file}.py").write_text(text)
     path, content = scenario.load(str(tmp_path / "hidden.py"), ["one=crash", "other=truth"])
-    ended = local.run(scenario.resolve(path, content, frames=FRAMES, seed=0), tmp_path / "run", runtime="inproc")
+    ended = run.run(scenario.resolve(path, content, frames=FRAMES, seed=0), tmp_path / "run", runtime="inproc")
     assert isinstance(ended.error, HandlerFailed)
     assert ended.record["status"] == "handler_failures"
     for words in ("one", "on_detections", "20 frames", "ZeroDivisionError: no plan", "hider.py:"):

@@ -12,7 +12,7 @@ Once = Callable[..., Played]
 ADVERSARY = """
 import numpy as np
 
-from mast_zenoh import codec
+from mast_zenoh.messages import codec
 from mast_zenoh.messages import Message
 from mast_zenoh.node import Node
 

@@ -31,7 +31,7 @@ class Lifter(Node):
         context.relay("picture_out", received, {**body, "position": body["position"] + np.array([0.0, 6.0, 0.0])})
 """,
     "downlink": """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 
@@ -47,7 +47,7 @@ def scenario():
 #: Coordinated adversaries on the tracks that infra_1 and the ego send.
 UPLINK = {
     "uplink": """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, coordinated = loading.function("scenarios", "coordinated", "scenario")
 
@@ -122,7 +122,7 @@ METRICS = {
     "judged": """
 import numpy as np
 
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 from mast_zenoh.metrics import FrameMetric, RunMetric
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import Body, Header, Message
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Received
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.wiring import Passage
+from mast_zenoh.wiring.model import Passage
 
 PERIOD_NS = 100_000_000
 

@@ -9,9 +9,10 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from mast_zenoh import checks, cli, scenario
+from mast_zenoh import checks, scenario
 from mast_zenoh.checks import convergence
-from mast_zenoh.launch import local
+from mast_zenoh.cli import app
+from mast_zenoh.launch import run
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
@@ -29,7 +30,7 @@ def played(out: Path, seed: int, runtime: str, *settings: str) -> Path:
     """The folder of a run under a random schedule; fails, and says how to replay it, if anything is wrong with it."""
     path, loaded = scenario.load("chaos", [f"chaos_seed={seed}", *settings])
     resolved = scenario.resolve(path, loaded, record=True)
-    ended = local.run(resolved, out, runtime=runtime)
+    ended = run.run(resolved, out, runtime=runtime)
     wrong = [f"{type(ended.error).__name__}: {ended.error}"] if ended.error else []
     wrong += [f"{check['name']}: {check['detail']}" for check in told(ended.folder) if not check["ok"]]
     broken = {name: node["failures"] for name, node in ended.record["nodes"].items() if node.get("failures")}
@@ -74,7 +75,7 @@ def test_a_failing_schedule_says_the_one_command_that_replays_it(
     *_, replay = str(failed.value).splitlines()
     assert replay == "replay: mast run chaos --set chaos_seed=17 --runtime inproc"
     _, *words = shlex.split(replay.removeprefix("replay: "))
-    CliRunner().invoke(cli.app, [*words, "--no-report", "--out", str(tmp_path / "replayed")])
+    CliRunner().invoke(app.app, [*words, "--no-report", "--out", str(tmp_path / "replayed")])
     assert [check["ok"] for check in told(tmp_path / "replayed")] == [
         check["ok"] for check in told(tmp_path / "failed")
     ]

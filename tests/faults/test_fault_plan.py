@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh import registry
+from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import Fault, Plan, ProcessStep, plan
 from mast_zenoh.faults.plan import frame_at

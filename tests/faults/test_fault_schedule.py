@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh import registry
+from mast_zenoh.config import registry
 from mast_zenoh.faults import Fault, plan, random_schedule
 
 AGENTS = ("ego", "infra_1", "infra_2")

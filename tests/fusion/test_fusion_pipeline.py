@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.config.registry import build
 from mast_zenoh.fusion import (
     BestMemberFusion,
     CommandCenterPipeline,
@@ -13,8 +15,6 @@ from mast_zenoh.fusion import (
     SampledAssignmentClusterer,
     UnfilteredGroupTracker,
 )
-from mast_zenoh.registry import build
-from mast_zenoh.states import ObjectStates
 from mast_zenoh.tracking import KalmanBoxTracker3D
 
 NAMES = ("ego", "infra_1", "infra_2")

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
+from mast_zenoh.arrays.states import CLASS_INDEX, ObjectStates
 from mast_zenoh.fusion import BestMemberFusion, CovarianceIntersectionFusion
-from mast_zenoh.states import CLASS_INDEX, ObjectStates
 
 CI = CovarianceIntersectionFusion
 

@@ -61,9 +61,9 @@ def arrange(stage: str, words: list[str]) -> None:
 
         before(scenario, "resolve", words)
     elif stage == "starting":
-        from mast_zenoh.launch import local
+        from mast_zenoh.launch import run
 
-        before(local.run_folder, "versions", words)
+        before(run.run_folder, "versions", words)
     elif stage == "building":
         from mast_zenoh.runtime.inproc import InProcess
 

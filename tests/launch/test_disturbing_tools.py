@@ -10,7 +10,7 @@ import pytest
 import stopped
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 
 ERROR = "error: NodeLost: infra_1 was lost before frame 3"
 
@@ -21,7 +21,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("runs")
     path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
     made = [
-        local.run(
+        launcher.run(
             scenario.resolve(path, loaded, frames=4, seed=seed, record=True), folder / str(number), runtime="inproc"
         )
         for number, seed in enumerate((1, 1, 2))

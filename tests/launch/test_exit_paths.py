@@ -79,7 +79,7 @@ def test_a_signal_while_the_command_line_is_imported_is_answered_in_one_line(out
         "from mast_zenoh import __main__ as process\n"
         "class Raiser:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name == 'mast_zenoh.cli': signal.raise_signal(signal.SIGINT)\n"
+        "        if name == 'mast_zenoh.cli.app': signal.raise_signal(signal.SIGINT)\n"
         "sys.meta_path.insert(0, Raiser()); process.main()"
     )
     ended = Ended(out, (sys.executable, "-c", script, *RUN))
@@ -101,7 +101,7 @@ with mock.patch("mast_zenoh.scenario.resolve", make) if when == "resolving" else
 """
 
 
-@pytest.mark.parametrize("when", ["mast_zenoh.stop_signals", "mast_zenoh.cli", "resolving"])
+@pytest.mark.parametrize("when", ["mast_zenoh.launch.stop_signals", "mast_zenoh.cli.app", "resolving"])
 def test_a_signal_while_a_class_is_made_is_answered_in_one_line(out: Path, when: str) -> None:
     """Python 3.11 turns an exception in `__set_name__` into a RuntimeError."""
     ended = Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
@@ -236,7 +236,7 @@ def test_a_run_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["../evil", "a/b", "/tmp/evil", "..", "", "a*b", 7])
 def test_a_scenario_s_name_does_not_leave_runs(tmp_path: Path, name: object) -> None:
     (tmp_path / "named.py").write_text(
-        "from mast_zenoh import loading\n"
+        "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
         f"def scenario(): return baseline() | dict(name={name!r})\n"
     )
@@ -270,7 +270,7 @@ def test_a_report_needs_no_screen_and_no_valid_mplbackend(out: Path, backend: st
 def test_a_path_that_the_locale_has_no_letters_for(tmp_path: Path, utf8: str) -> None:
     file = tmp_path / "Kreuzung_größer.py"
     file.write_text(
-        "from mast_zenoh import loading\n_, scenario = loading.function('scenarios', 'baseline', 'scenario')\n"
+        "from mast_zenoh.config import loading\n_, scenario = loading.function('scenarios', 'baseline', 'scenario')\n"
     )
     ascii_only = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": utf8, "PYTHONCOERCECLOCALE": "0"}
     ended = Ended(tmp_path / "Ergebnis_ä", (*MAST, "run", str(file), *with_report()[2:]), env=ascii_only)

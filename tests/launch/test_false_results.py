@@ -14,19 +14,19 @@ import pytest
 from decoders import refused
 from rich.console import Console
 
-from mast_zenoh import release, scenario
+from mast_zenoh import scenario, version
+from mast_zenoh.cli.options import reporting
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import results
 from mast_zenoh.errors import MastError, RunFolderError
 from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.display import Display
-from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.options import reporting
 from mast_zenoh.report import html, terminal
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import results
 from mast_zenoh.study.rogue.falsehoods import false_results
 from mast_zenoh.study.rogue.forgeries import forgeries
 from mast_zenoh.study.rogue.position import MARKER, Position, position
@@ -50,7 +50,7 @@ def resolved() -> Resolved:
 
 
 def at(node: str) -> Position:
-    return position(resolved(), node, release.named())
+    return position(resolved(), node, version.version_string())
 
 
 def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dict[str, Any]:

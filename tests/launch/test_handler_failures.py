@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from mast_zenoh import checks, scenario
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import HandlerFailed, NodeDied
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run
+from mast_zenoh.launch.tables import read_table
 from mast_zenoh.report import write_report, write_study_report
-from mast_zenoh.resolved import Resolved
 from mast_zenoh.scenes import Recording
-from mast_zenoh.tables import read_table
 
 
 def resolved(name: str, folder: Path, frames: int = 12) -> Resolved:
@@ -24,8 +24,8 @@ def resolved(name: str, folder: Path, frames: int = 12) -> Resolved:
     return scenario.resolve(file, loaded, frames=frames, record=True)
 
 
-def played(name: str, folder: Path, **options: Any) -> local.Run:
-    return local.run(resolved(name, folder), folder / "run", runtime="inproc", **options)
+def played(name: str, folder: Path, **options: Any) -> run.Run:
+    return run.run(resolved(name, folder), folder / "run", runtime="inproc", **options)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_another_error_is_named_first_and_the_failures_are_kept(
         return truth_at(self, frame)
 
     monkeypatch.setattr(Recording, "truth_at", fails_at_9)
-    ended = local.run(world, tmp_path / "run", runtime="inproc")
+    ended = run.run(world, tmp_path / "run", runtime="inproc")
     assert isinstance(ended.error, NodeDied)
     assert ended.record["status"] == "failed"
     assert ended.record["nodes"]["eve"]["failures"][0]["last_frame"] == 8
@@ -126,7 +126,7 @@ def test_a_run_with_links_is_checked_although_handlers_failed(tmp_path: Path) ->
     file, loaded = scenario.load(str(failing.write("attack", tmp_path)), [])
     loaded["faults"] = [dict(type="Loss", at=0.2, until=0.6, node="ego", probability=0.5)]
     world = scenario.resolve(file, loaded, frames=12, record=True)
-    ended = local.run(world, tmp_path / "run", runtime="inproc")
+    ended = run.run(world, tmp_path / "run", runtime="inproc")
     assert isinstance(ended.error, HandlerFailed)
     found = {check["name"]: check for check in json.loads((ended.folder / checks.FILE).read_text())["checks"]}
     assert found["sequences"]["values"].get("checked", True), "the run came to its end, so its record is complete"

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from tiny_world import TinyScene  # noqa: F401
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.settings import nested
 from mast_zenoh.control.interception import place_json, place_of
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
-from mast_zenoh.launch.asking import intercept, plan, release
-from mast_zenoh.launch.interception import seal, unseal
-from mast_zenoh.resolved import Resolved
+from mast_zenoh.launch.interception.client import intercept, plan, release
+from mast_zenoh.launch.interception.server import seal, unseal
 from mast_zenoh.scenario.nodes import inform
-from mast_zenoh.settings import nested
 
 TRACKS = "agent/infra_1/tracks"
 AGENT = dict(

@@ -6,8 +6,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import stop_signals
-from mast_zenoh.launch.launching import _POLL_S, Launch
+from mast_zenoh.launch import stop_signals
+from mast_zenoh.launch.mesh_run import _POLL_S, Launch
 
 
 def test_a_signal_that_is_noted_slowly_does_not_hold_up_the_launcher() -> None:

@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 
 from mast_zenoh.errors import NotRunning
-from mast_zenoh.launch import asking, folder, liveness
-from mast_zenoh.report.circumstances import status
+from mast_zenoh.launch import folder, liveness
+from mast_zenoh.launch.interception import client
+from mast_zenoh.report.narrative.circumstances import status
 from mast_zenoh.report.runfolder import RunFolder
 
 SAYS_WHO = (
@@ -74,4 +75,4 @@ def test_every_tool_that_reads_the_folder_says_that_the_run_was_killed(tmp_path:
     assert run.run["status"] == "killed"
     assert "cut off" in status(run)
     with pytest.raises(NotRunning, match="the run is over: killed"):
-        asking.release(tmp_path, name="x")
+        client.release(tmp_path, name="x")

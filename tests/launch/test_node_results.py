@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import local
-from mast_zenoh.resolved import NodeSpec
-from mast_zenoh.tables import read_arrow, read_table
+from mast_zenoh.launch import run
+from mast_zenoh.launch.tables import read_arrow, read_table
 
 METRICS = {"frames": 3, "agents": {}}
 TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
@@ -103,7 +103,7 @@ def test_metrics_that_are_no_dict_are_kept_as_a_result(tmp_path: Path) -> None:
 
 def test_a_second_node_that_returns_metrics_and_tables_changes_none_of_the_run(tmp_path: Path) -> None:
     file, loaded = scenario.load(str(failing.write("second", tmp_path)), [])
-    ended = local.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
+    ended = run.run(scenario.resolve(file, loaded, frames=5), tmp_path / "run", runtime="inproc")
     assert ended.error is None
     assert run_folder.read_json(ended.folder / "metrics.json")["frames"] == 5
     assert "rmse_m" in read_table(ended.folder / "metrics.parquet")
@@ -128,7 +128,7 @@ def test_an_attack_without_targets_or_places_says_so(
     tmp_path: Path, name: str, setting: str, node: str, missing: str
 ) -> None:
     file, content = scenario.load(name, [setting, "attack_start_s=1.0"])
-    ended = local.run(scenario.resolve(file, content, frames=30), tmp_path / "run", runtime="inproc")
+    ended = run.run(scenario.resolve(file, content, frames=30), tmp_path / "run", runtime="inproc")
     counts = json.loads((ended.folder / f"results/{node}/results.json").read_text())
     log = (ended.folder / f"logs/{node}.log").read_text()
     assert missing in log

@@ -11,10 +11,10 @@ import pytest
 from tiny_world import tiny
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import StallError
-from mast_zenoh.launch import ending, local, notices
+from mast_zenoh.launch import ending, notices, run
 from mast_zenoh.report import write_report
-from mast_zenoh.resolved import Resolved
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
         content["links"] = {"infra_1": dict(up=[dict(type="Delay", mean_s=0.25)]), "infra_2": dict(up=[corrupt])}
         content["links"]["*"] = dict(up=[])
 
-    ended = local.run(tiny(edit=slow_and_corrupt), tmp_path / "run", runtime="inproc")
+    ended = run.run(tiny(edit=slow_and_corrupt), tmp_path / "run", runtime="inproc")
     assert ended.error is None
     found = {notice["kind"]: notice for notice in json.loads((ended.folder / "run.json").read_text())["notices"]}
     assert found["late"]["text"] == "10 messages of infra_1 came too late for their batch"
@@ -146,7 +146,7 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("frames", "expected"), [(1, "the only frame is"), (5, "all 5 frames are"), (40, "")])
 def test_a_run_too_short_to_leave_out_its_first_frames_says_so(tmp_path: Path, frames: int, expected: str) -> None:
     file, content = scenario.load("baseline", ["n_infrastructure=1"])
-    ended = local.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
+    ended = run.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
     found = {notice["kind"]: notice["text"] for notice in ended.record["notices"]}
     assert json.loads((ended.folder / "metrics.json").read_text())["settled"] == (not expected)
     assert ("unsettled" in found) == bool(expected)

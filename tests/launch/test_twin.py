@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh import release, scenario
+from mast_zenoh import scenario, version
 from mast_zenoh.errors import NotComparable
-from mast_zenoh.launch import local, twin
+from mast_zenoh.launch import run, twin
 
 FRAMES = 30
 
@@ -19,7 +19,7 @@ def played(folder: Path, name: str, *settings: str, **changes: Any) -> Path:
     """A run of one of our scenarios in one process; its attacks begin at once."""
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded | changes, seed=3, frames=FRAMES)
-    ended = local.run(resolved, folder, runtime="inproc")
+    ended = run.run(resolved, folder, runtime="inproc")
     assert ended.error is None
     return folder
 
@@ -69,7 +69,7 @@ def run_id(folder: Path) -> str:
 
 
 OWN_AGENT = """
-from mast_zenoh import bundle, loading
+from mast_zenoh.config import bundle, loading
 from offset import OFFSET
 
 Base = loading.node_class(bundle.ROOT / "nodes" / "agent.py")
@@ -102,8 +102,8 @@ def test_it_is_played_again_when_a_users_file_or_one_beside_it_changed(tmp_path:
 def test_it_is_played_again_when_a_version_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     attacked = played(tmp_path / "attacked", "uncoordinated")
     first = run_id(twin.of(attacked))
-    later = release.versions() | {"mast-zenoh": "later"}
-    monkeypatch.setattr(release, "versions", lambda: later)
+    later = version.versions() | {"mast-zenoh": "later"}
+    monkeypatch.setattr(version, "versions", lambda: later)
     second = run_id(twin.of(attacked))
     assert second != first
     assert run_id(twin.of(attacked)) == second

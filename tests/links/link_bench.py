@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh import registry
+from mast_zenoh.config import registry
 from mast_zenoh.links import Chain, Outcome, Passage, Rule
 from mast_zenoh.streams import stream
 

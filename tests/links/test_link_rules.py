@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from link_bench import PERIOD_NS, build, came, carry, chain, delays
 
 from mast_zenoh import links
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
+from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.geometry import heading, rotation_from_quaternion
 from mast_zenoh.links import FATES, PROFILES, Outcome, Passage, Rule, displaced, flipped, profile
-from mast_zenoh.registry import known_types
 
 #: One sound dict of every rule.
 EVERY: dict[str, dict[str, Any]] = {

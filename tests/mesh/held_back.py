@@ -14,9 +14,9 @@ from pathlib import Path
 from launched_apart import Beside
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import local
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime.driver import Driver
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.launch import run
+from mast_zenoh.runtime.mesh.driver import Driver
 
 _LOOK_EVERY_S = 0.02
 
@@ -56,7 +56,7 @@ def main() -> None:
     file, out = sys.argv[1], Path(sys.argv[2])
     here = [str(Path(__file__).parent), *sys.path]
     wait = f"__import__('sys').path[:0] = {here!r}; __import__('held_back').hold_back({str(gate(out))!r})"
-    ended = local.run(resolved(file), out, engine=Beside({"simulator": wait}))
+    ended = run.run(resolved(file), out, engine=Beside({"simulator": wait}))
     if ended.error:
         print(f"{type(ended.error).__name__}: {ended.error}", file=sys.stderr)
         sys.exit(ended.error.exit_code)

@@ -12,8 +12,8 @@ from tempfile import gettempdir
 import pytest
 
 from mast_zenoh.errors import BackendError
-from mast_zenoh.launch.network import machine
-from mast_zenoh.launch.network.namespaces import NAMESPACES, Owner
+from mast_zenoh.launch.netns import machine
+from mast_zenoh.launch.netns.namespaces import NAMESPACES, Owner
 
 
 def require(*needs: str) -> None:

@@ -13,13 +13,14 @@ import psutil
 import pytest
 from launched import Launched, Observer, alive, eventually
 
-from mast_zenoh import codec, scenario
-from mast_zenoh.launch import local
+from mast_zenoh import scenario
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.steps import ProcessStep
+from mast_zenoh.messages import codec
 
 pytestmark = pytest.mark.mesh
 
@@ -52,9 +53,9 @@ def frames_of(folder: Path, key: str) -> list[int]:
 
 def test_in_lock_step_the_mesh_says_what_one_process_says_whoever_dies_and_comes_back(tmp_path: Path) -> None:
     what = resolved(*STEPS, frames=16)
-    mesh = local.run(what, tmp_path / "mesh")
+    mesh = launcher.run(what, tmp_path / "mesh")
     assert mesh.error is None, mesh.error
-    inproc = local.run(what, tmp_path / "inproc", runtime="inproc")
+    inproc = launcher.run(what, tmp_path / "inproc", runtime="inproc")
     assert inproc.error is None
     found = compare(mesh.folder, inproc.folder, taps=True)
     assert found.first is None, "\n".join(explain(found))
@@ -88,12 +89,12 @@ def launch(start: Callable[..., Launched]) -> Callable[..., Launched]:
         "from dataclasses import replace\n"
         "from pathlib import Path\n"
         "from mast_zenoh import scenario\n"
-        "from mast_zenoh.steps import ProcessStep\n"
-        "from mast_zenoh.launch import local\n"
+        "from mast_zenoh.config.process_steps import ProcessStep\n"
+        "from mast_zenoh.launch import run as launcher\n"
         "path, loaded = scenario.load('baseline', ['n_infrastructure=2'])\n"
         "found = scenario.resolve(path, loaded, mode='realtime', rate=0.5, record=True)\n"
         "steps = tuple(ProcessStep(*step) for step in {steps!r})\n"
-        "ended = local.run(replace(found, steps=steps), Path(sys.argv[1]))\n"
+        "ended = launcher.run(replace(found, steps=steps), Path(sys.argv[1]))\n"
         "print(ended.record['status'])\n"
     )
     return lambda *steps: start(sys.executable, "-c", code.format(steps=steps))
@@ -147,7 +148,7 @@ def test_however_a_run_ends_a_node_that_stands_still_does_not_stay_behind(launch
 
 
 def test_who_still_stands_still_at_the_end_is_let_go_on(tmp_path: Path) -> None:
-    ended = local.run(resolved((5, "pause", "infra_1"), frames=10, mode="realtime", rate=2.0), tmp_path / "run")
+    ended = launcher.run(resolved((5, "pause", "infra_1"), frames=10, mode="realtime", rate=2.0), tmp_path / "run")
     assert ended.error is None, ended.error
     assert ended.record["nodes"]["infra_1"]["ended"] == "ok"
 

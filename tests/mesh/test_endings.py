@@ -18,9 +18,9 @@ from endings_table import ending
 from held_back import allow
 from launched import MAST, Launched, Observer, alive, eventually
 
-from mast_zenoh import codec
 from mast_zenoh.launch.liveness import seen_now
 from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messages import codec
 
 pytestmark = pytest.mark.mesh
 
@@ -57,7 +57,7 @@ def test_a_killed_agent_does_not_end_the_run(launch, mode: tuple[str, ...]) -> N
 
 def test_an_agent_whose_policy_is_restart_comes_back_at_the_current_frame(launch, tmp_path: Path) -> None:
     (tmp_path / "phoenix.py").write_text(
-        "from mast_zenoh import loading\n"
+        "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
         "def scenario():\n"
         "    made = baseline()\n"
@@ -97,7 +97,7 @@ def test_a_dead_command_centre_fails_the_run_with_its_own_exit_code(launch) -> N
 
 def test_who_drives_a_scene_that_nobody_else_is_left_to_see_does_not_play_on(launch, tmp_path: Path) -> None:
     (tmp_path / "alone.py").write_text(
-        "from mast_zenoh import loading\n"
+        "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
         "def scenario():\n"
         "    roles = ('broker', 'command_center', 'evaluator')\n"
@@ -264,7 +264,7 @@ def test_a_node_that_cannot_start_is_named_with_its_last_words(launch, tmp_path:
         "    def on_clock(self, received, context): ...\n"
     )
     (tmp_path / "mine.py").write_text(
-        "from mast_zenoh import loading\n"
+        "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
         "def scenario():\n"
         "    return baseline() | dict(adversaries=dict(mallory=dict(file='broken.py', agent='infra_1')))\n"

@@ -12,7 +12,7 @@ import pytest
 from launched import Launched, Observer, eventually
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.messagelog.reader import read
@@ -25,7 +25,7 @@ FRAMES = 8
 def in_process(out: Path, name: str, *settings: str) -> Path:
     """The same in one process."""
     path, loaded = scenario.load(name, settings)
-    ended = local.run(scenario.resolve(path, loaded, frames=FRAMES, record=True), out, runtime="inproc")
+    ended = launcher.run(scenario.resolve(path, loaded, frames=FRAMES, record=True), out, runtime="inproc")
     assert ended.error is None
     return ended.folder
 
@@ -63,7 +63,7 @@ def test_interposers_that_change_nothing_leave_no_trace_in_the_recording(launch,
 OWN_PIPELINE = """
 import numpy as np
 
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 from mast_zenoh.fusion import Pipeline
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
@@ -94,7 +94,7 @@ def test_a_users_own_pipeline_makes_the_same_pictures_on_the_mesh_and_in_one_pro
 
 
 LISTENING = """
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 

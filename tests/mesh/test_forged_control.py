@@ -13,11 +13,11 @@ from launched import Launched, eventually
 
 from mast_zenoh import scenario
 from mast_zenoh.control import flow
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.runtime.session import open_client
+from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.security.credentials import Credentials
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 pytestmark = pytest.mark.mesh
 WHAT = ("baseline", "--frames", "20", "--set", "n_infrastructure=1")
@@ -52,7 +52,7 @@ def test_what_is_not_signed_changes_nothing_and_is_counted(launch, tmp_path: Pat
         code, output = run.end()
     assert code == 0, output
     path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
-    sound = local.run(scenario.resolve(path, loaded, frames=20, record=True), tmp_path / "sound", runtime="inproc")
+    sound = launcher.run(scenario.resolve(path, loaded, frames=20, record=True), tmp_path / "sound", runtime="inproc")
     found = compare(sound.folder, run.out)
     assert found.first is None
     assert found.equal > 0

@@ -13,7 +13,7 @@ import zenoh
 from launched import Launched, Observer, eventually
 
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 pytestmark = pytest.mark.mesh
 MESSAGES = 100_000

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from launched import Observer, eventually
 
-from mast_zenoh.launch import asking
-from mast_zenoh.tables import read_table
+from mast_zenoh.launch.interception import client
+from mast_zenoh.launch.tables import read_table
 
 pytestmark = pytest.mark.mesh
 SHOVER = """
@@ -43,7 +43,7 @@ def test_a_node_that_intercepts_is_measured_from_then_on_and_no_other_adversary_
     observer = Observer(run.started())
     try:
         eventually(lambda: observer.frame() > 3, "the run is on its way")
-        done = asking.intercept(run.out, "agent/infra_1/tracks", str(tmp_path / "shover.py"), name="mallory")
+        done = client.intercept(run.out, "agent/infra_1/tracks", str(tmp_path / "shover.py"), name="mallory")
         assert done["frame"] < 120, "there is time left to deceive"
         code, output = run.end()
     finally:

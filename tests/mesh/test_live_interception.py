@@ -15,13 +15,14 @@ from pathlib import Path
 import pytest
 from launched import Launched, Observer, eventually
 
-from mast_zenoh import codec, scenario
+from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, StartError, WiringError
-from mast_zenoh.launch import asking
+from mast_zenoh.launch.interception import client
+from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messages import codec
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.runtime.stamp import ATTACHMENT
-from mast_zenoh.tables import read_table
+from mast_zenoh.runtime.mesh.stamp import ATTACHMENT
 
 pytestmark = pytest.mark.mesh
 LIVE = Path(__file__).parent / "live"
@@ -86,11 +87,11 @@ def test_fifty_insertions_and_removals_lose_double_and_reorder_nothing(going) ->
     for i in range(TIMES):
         wire = (TRACKS, DETECTIONS)[i % 2]
         settings = ("keeps=True",) if i % 5 == 0 else ()
-        done = asking.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
+        done = client.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
         reached = observer.frame() + 3
         eventually(lambda reached=reached: observer.frame() >= reached, "messages pass it")
         assert done["wires"] == [wire]
-        assert asking.release(run.out, name="mallory")["node"] == "mallory"
+        assert client.release(run.out, name="mallory")["node"] == "mallory"
     record = stop(run)
     assert [done["action"] for done in record["interceptions"]] == ["intercept", "release"] * TIMES
     taps = {wire: [m.seq for m in read(run.out) if m.tap and m.wire == wire] for wire in (TRACKS, DETECTIONS)}
@@ -105,7 +106,7 @@ def test_fifty_insertions_and_removals_lose_double_and_reorder_nothing(going) ->
 
 def test_a_subscriber_sees_the_same_of_every_message_with_the_node_and_without(going) -> None:
     run, observer = going("--mode", "realtime", "--rate", "2")
-    on = asking.intercept(run.out, TRACKS, RELAY)
+    on = client.intercept(run.out, TRACKS, RELAY)
     eventually(lambda: observer.frame() > on["frame"] + 10, "frames with it")
     stop(run)
     samples = [sample for key, sample in observer.samples if key == TRACKS]
@@ -122,11 +123,11 @@ def test_a_subscriber_sees_the_same_of_every_message_with_the_node_and_without(g
 
 def test_in_lock_step_the_stream_is_that_of_an_undisturbed_run(going) -> None:
     run, _ = going("--frames", "50")
-    asking.intercept(run.out, TRACKS, "adversary.py", name="mallory", settings=("attack.type=PassThrough",))
-    asking.intercept(run.out, TRACKS, RELAY, name="eve")
-    asking.intercept(run.out, DETECTIONS, RELAY, settings=("keeps=False",))
-    asking.release(run.out, name="mallory")
-    asking.release(run.out, wire=TRACKS)
+    client.intercept(run.out, TRACKS, "adversary.py", name="mallory", settings=("attack.type=PassThrough",))
+    client.intercept(run.out, TRACKS, RELAY, name="eve")
+    client.intercept(run.out, DETECTIONS, RELAY, settings=("keeps=False",))
+    client.release(run.out, name="mallory")
+    client.release(run.out, wire=TRACKS)
     record = stop(run)
     recorded: dict[str, list[bytes]] = defaultdict(list)
     for message in read(run.out):
@@ -153,7 +154,7 @@ def test_in_lock_step_the_stream_is_that_of_an_undisturbed_run(going) -> None:
 def test_an_attack_that_begins_while_the_run_goes_on_deceives_and_is_reported(going) -> None:
     run, observer = going("--mode", "realtime", "--rate", "2")
     settings = ("attack.type=UncoordinatedAttack", "attack.start_s=0")
-    on = asking.intercept(run.out, DETECTIONS, "adversary.py", name="mallory", settings=settings)
+    on = client.intercept(run.out, DETECTIONS, "adversary.py", name="mallory", settings=settings)
     eventually(lambda: any(key == "attack/mallory/report" for key, _ in observer.samples), "it attacks")
     stop(run)
     heard = read_table(run.out / "results" / "evaluator" / "heard.parquet")
@@ -164,7 +165,7 @@ def test_an_attack_that_begins_while_the_run_goes_on_deceives_and_is_reported(go
 
 def test_a_wire_whose_inserted_node_is_killed_heals(going) -> None:
     run, observer = going("--mode", "realtime", "--rate", "2")
-    asking.intercept(run.out, TRACKS, RELAY, name="mallory")
+    client.intercept(run.out, TRACKS, RELAY, name="mallory")
     os.kill(run.record()["nodes"]["mallory"]["pid"], signal.SIGKILL)
     healed = eventually(lambda: [d for d in run.record()["interceptions"] if d["action"] == "heal"], "it heals")[0]
     eventually(lambda: observer.frame() > healed["frame"] + 10, "frames without it")
@@ -213,21 +214,21 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(going, tmp_path: Pat
         .replace("self.keeps = keeps", "assert not os.path.exists('wiring.json'), 'no licence found'")
     )
     with pytest.raises(WiringError, match="no wire"):
-        asking.intercept(run.out, "agent/infra_9/tracks", RELAY)
+        client.intercept(run.out, "agent/infra_9/tracks", RELAY)
     with pytest.raises(NodeFileError, match="no input for 'picture' messages"):
-        asking.intercept(run.out, "cc/picture", RELAY)
+        client.intercept(run.out, "cc/picture", RELAY)
     with pytest.raises(ConfigurationError, match=r"keep.*did you mean 'keeps'"):
-        asking.intercept(run.out, TRACKS, RELAY, settings=("keep=True",))
+        client.intercept(run.out, TRACKS, RELAY, settings=("keep=True",))
     with pytest.raises(ConfigurationError, match="there is a node 'broker' already"):
-        asking.intercept(run.out, TRACKS, RELAY, name="broker")
+        client.intercept(run.out, TRACKS, RELAY, name="broker")
     with pytest.raises(StartError, match=r"exit code 1.*logs/stillborn_1\.log"):
-        asking.intercept(run.out, TRACKS, str(tmp_path / "stillborn.py"))
+        client.intercept(run.out, TRACKS, str(tmp_path / "stillborn.py"))
     with pytest.raises(WiringError, match="no node 'mallory' sits on a wire"):
-        asking.release(run.out, name="mallory")
+        client.release(run.out, name="mallory")
     secret = (run.out / "control.key").read_bytes()
     (run.out / "control.key").write_bytes(b"guessed")
     with pytest.raises(Exception, match="not made with this run's secret"):
-        asking.intercept(run.out, TRACKS, RELAY)
+        client.intercept(run.out, TRACKS, RELAY)
     (run.out / "control.key").write_bytes(secret)
     assert (run.out / "wiring.json").read_text() == wiring
     assert json.loads((run.out / "scenario.json").read_text())["nodes"] == nodes
@@ -240,4 +241,4 @@ def test_a_run_whose_launcher_was_killed_is_not_waited_for(going) -> None:
     run, _ = going("--mode", "realtime", "--rate", "2")
     run.kill()
     with pytest.raises(NotRunning, match="the run is over: killed"):
-        asking.intercept(run.out, TRACKS, RELAY)
+        client.intercept(run.out, TRACKS, RELAY)

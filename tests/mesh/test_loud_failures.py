@@ -13,8 +13,8 @@ from launched import Launched
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import local
-from mast_zenoh.tables import read_table
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.tables import read_table
 
 pytestmark = pytest.mark.mesh
 FRAMES = 12
@@ -23,7 +23,7 @@ FRAMES = 12
 def in_process(path: Path, out: Path, frames: int = FRAMES) -> dict[str, Any]:
     """run.json of the same in one process."""
     file, loaded = scenario.load(str(path), [])
-    return local.run(scenario.resolve(file, loaded, frames=frames), out, runtime="inproc").record
+    return launcher.run(scenario.resolve(file, loaded, frames=frames), out, runtime="inproc").record
 
 
 def failures(record: dict[str, Any]) -> dict[str, Any]:

@@ -24,8 +24,8 @@ from malformed_control import malformed
 from sound_controls import CODECS, packed
 from test_flood import LIMIT_MB, peak_mb
 
-from mast_zenoh.launch import local
-from mast_zenoh.launch.interception import SECRET_FILE
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.interception.server import SECRET_FILE
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
@@ -158,7 +158,7 @@ def ended_as_if_nothing_had_been(run: Launched, tmp_path: Path) -> dict[str, Any
     assert code == 0, logs
     assert "Traceback" not in logs
     assert "panicked" not in logs
-    twin = local.run(resolved(str(tmp_path / "fuzzed.py")), tmp_path / "twin", runtime="inproc")
+    twin = launcher.run(resolved(str(tmp_path / "fuzzed.py")), tmp_path / "twin", runtime="inproc")
     assert twin.error is None
     difference = compare(twin.folder, run.out, taps=True)
     assert difference.first is None, "\n".join(explain(difference))

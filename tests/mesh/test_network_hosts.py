@@ -18,11 +18,11 @@ from namespaced import Echo, left_by, outside, require
 from mast_zenoh import scenario
 from mast_zenoh.errors import BackendError
 from mast_zenoh.faults import network
-from mast_zenoh.launch import local
-from mast_zenoh.launch.network import machine
-from mast_zenoh.launch.network.hosts import CENTRE, Hosts
-from mast_zenoh.launch.network.namespaces import NAMESPACES, Owner, sweep
-from mast_zenoh.runtime.session import open_client, open_router
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.netns import machine
+from mast_zenoh.launch.netns.hosts import CENTRE, Hosts
+from mast_zenoh.launch.netns.namespaces import NAMESPACES, Owner, sweep
+from mast_zenoh.runtime.mesh.session import open_client, open_router
 
 pytestmark = pytest.mark.mesh
 
@@ -194,7 +194,7 @@ def test_a_run_that_this_machine_cannot_do_is_refused_before_any_process_starts(
 
 def test_a_run_in_one_process_refuses_faults_of_hosts(tmp_path: Path) -> None:
     path, loaded = scenario.load("two_hosts")
-    ended = local.run(scenario.resolve(path, loaded, frames=5), tmp_path / "run", runtime="inproc")
+    ended = launcher.run(scenario.resolve(path, loaded, frames=5), tmp_path / "run", runtime="inproc")
     assert isinstance(ended.error, BackendError)
     assert "one process has no network" in str(ended.error)
 

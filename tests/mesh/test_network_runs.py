@@ -15,9 +15,9 @@ import zenoh
 from launched import Launched, Observer, alive, eventually
 from namespaced import left_by, require
 
-from mast_zenoh import codec
-from mast_zenoh.launch.network.namespaces import NAMESPACES, sweep
+from mast_zenoh.launch.netns.namespaces import NAMESPACES, sweep
 from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messages import codec
 
 pytestmark = pytest.mark.mesh
 WEST = {"infra_1", "infra_2"}

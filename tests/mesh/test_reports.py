@@ -11,14 +11,14 @@ import zenoh
 from control_samples import DRIVEN, ENTRY, OUTCOME
 from launched import eventually
 
+from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.control import results
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.control.reports import MAX_HANDLERS, MAX_RESULT
 from mast_zenoh.launch.reports import Report, Reports
 from mast_zenoh.launch.supervisor import Child
-from mast_zenoh.resolved import NodeSpec
-from mast_zenoh.runtime import results
-from mast_zenoh.runtime.session import open_client, open_router
+from mast_zenoh.runtime.mesh.session import open_client, open_router
 
 pytestmark = pytest.mark.mesh
 CONTROL = "mast/x/@control"

@@ -11,7 +11,7 @@ import pytest
 from launched import Launched, Observer, eventually
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 
 pytestmark = pytest.mark.mesh
 SHORT = ("--frames", "30")
@@ -23,7 +23,7 @@ def metrics(folder: Path) -> bytes:
 
 def in_process(out: Path, name: str, *settings: str, frames: int = 30, seed: int | None = None) -> Path:
     path, loaded = scenario.load(name, settings)
-    ended = local.run(scenario.resolve(path, loaded, frames=frames, seed=seed), out, runtime="inproc")
+    ended = launcher.run(scenario.resolve(path, loaded, frames=frames, seed=seed), out, runtime="inproc")
     assert ended.error is None
     return ended.folder
 
@@ -126,7 +126,7 @@ def test_real_time_keeps_its_pace_and_measures_its_latency(launch) -> None:
 
 
 def test_a_router_that_runs_already_can_be_used(launch, tmp_path: Path) -> None:
-    from mast_zenoh.runtime.session import open_router
+    from mast_zenoh.runtime.mesh.session import open_router
 
     router, endpoint = open_router()
     with router:
@@ -139,7 +139,7 @@ def test_a_router_that_runs_already_can_be_used(launch, tmp_path: Path) -> None:
 def test_a_users_own_node_beside_the_scenario_takes_part(launch, tmp_path: Path) -> None:
     (tmp_path / "deaf.py").write_text(
         "from mast_zenoh.node import Node\n"
-        "from mast_zenoh.runtime.process import main\n"
+        "from mast_zenoh.runtime.mesh.main import main\n"
         "class Deaf(Node):\n"
         "    role = 'adversary'\n"
         "    inputs = {'clock': 'clock', 'detections': 'detections'}\n"
@@ -155,7 +155,7 @@ def test_a_users_own_node_beside_the_scenario_takes_part(launch, tmp_path: Path)
         "    main(Deaf)\n"
     )
     (tmp_path / "mine.py").write_text(
-        "from mast_zenoh import loading\n"
+        "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
         "def scenario():\n"
         "    return baseline() | dict(\n"
@@ -192,7 +192,7 @@ def test_a_node_that_dies_after_the_last_recorded_frame_of_a_longer_simulator_is
         "        context.relay('detections_out', received)\n"
     )
     (tmp_path / "longer.py").write_text(
-        "from mast_zenoh import loading\n"
+        "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
         "def scenario():\n"
         "    return baseline(n_infrastructure=1) | dict(\n"

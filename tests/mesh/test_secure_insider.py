@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run
 from mast_zenoh.study.rogue.infiltration import infiltrate
 from mast_zenoh.study.rogue.insiders import ForgeControls
 
@@ -18,7 +18,7 @@ def test_an_insider_who_forges_what_others_say_stops_an_open_run_and_no_other(tm
     path, loaded = scenario.load("rogue")
     recorded = loaded | {"run": {"mode": "lockstep", "record": True}}
     resolved = scenario.resolve(path, recorded, frames=60, record=True)
-    twin = local.run(resolved, tmp_path / "twin", runtime="inproc")
+    twin = run.run(resolved, tmp_path / "twin", runtime="inproc")
     assert twin.error is None
     insider = ForgeControls("link", "link_ego")
     admitted, sent, found = infiltrate(resolved, tmp_path / "acl", "acl", insider, twin.folder)

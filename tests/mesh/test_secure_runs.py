@@ -13,7 +13,7 @@ import pytest
 from launched import Launched, eventually
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 from mast_zenoh.security.authority import Authority
@@ -37,7 +37,7 @@ def credentials(record: dict) -> list[Path]:
 def test_a_secure_run_equals_the_open_one_to_the_last_digit(launch, tmp_path: Path, level: str) -> None:
     path, loaded = scenario.load(WHAT[0], WHAT[1:])
     resolved = scenario.resolve(path, loaded, frames=int(FRAMES), record=True)
-    plain = local.run(resolved, tmp_path / "plain", runtime="inproc")
+    plain = launcher.run(resolved, tmp_path / "plain", runtime="inproc")
     assert plain.error is None
     settings = [word for setting in WHAT[1:] for word in ("--set", setting)]
     run: Launched = launch(WHAT[0], "--frames", FRAMES, "--secure", level, *settings)

@@ -34,7 +34,7 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
 
     def mast(*words: str) -> str:
         done = subprocess.run(
-            [sys.executable, "-c", "from mast_zenoh.cli import main; main()", *words],
+            [sys.executable, "-c", "from mast_zenoh.cli.app import main; main()", *words],
             cwd=work,
             env=os.environ | {"PYTHONPATH": str(site)},
             capture_output=True,
@@ -71,7 +71,7 @@ def test_without_a_compiler_the_wheel_is_pure_python_and_runs(tmp_path: Path) ->
         [
             sys.executable,
             "-c",
-            "from mast_zenoh.cli import main; main()",
+            "from mast_zenoh.cli.app import main; main()",
             "run",
             "baseline",
             "--frames",

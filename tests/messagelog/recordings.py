@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh import codec, scenario
-from mast_zenoh.launch import local
+from mast_zenoh import scenario
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.writer import MessageLog
-from mast_zenoh.messages import Header
-from mast_zenoh.wiring import Input
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header
+from mast_zenoh.wiring.model import Input
 
 PERIOD_NS = 10**8
 TAP = "agent/b/detections/@tap/0"
@@ -80,6 +81,6 @@ def run(folder: Path, name: str, *settings: str, frames: int = 6, seed: int = 0)
     """The folder of a recorded run in one process."""
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded, frames=frames, seed=seed, record=True)
-    ended = local.run(resolved, folder, runtime="inproc")
+    ended = launcher.run(resolved, folder, runtime="inproc")
     assert ended.error is None
     return ended.folder

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recordings import TAP, detections, payload, small_run, write
 
-from mast_zenoh import cli
+from mast_zenoh.cli import app
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
@@ -114,7 +114,7 @@ def test_the_command_exits_with_0_1_or_2(
             write(tmp_path / name / "messages.mcap", messages)
     monkeypatch.setattr("sys.argv", ["mast", "diff", str(tmp_path / "a"), str(tmp_path / "b"), *words])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        app.main()
     assert (ended.value.code or 0) == code
     said = capsys.readouterr()
     assert ("cannot compare" in said.err) == (code == 2)

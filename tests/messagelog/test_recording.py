@@ -19,12 +19,12 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from recordings import HEARS, PERIOD_NS, TAP, payload, small_run, write
 
-from mast_zenoh import codec
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog import writer
 from mast_zenoh.messagelog.events import JOINED, LEFT, REWIRED, Event
 from mast_zenoh.messagelog.reader import events, read
 from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.messages import codec
 
 PAGE = Path(__file__).parents[2] / "docs" / "recording.md"
 
@@ -219,7 +219,7 @@ def test_a_process_that_is_killed_leaves_all_its_whole_chunks(tmp_path: Path) ->
         "import os, signal\n"
         "from pathlib import Path\n"
         "from recordings import HEARS, small_run\n"
-        "from mast_zenoh import codec\n"
+        "from mast_zenoh.messages import codec\n"
         "from mast_zenoh.messagelog.writer import MessageLog\n"
         "log = MessageLog(Path('run.mcap'))\n"
         "log.begin(HEARS)\n"

@@ -10,7 +10,7 @@ from mast_zenoh.effects import Effects
 from mast_zenoh.effects.table import CODE
 from mast_zenoh.evaluation.from_effects import manipulations
 from mast_zenoh.metrics import Attribution, Record, Scorer, Scores, named
-from mast_zenoh.wiring import Passage
+from mast_zenoh.wiring.model import Passage
 
 PERIOD_S = 0.1
 #: Interposer, frame, effect, id of the object in the message, where it was (removed) or is (inserted, moved), and its

@@ -8,8 +8,8 @@ import numpy as np
 from shapely import affinity
 from shapely.geometry import box as shapely_box
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Boxes
-from mast_zenoh.states import ObjectStates
 
 
 def boxes(position, size=(4.0, 2.0, 1.5), yaw=0.0, group=0, id=None) -> Boxes:

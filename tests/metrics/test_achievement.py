@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from measured import PERIOD_S, Row, effects, labelled
 from metric_oracles import cars
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Record, Series, achievement
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.states import ObjectStates
 
 #: Where the only object is, and where adversaries insert others; the ego is at the origin.
 CAR, FALSE, FAR = (20.0, 0.0), (40.0, 10.0), (120.0, 0.0)

@@ -7,10 +7,10 @@ import pytest
 from measured import Row, effects, labelled, passage
 from metric_oracles import cars
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Driving, Record, Series, consequences
 from mast_zenoh.metrics.consequences import Drive
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.states import ObjectStates
 
 FRAMES = 40
 #: The ego drives east at 10 m/s; its safe distance from what stands is 5 + 0.25 + 11^2 / 8 = 20.4 m, its own length and

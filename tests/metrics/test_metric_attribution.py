@@ -9,9 +9,9 @@ import pytest
 from measured import Row, effects, explained, labelled, passage
 from metric_oracles import cars
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Record, Series, causes_of
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.states import ObjectStates
 
 NOTHING = ObjectStates.empty()
 

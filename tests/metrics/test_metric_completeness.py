@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from metric_oracles import cars
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.states import ObjectStates
 
 
 def summary(truth: list[ObjectStates], picture: list[ObjectStates], scored: slice = slice(None)):

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mast_zenoh.geometry import rotation_from_quaternion, to_world
+from mast_zenoh.arrays.geometry import rotation_from_quaternion, to_world
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.states import ObjectStates
 
 DATA = Path(os.environ.get("MAST_DATA", Path(__file__).parents[3] / "shared" / "data"))
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from metric_oracles import best_pairs, cars
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import IoU3DGreedyAssigner, Record, Scorer, Series
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.states import ObjectStates
 
 
 def record(truth: list[ObjectStates], picture: list[ObjectStates], *, points=None, own=-1, position=(0.0, 0.0, 0.0)):

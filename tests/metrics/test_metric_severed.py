@@ -7,12 +7,12 @@ import pytest
 from measured import Row, effects, explained, labelled, passage
 from metric_oracles import cars
 
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
 from mast_zenoh.evaluation.from_effects import stopped
 from mast_zenoh.metrics import Presence, Reach, Record, Scorer, Series, Severed
 from mast_zenoh.metrics.blame import split
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.states import ObjectStates
 
 AGENTS = ("ego", "infra_1", "infra_2")
 PERIOD_S = 0.1

@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from metric_oracles import cars
 
+from mast_zenoh.control.failures import location
 from mast_zenoh.metrics import Attribution, Estimate, FrameMetric, Record, RunMetric, Scorer, Series, user_metrics
 from mast_zenoh.metrics.manipulations import none
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.user_metrics import ErrorsNearby, LongestMiss
-from mast_zenoh.runtime.failures import location
 
 
 class Told(FrameMetric):

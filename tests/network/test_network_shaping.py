@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import pytest
 
 from mast_zenoh.faults.network import LinkState
-from mast_zenoh.launch.network import relay
-from mast_zenoh.launch.network.relay import Direction
-from mast_zenoh.launch.network.shaping import bandwidth, netem, rules
+from mast_zenoh.launch.netns import relay
+from mast_zenoh.launch.netns.relay import Direction
+from mast_zenoh.launch.netns.shaping import bandwidth, netem, rules
 
 
 def test_rules_replace_those_before_and_stand_on_the_input_hook() -> None:

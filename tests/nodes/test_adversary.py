@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_world import PERIOD_NS, Bench, Run, detections, pose, states, tiny, tracks
 
-from mast_zenoh import codec
+from mast_zenoh.arrays.states import DETECTION_COLUMNS, STATE_COLUMNS
 from mast_zenoh.attacks import ACTIONS, UncoordinatedAttack
-from mast_zenoh.messages import Message
-from mast_zenoh.states import DETECTION_COLUMNS, STATE_COLUMNS
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Message
+from mast_zenoh.wiring.model import Wiring
 
 PLACES = ((10.0, 0.0), (20.0, 5.0), (15.0, -8.0), (30.0, 2.0), (5.0, 12.0))
 WIRES = {"detections": ("uncoordinated", DETECTION_COLUMNS), "tracks": ("coordinated", STATE_COLUMNS)}

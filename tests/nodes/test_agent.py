@@ -8,11 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_world import PERIOD_NS, Bench, Run, detections, picture, pose, tiny, tracks
 
-from mast_zenoh import codec, geometry, registry
+from mast_zenoh.arrays import geometry
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.fusion.agent_pipeline import MissionEstimator
-from mast_zenoh.messages import Message
-from mast_zenoh.states import ObjectStates
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Message
 
 TRACKS, MISSION, STATUS = "agent/ego/tracks", "agent/ego/mission", "agent/ego/status"
 FAR = (80.0, 80.0)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_world import PERIOD_NS, Bench, tiny, tracks
 
+from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw
 
 COLLATED = "cc/collated"
 AGENTS = ("ego", "infra_1", "infra_2")

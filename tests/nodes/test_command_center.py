@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tiny_world import PERIOD_NS, Bench, states, tiny
 
-from mast_zenoh.messages import text
+from mast_zenoh.messages.schemas import text
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tiny_world import Bench, Run, states, tiny
 
-from mast_zenoh.messages import Message
+from mast_zenoh.messages.schemas import Message
 
 DIRECTIVES = tuple(f"attack/adversary_{i}/directive" for i in (1, 2))
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from tiny_world import Bench, Run, picture, pose, states, tiny, tracks
 
+from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw
-from mast_zenoh.messages import text
+from mast_zenoh.messages.schemas import text
 from mast_zenoh.metrics import ESTIMATORS
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 AGENTS = ("ego", "infra_1", "infra_2")
 PLACES = ((10.0, 0.0), (20.0, 5.0))

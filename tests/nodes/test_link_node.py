@@ -12,15 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_world import PERIOD_NS, Bench, Run, picture, pose, tiny, tracks
 
-from mast_zenoh import codec, scenario
+from mast_zenoh import scenario
+from mast_zenoh.config.registry import known_types
+from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.links import FATES, WIRES, Rule
-from mast_zenoh.messages import Header, Message
-from mast_zenoh.registry import known_types
-from mast_zenoh.resolved import Resolved, build_node
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 TRACKS, STATUS, PICTURE = (
     "agent/ego/tracks/@tap/broker/0",
@@ -314,7 +315,7 @@ def test_a_link_of_ones_own_has_ports_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "my_link.py").write_text(
         textwrap.dedent(
             """
-            from mast_zenoh import bundle, loading
+            from mast_zenoh.config import bundle, loading
 
             Link = loading.node_class(bundle.ROOT / "nodes" / "link.py")
 

@@ -11,11 +11,11 @@ import pytest
 from tiny_world import Run
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import results
 from mast_zenoh.errors import ConfigurationError, DiskFull
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import results
 from mast_zenoh.runtime.inproc import InProcess
 
 SETTINGS = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.2")
@@ -66,10 +66,10 @@ def test_it_is_there_when_asked_for_unless_the_scenario_says_no() -> None:
 
 
 def test_run_json_says_how_many_messages_were_recorded(tmp_path: Path) -> None:
-    ended = local.run(resolved(), tmp_path / "run", runtime="inproc")
+    ended = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
     record = json.loads((ended.folder / "run.json").read_text())
     assert record["recorded"] == {"messages": len(list(read(ended.folder))), "malformed": 0, "lost": 0}
-    without = local.run(resolved(record=False), tmp_path / "without", runtime="inproc")
+    without = launcher.run(resolved(record=False), tmp_path / "without", runtime="inproc")
     assert "recorded" not in without.record
     assert not (without.folder / "messages.mcap").exists()
 
@@ -81,7 +81,7 @@ def test_what_could_not_be_written_is_noted_in_run_json(tmp_path: Path, monkeypa
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Writer, "flush", full)
-    ended = local.run(resolved(), tmp_path / "run", runtime="inproc")
+    ended = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
     assert isinstance(ended.error, DiskFull)
     assert (tmp_path / "run" / "metrics.json").is_file(), "the run goes on to its end"
     recorded = ended.record["recorded"]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from tiny_world import PERIOD_NS, Bench, Run, TinyScene, tiny
 
-from mast_zenoh import geometry
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.arrays import geometry
+from mast_zenoh.wiring.model import Wiring
 
 
 def advance(bench: Bench):

@@ -11,20 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mast_zenoh import codec, scenario
-from mast_zenoh.geometry import quaternion_from_rotation, rotation_from_yaw, rotation_from_yaw_pitch
-from mast_zenoh.messages import Header, Message
-from mast_zenoh.resolved import Resolved, build_node
-from mast_zenoh.runtime import results
+from mast_zenoh import scenario
+from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw, rotation_from_yaw_pitch
+from mast_zenoh.arrays.states import CLASS_INDEX, Detections, ObjectStates
+from mast_zenoh.config.resolved import Resolved, build_node
+from mast_zenoh.control import results
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.scenes import Recording, Scene, SceneAgent
 from mast_zenoh.scenes.recording import truth_states
 from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
-from mast_zenoh.states import CLASS_INDEX, Detections, ObjectStates
 from mast_zenoh.streams import stream
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 PERIOD_NS = 100_000_000
 STILL = np.array([1.0, 0.0, 0.0, 0.0])

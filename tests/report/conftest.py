@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mast_zenoh.geometry import rotation_from_yaw, rotation_from_yaw_pitch
+from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitch
+from mast_zenoh.arrays.states import Detections
+from mast_zenoh.launch.tables import write_table
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.sensing.camera import Camera
 from mast_zenoh.sensing.lidar import LidarSensor
-from mast_zenoh.states import Detections
-from mast_zenoh.tables import write_table
 
 FRAMES, ATTACK_START, EGO_ID = 40, 15, 100
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from mast_zenoh.report import changes
-from mast_zenoh.report.achievement import achieved_rows
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.driving import driving_over_time, driving_rows
-from mast_zenoh.report.explanations import explanations
 from mast_zenoh.report.html import write_page, write_report
+from mast_zenoh.report.narrative import changes
+from mast_zenoh.report.narrative.explanations import explanations
+from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.table import DASH
+from mast_zenoh.report.tables.achievement import achieved_rows
+from mast_zenoh.report.tables.driving import driving_over_time, driving_rows
+from mast_zenoh.report.tables.scores import DASH
 from mast_zenoh.report.terminal import show_loaded
-from mast_zenoh.report.words import reading
 
 ACHIEVED = {"inserted": 4, "inserted_share_centre": 1.0, "inserted_share_ego": 0.5, "inserted_s_centre": 9.25}
 ACHIEVED |= {"inserted_s_ego": None, "hidden": 0, "moved": 2, "moved_error_m_centre": 0.5, "moved_error_m_ego": 0.25}

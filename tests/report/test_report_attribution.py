@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.other_differences import named, other_differences
-from mast_zenoh.report.reach import reaches
+from mast_zenoh.report.narrative.other_differences import named, other_differences
+from mast_zenoh.report.narrative.reach import reaches
+from mast_zenoh.report.narrative.run import headline, reading
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.words import headline, reading
 
 Edit = Callable[[dict[str, Any]], Any]
 

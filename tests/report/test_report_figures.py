@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from mast_zenoh.geometry import rotation_from_yaw
-from mast_zenoh.report.camera import Eye
-from mast_zenoh.report.charts import counts_over_time
-from mast_zenoh.report.figures import birdseye_figure, camera_figure, picture, side_by_side_figure
+from mast_zenoh.arrays.geometry import rotation_from_yaw
+from mast_zenoh.report.figures.camera import Eye
+from mast_zenoh.report.figures.charts import counts_over_time
+from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, picture, side_by_side_figure
+from mast_zenoh.report.figures.style import ADVERSARY, OUTCOME_COLOURS, png
+from mast_zenoh.report.figures.view import FrameView, frame_view
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.style import ADVERSARY, OUTCOME_COLOURS, png
-from mast_zenoh.report.table import score_table
-from mast_zenoh.report.view import FrameView, frame_view
+from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.sensing.camera import Camera
 
 COLOURS = OUTCOME_COLOURS | {"adversary": ADVERSARY}

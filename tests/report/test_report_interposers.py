@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mast_zenoh.report.circumstances import compromised
-from mast_zenoh.report.diagram import draw_wiring
-from mast_zenoh.report.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
+from mast_zenoh.report.figures.diagram import draw_wiring
+from mast_zenoh.report.figures.style import svg
+from mast_zenoh.report.narrative.circumstances import compromised
+from mast_zenoh.report.narrative.phrases import effects
+from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.page import environment
-from mast_zenoh.report.phrases import effects
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.style import svg
-from mast_zenoh.report.wiring import Spot, WireRow, all_wires, layout, wire_rows
-from mast_zenoh.report.words import reading
+from mast_zenoh.report.tables.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
+from mast_zenoh.report.tables.wiring import Spot, WireRow, all_wires, layout, wire_rows
 
 MEASURED = {"messages": 40, "effects": {"inserted": 3, "corrupted": 2}, "reports": 0, "agreement": "silent"}
 MEASURED |= {"unreported": 5, "unfounded": 0, "role": "adversary", "wires": ["agent/infra_1/tracks"]}

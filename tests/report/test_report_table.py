@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from mast_zenoh.report import as_markdown, as_rich, score_table
-from mast_zenoh.report.table import ALWAYS, ScoreTable
+from mast_zenoh.report.tables.scores import ALWAYS, ScoreTable
 from mast_zenoh.report.terminal import show
 
 Counts = tuple[float, float, float]

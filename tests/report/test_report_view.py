@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.report.figures import birdseye_figure, camera_figure
+from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure
+from mast_zenoh.report.figures.view import Marks, choose_common_frame, choose_frame, clipped, frame_view, window
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.view import Marks, choose_common_frame, choose_frame, clipped, frame_view, window
 
 
 def a_run(

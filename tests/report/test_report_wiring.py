@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh.report.diagram import draw_wiring
-from mast_zenoh.report.interposers import adversaries_by_agent, interposers
+from mast_zenoh.report.figures.diagram import draw_wiring
+from mast_zenoh.report.figures.style import svg
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.style import svg
-from mast_zenoh.report.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
+from mast_zenoh.report.tables.interposers import adversaries_by_agent, interposers
+from mast_zenoh.report.tables.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
 
 
 def a_run(wires: list[dict[str, Any]], roles: dict[str, str] | None = None) -> RunFolder:

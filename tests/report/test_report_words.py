@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mast_zenoh.report.attack_period import while_attacked
-from mast_zenoh.report.circumstances import compromised
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.phrases import listed
+from mast_zenoh.report.narrative.attack_period import while_attacked
+from mast_zenoh.report.narrative.circumstances import compromised
+from mast_zenoh.report.narrative.phrases import listed
+from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
 from mast_zenoh.report.runfolder import RunFolder
-from mast_zenoh.report.table import score_table
-from mast_zenoh.report.words import headline, reading, study_headline, study_reading
+from mast_zenoh.report.tables.scores import score_table
 
 
 def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:

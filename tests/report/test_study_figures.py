@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from study_samples import BASELINE, estimate, facts, grid, row
 
-from mast_zenoh.report.study_figure import figures_over_trials
-from mast_zenoh.report.study_panels import Panel, label_of, panels
-from mast_zenoh.report.study_rows import Series, StudyRow
+from mast_zenoh.report.figures.study import figures_over_trials
+from mast_zenoh.report.figures.study_panels import Panel, label_of, panels
+from mast_zenoh.report.tables.study_rows import Series, StudyRow
 
 
 def labels(panel: Panel) -> dict[str, list[str]]:
@@ -89,12 +89,12 @@ def test_parameters_are_labelled_in_words_with_their_unit(parameter: str, label:
 
 
 def test_figures_are_the_same_every_time_and_say_what_they_rest_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mast_zenoh.report import study_figure
+    from mast_zenoh.report.figures import study
 
     rows = [BASELINE, *grid("a", n=(1, 2), fp=(1.0, 5.0, 20.0)), *grid("b", n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 9.0))]
     drawn = []
-    made = study_figure._draw
-    monkeypatch.setattr(study_figure, "_draw", lambda *words: drawn.append(made(*words)) or drawn[-1])
+    made = study._draw
+    monkeypatch.setattr(study, "_draw", lambda *words: drawn.append(made(*words)) or drawn[-1])
     first, again = figures_over_trials(rows, facts(rows)), figures_over_trials(rows, facts(rows))
     assert list(first) == ["increments", "increments_mission", "success"]
     assert {name: each.png for name, each in first.items()} == {name: each.png for name, each in again.items()}
@@ -119,13 +119,13 @@ def test_figures_are_the_same_every_time_and_say_what_they_rest_on(monkeypatch: 
 def test_figures_say_why_there_is_no_bar(
     monkeypatch: pytest.MonkeyPatch, seeds: int, half: float, footer: str, caption: str
 ) -> None:
-    from mast_zenoh.report import study_figure
+    from mast_zenoh.report.figures import study
 
     added = {Series("ego", "picture", "fp_iob"): estimate(2.0, half, seeds=seeds)}
     rows = [BASELINE, StudyRow("a", "a", {}, added)]
     footers = []
-    made = study_figure._draw
-    monkeypatch.setattr(study_figure, "_draw", lambda *words: footers.append(words[-1]) or made(*words))
+    made = study._draw
+    monkeypatch.setattr(study, "_draw", lambda *words: footers.append(words[-1]) or made(*words))
     figure = figures_over_trials(rows, facts(rows))["increments"]
     assert footer in footers[0]
     assert figure.caption.endswith(f"agents. {caption}")

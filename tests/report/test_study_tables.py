@@ -11,11 +11,20 @@ import pytest
 from rich.console import Console
 from study_samples import BASELINE, estimate, facts, grid, row
 
-from mast_zenoh.report import study_export, study_table
-from mast_zenoh.report.study_comparisons import compare, holm
+from mast_zenoh.report.narrative.study import other_changes, reservations, result
+from mast_zenoh.report.narrative.study_comparisons import compare, holm
 from mast_zenoh.report.study_facts import FailedTrial, IdleAttack
-from mast_zenoh.report.study_rows import PAPER, Estimate, Series, StudyRow, number, over_frames, over_trials, shares
-from mast_zenoh.report.study_words import other_changes, reservations, result
+from mast_zenoh.report.tables import study, study_export
+from mast_zenoh.report.tables.study_rows import (
+    PAPER,
+    Estimate,
+    Series,
+    StudyRow,
+    number,
+    over_frames,
+    over_trials,
+    shares,
+)
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]
 FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
@@ -23,7 +32,7 @@ FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpo
 
 def shown(rows=ROWS, failed=()) -> str:
     page = io.StringIO()
-    Console(file=page, width=80).print(study_table.as_rich(rows, facts(rows, failed)))
+    Console(file=page, width=80).print(study.as_rich(rows, facts(rows, failed)))
     return page.getvalue()
 
 
@@ -87,7 +96,7 @@ def test_means_over_trials_that_differ_from_those_over_frames_are_shown() -> Non
 
 
 def test_markdown_has_failed_trials_first_and_as_many_cells_in_every_line_of_a_table() -> None:
-    lines = study_table.as_markdown(ROWS, facts(ROWS, [FAILED])).splitlines()
+    lines = study.as_markdown(ROWS, facts(ROWS, [FAILED])).splitlines()
     assert lines[2] == "## 1 of 420 trials failed: coordinated n=3 1 of 60"
     assert "RunError: on \\| purpose" in lines[6]
     assert "`mast run coordinated --seed 7`" in lines[6]
@@ -246,7 +255,7 @@ def test_attacks_that_never_began_are_named_first_and_have_no_other_result() -> 
     assert result(ROWS, both, compare(ROWS, "baseline")).startswith(
         f"{said} The largest change of false or missed objects in what the ego acts on: in uncoordinated-3 "
     )
-    assert said.replace("-1", " n=1") in study_table.as_markdown(ROWS, both).split("##")[0]
+    assert said.replace("-1", " n=1") in study.as_markdown(ROWS, both).split("##")[0]
     part = replace(late, scenes=("short:0",))
     text = result(alone, replace(known, idle=(part,)), compare(alone, "baseline"))
     assert text.startswith("The attack of uncoordinated-1 never began in short:0: ")
@@ -265,7 +274,7 @@ def test_latex_marks_what_remains_after_holms_procedure() -> None:
 def test_tables_and_sentences_say_which_number_is_which_parameter() -> None:
     rows = [BASELINE, *grid("attacked", false_positives=(2.0, 8.0), share=(0.0, 0.5))]
     name, known = "attacked false_positives=8.0 share=0.0", facts(rows)
-    markdown, latex = study_table.as_markdown(rows, known), study_export.as_latex(rows, known)
+    markdown, latex = study.as_markdown(rows, known), study_export.as_latex(rows, known)
     assert f"| {name} |" in markdown
     assert (
         f"The largest change of false or missed objects in what the ego acts on: in {name} the ego with the picture has"

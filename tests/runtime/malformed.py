@@ -8,9 +8,9 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import SCHEMAS
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import SCHEMAS
 
 Rng = np.random.Generator
 Fields = dict[str, Any]

@@ -1,8 +1,8 @@
 """A user's own adversary that listens: the places where it puts its victim's detections depend on all agents' poses."""
 
-from mast_zenoh.fusion.collation import Gather
+from mast_zenoh.gather import Gather
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.process import main
+from mast_zenoh.runtime.mesh.main import main
 
 
 class Shadow(Node):

@@ -15,15 +15,15 @@ import pytest
 from tiny_world import tiny
 
 from mast_zenoh import scenario
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.control import failures
 from mast_zenoh.control.reports import failure
 from mast_zenoh.errors import MessageError, NodeDied, StartError
-from mast_zenoh.messages import Header, Message
+from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.node import Context, Node, Overheard, Received
-from mast_zenoh.runtime import failures
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.steps import ProcessStep
-from mast_zenoh.wiring import ANY, Input, Ports
+from mast_zenoh.wiring.model import ANY, Input, Ports
 
 ENTRY = {
     "handler": "on_tracks",

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from tiny_world import Run, tiny
 
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import results
 from mast_zenoh.errors import RunError
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import results
 from mast_zenoh.runtime.inproc import InProcess, results_of
 
 LINK = Path(__file__).with_name("lossy_link.py")

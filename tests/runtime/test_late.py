@@ -5,14 +5,14 @@ from pathlib import Path
 
 from tiny_world import tiny
 
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run
 
 
 def test_what_a_slow_link_makes_late_is_in_the_metrics_by_agent(tmp_path: Path) -> None:
     def slow(scenario: dict) -> None:
         scenario["links"] = {"infra_1": dict(up=[dict(type="Delay", mean_s=0.25)]), "*": dict(up=[])}
 
-    ended = local.run(tiny(edit=slow), tmp_path / "run", runtime="inproc")
+    ended = run.run(tiny(edit=slow), tmp_path / "run", runtime="inproc")
     assert ended.error is None
     metrics = json.loads((ended.folder / "metrics.json").read_text())
     assert metrics["late"] == {"infra_1": 10}, "two of 12 are still under way at the end"
@@ -20,6 +20,6 @@ def test_what_a_slow_link_makes_late_is_in_the_metrics_by_agent(tmp_path: Path) 
 
 
 def test_where_nothing_is_late_nobody_is_named(tmp_path: Path) -> None:
-    ended = local.run(tiny(), tmp_path / "run", runtime="inproc")
+    ended = run.run(tiny(), tmp_path / "run", runtime="inproc")
     assert json.loads((ended.folder / "metrics.json").read_text())["late"] == {}
     assert not (ended.folder / "checks.json").exists(), "there is nothing to check where nothing goes wrong"

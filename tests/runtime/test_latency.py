@@ -2,10 +2,10 @@
 
 import pytest
 
+from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.control.results import collations, late
 from mast_zenoh.launch import latency
-from mast_zenoh.resolved import NodeSpec
-from mast_zenoh.runtime.results import collations, late
-from mast_zenoh.wiring import Branch, Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring.model import Branch, Endpoint, Leg, Wire, Wiring
 
 MS = 1_000_000
 SENT = {0: 0, 1: 100 * MS, 2: 200 * MS}

@@ -13,19 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_world import tracks
 
-from mast_zenoh import codec
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.messages import SCHEMAS, Header, Message, text
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.driver import SETTLE_EVERY
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.runtime.inbox import Inbox
 from mast_zenoh.runtime.limits import DELAYED, EARLY, HELD, INBOX, Limit, Room
-from mast_zenoh.runtime.mesh import MeshNode
-from mast_zenoh.runtime.stamp import ATTACHMENT, MARK
-from mast_zenoh.states import ObjectStates
-from mast_zenoh.wiring import Endpoint, Leg, Wire, Wiring
+from mast_zenoh.runtime.mesh.driver import SETTLE_EVERY
+from mast_zenoh.runtime.mesh.inbox import Inbox
+from mast_zenoh.runtime.mesh.node import MeshNode
+from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
+from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 MIB = 1 << 20
 LATER = 5

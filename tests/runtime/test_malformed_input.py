@@ -11,9 +11,9 @@ from fuzzing import Fuzzing
 from malformed import malformed
 from tiny_world import Bench, Run, tiny, tracks
 
-from mast_zenoh import codec
 from mast_zenoh.errors import MessageError
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.messages import codec
+from mast_zenoh.wiring.model import Wiring
 
 TOTAL, TOTAL_LONG = 4_000, 200_000
 SCENARIOS = {"baseline": (), "uncoordinated": ("attack_start_s=0.2",), "coordinated": ("attack_start_s=0.2",)}

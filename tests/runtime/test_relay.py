@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_world import tracks
 
-from mast_zenoh import codec
 from mast_zenoh.errors import ConfigurationError, MessageError
-from mast_zenoh.messages import Header, Message
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime import context as context_module
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.limits import Limit
-from mast_zenoh.wiring import Input, Ports
+from mast_zenoh.wiring.model import Input, Ports
 
 PERIOD_NS = 10**8
 Act = Callable[[Received, Context], None]

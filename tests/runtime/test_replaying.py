@@ -13,12 +13,13 @@ from rich.console import Console
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch import local, measuring
+from mast_zenoh.launch import measurement
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.events import REWIRED, Event
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.report import html, terminal
 from mast_zenoh.runtime.replaying import replay
-from mast_zenoh.tables import read_table
 
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parents[2] / "scenarios").glob("*.py"))
 #: These act on hosts or in real time, which one process cannot.
@@ -28,7 +29,7 @@ ELSEWHERE = {"rogue", "two_hosts"}
 def recorded(folder: Path, name: str, *settings: str, frames: int = 60) -> Path:
     path, loaded = scenario.load(name, settings)
     resolved = scenario.resolve(path, loaded, frames=frames, seed=1, record=True)
-    ended = local.run(resolved, folder, runtime="inproc")
+    ended = launcher.run(resolved, folder, runtime="inproc")
     assert ended.error is None
     return ended.folder
 
@@ -54,11 +55,11 @@ def assert_equal(once: dict[str, Any], again: dict[str, Any]) -> None:
 def test_a_run_is_measured_the_same_from_its_recording(tmp_path: Path, name: str) -> None:
     folder = recorded(tmp_path / "run", name)
     once = results_in(folder)
-    for file in (folder / measuring.METRICS, *folder.glob("*.parquet")):
+    for file in (folder / measurement.METRICS, *folder.glob("*.parquet")):
         file.unlink()
-    assert measuring.can_fill_in(folder)
-    assert measuring.measure(folder) == []
-    assert not measuring.can_fill_in(folder)
+    assert measurement.can_fill_in(folder)
+    assert measurement.measure(folder) == []
+    assert not measurement.can_fill_in(folder)
     again = results_in(folder)
     again["metrics.json"]["late"] = once["metrics.json"]["late"]  # of the broker's counts: see measuring
     assert_equal(once, again)
@@ -66,18 +67,18 @@ def test_a_run_is_measured_the_same_from_its_recording(tmp_path: Path, name: str
 
 def test_what_no_recording_tells_is_kept(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "run", "realistic_network", frames=30)
-    metrics = json.loads((folder / measuring.METRICS).read_text())
+    metrics = json.loads((folder / measurement.METRICS).read_text())
     metrics |= {"latency_ms": {"sim_to_picture": {"p50": 12.0}}, "frames_per_second": 9.5, "late": {"ego": 3}}
-    (folder / measuring.METRICS).write_text(json.dumps(metrics | {"agents": "spoilt"}))
-    measuring.measure(folder)
-    assert json.loads((folder / measuring.METRICS).read_text()) == metrics
+    (folder / measurement.METRICS).write_text(json.dumps(metrics | {"agents": "spoilt"}))
+    measurement.measure(folder)
+    assert json.loads((folder / measurement.METRICS).read_text()) == metrics
 
 
 def test_a_folder_without_a_recording_is_refused(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "run", "baseline", frames=20)
     (folder / "messages.mcap").unlink()
     with pytest.raises(RunFolderError, match=r"messages\.mcap: missing"):
-        measuring.measure(folder)
+        measurement.measure(folder)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +101,7 @@ def test_metrics_are_kept_where_the_recording_ends_before_the_run_did(tmp_path: 
     once = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in (".json", ".parquet")}
     ends = r"ends (at frame \d+ of 60|before its first frame), .*metrics\.json is kept.*restore the recording"
     with pytest.raises(RunFolderError, match=ends):
-        measuring.measure(folder)
+        measurement.measure(folder)
     assert {name: (folder / name).read_bytes() for name in once} == once
 
 
@@ -111,7 +112,7 @@ def test_a_recording_with_an_end_but_without_the_last_frames_does_not_replace_me
         node["last_frame"] = 29
     (folder / "run.json").write_text(json.dumps(run))
     with pytest.raises(RunFolderError, match="ends at frame 19 of 30"):
-        measuring.measure(folder)
+        measurement.measure(folder)
 
 
 def test_a_run_without_metrics_is_measured_as_far_as_its_recording_goes_and_says_so(
@@ -123,7 +124,7 @@ def test_a_run_without_metrics_is_measured_as_far_as_its_recording_goes_and_says
         file.unlink()
     run = json.loads((folder / "run.json").read_text())
     (folder / "run.json").write_text(json.dumps(run | {"status": "running", "nodes": {}}))
-    measuring.measure(folder)
+    measurement.measure(folder)
     metrics = json.loads((folder / "metrics.json").read_text())
     frames = metrics["frames"]
     assert 0 < frames < 60
@@ -133,7 +134,7 @@ def test_a_run_without_metrics_is_measured_as_far_as_its_recording_goes_and_says
     terminal.show_run(Console(width=300), folder)
     assert said in capsys.readouterr().out
     assert said in html.write_report(folder).read_text()
-    measuring.measure(folder)  # again: these metrics are of no more frames
+    measurement.measure(folder)  # again: these metrics are of no more frames
     assert json.loads((folder / "metrics.json").read_text()) == metrics
 
 
@@ -141,7 +142,7 @@ def test_a_recording_that_is_gone_is_told_from_one_that_never_was(tmp_path: Path
     folder = recorded(tmp_path / "run", "baseline", frames=4)
     (folder / "messages.mcap").unlink()
     with pytest.raises(RunFolderError, match=r"messages\.mcap: missing; the run was recorded.* counts \d+ messages"):
-        measuring.measure(folder)
+        measurement.measure(folder)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +153,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, file: str, content: 
     folder = recorded(tmp_path / "run", "baseline", frames=2)
     (folder / file).write_text(content)
     with pytest.raises(RunFolderError, match="cannot be read"):
-        measuring.measure(folder)
+        measurement.measure(folder)
 
 
 @pytest.mark.parametrize("wiring", [{}, {"wires": 3}, {"wires": [{"key": "clock"}]}])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from mast_zenoh.control import results
 from mast_zenoh.errors import MessageError
-from mast_zenoh.runtime import results
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mast_zenoh.arrays.states import Detections
 from mast_zenoh.scenes import Recording, SceneAgent
 from mast_zenoh.scenes.recording import truth_states
 from mast_zenoh.sensing import Camera, LidarSensor
-from mast_zenoh.states import Detections
 
 
 def reference(name: str) -> Path:

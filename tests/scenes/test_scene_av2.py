@@ -9,10 +9,10 @@ import pyarrow
 import pytest
 from pyarrow import feather
 
+from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import AV2Log, Recording
 from mast_zenoh.sensing import CleanDetector
-from mast_zenoh.states import CLASSES
 
 FRAMES = 5
 POSES, BOXES = "city_SE3_egovehicle.feather", "annotations.feather"

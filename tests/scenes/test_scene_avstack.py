@@ -9,13 +9,13 @@ import pytest
 from carla_writer import FRAMES, actors_at, npcs_at, state, write_lines, write_objects, write_run
 
 from mast_zenoh import scenario
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import CLASSES
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.geometry import wrap_angle
-from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.scenes import AVstackScene, Recording
 from mast_zenoh.scenes.avstack import EGO_ID
 from mast_zenoh.sensing import CleanDetector, LidarSensor, Walls, lidar_points, sensor_pose, to_world
-from mast_zenoh.states import CLASSES
 
 
 @pytest.fixture

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import shapely
 
+from mast_zenoh.arrays.geometry import box_corners
+from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.geometry import box_corners
 from mast_zenoh.scenes import Intersection, Recording
 from mast_zenoh.sensing import CleanDetector
-from mast_zenoh.states import CLASSES
 
 
 @cache

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mast_zenoh import scenario
 from mast_zenoh.security.access import access_control
 from mast_zenoh.security.credentials import LAUNCHER
-from mast_zenoh.wiring import Endpoint, Leg, Listener, Wire, Wiring
+from mast_zenoh.wiring.model import Endpoint, Leg, Listener, Wire, Wiring
 
 PREFIX = "mast/r"
 NODES = ("n0", "n1", "n2", "n3", "n4")

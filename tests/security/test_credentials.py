@@ -18,7 +18,7 @@ from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.credentials import LAUNCHER, ROUTER, Credentials, common_name
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.security.levels import LEVELS, client_settings, endpoint, hosts, router_settings
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 
 def parsed(credentials: Credentials) -> x509.Certificate:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
-from mast_zenoh import cli
+from mast_zenoh.cli import app
 from mast_zenoh.errors import ConfigurationError, RunFolderError
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run as launcher
 
 
 @pytest.fixture
@@ -19,11 +19,11 @@ def chosen(monkeypatch: pytest.MonkeyPatch):
         levels.append(secure)
         raise RunFolderError("far enough")
 
-    monkeypatch.setattr(local, "run", run)
+    monkeypatch.setattr(launcher, "run", run)
 
     def invoke(*words: str) -> tuple[list[str], str]:
         levels.clear()
-        ended = CliRunner().invoke(cli.app, ["run", *words])
+        ended = CliRunner().invoke(app.app, ["run", *words])
         return levels.copy(), ended.output
 
     return invoke
@@ -53,12 +53,12 @@ def test_where_there_is_nothing_to_secure_it_is_refused(chosen, words: tuple[str
 
 @pytest.mark.parametrize("level", ["aclx", "ACL", "mtsl"])
 def test_a_level_that_is_misspelt_is_no_scenario(level: str) -> None:
-    ended = CliRunner().invoke(cli.app, ["run", "baseline", "--secure", level])
+    ended = CliRunner().invoke(app.app, ["run", "baseline", "--secure", level])
     assert isinstance(ended.exception, ConfigurationError)
     assert f"security level: found {level!r}" in str(ended.exception)
 
 
 def test_a_study_of_an_outsider_has_no_trials() -> None:
-    ended = CliRunner().invoke(cli.app, ["study", "rogue", "--trials", "3"])
+    ended = CliRunner().invoke(app.app, ["study", "rogue", "--trials", "3"])
     assert ended.exit_code == 2
     assert "once at each level" in ended.output

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
+from mast_zenoh.arrays.states import Detections, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.geometry import rotation_from_yaw_pitch
 from mast_zenoh.sensing import CleanDetector, DetectionModel, Detector, LidarSensor, in_view, to_world
-from mast_zenoh.states import Detections, Ints, ObjectStates
 from mast_zenoh.streams import stream
 
 POLE = np.array([0.0, 0.0, 15.0])

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.geometry import heading, rotation_from_yaw, rotation_from_yaw_pitch
+from mast_zenoh.arrays.geometry import heading, rotation_from_yaw, rotation_from_yaw_pitch
+from mast_zenoh.arrays.states import Detections
 from mast_zenoh.sensing import Camera, sensor_pose, to_sensor, to_world
-from mast_zenoh.states import Detections
 
 
 def some_detections(n: int, seed: int = 0) -> Detections:

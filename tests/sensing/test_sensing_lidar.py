@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mast_zenoh.geometry import rotation_from_yaw_pitch, to_world
+from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch, to_world
 from mast_zenoh.sensing import LidarSensor, Walls, in_view, lidar_points
 
 EYE = np.eye(3)

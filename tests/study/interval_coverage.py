@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import ndtri
 
-from mast_zenoh.states import Floats
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.streams import stream
 from mast_zenoh.study import statistics
 from mast_zenoh.study.statistics import Interval

@@ -8,7 +8,7 @@ from pathlib import Path
 import failing
 import pytest
 
-from mast_zenoh import cli
+from mast_zenoh.cli import app
 from mast_zenoh.errors import HandlerFailed
 from mast_zenoh.study import comparison, definition, trials
 
@@ -84,7 +84,7 @@ def test_the_command_line_writes_all_and_ends_with_the_code_of_the_failure(
     command = ["mast", "study", str(study.path), "--runtime", "inproc", "--out", str(tmp_path / "out"), *more]
     monkeypatch.setattr("sys.argv", command)
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        app.main()
     said = capsys.readouterr()
     assert int(ended.value.code or 0) == (0 if allowed else 24 if words else 30)
     assert SAID in said.err + said.out, "a warning at least"
@@ -96,6 +96,6 @@ def test_the_command_line_writes_all_and_ends_with_the_code_of_the_failure(
 def test_allowed_failures_are_no_matter_for_a_study_of_outsiders(tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr("sys.argv", ["mast", "study", "rogue", "--allow-failures"])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        app.main()
     assert ended.value.code == 2
     assert "Traceback" not in capsys.readouterr().err

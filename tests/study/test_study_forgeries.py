@@ -10,7 +10,7 @@ from decoders import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh import release, scenario
+from mast_zenoh import scenario, version
 from mast_zenoh.control import CONTROLS
 from mast_zenoh.study.rogue.forgeries import DAMAGED, FALSE, MALFORMED, forgeries
 from mast_zenoh.study.rogue.position import Position, position
@@ -21,7 +21,7 @@ every_kind = pytest.mark.parametrize("control", CONTROLS)
 @functools.cache
 def standing(node: str = "infra_1") -> Position:
     path, loaded = scenario.load("coordinated", ["n_infrastructure=2"])
-    return position(scenario.resolve(path, loaded, frames=2, record=True), node, release.named())
+    return position(scenario.resolve(path, loaded, frames=2, record=True), node, version.version_string())
 
 
 @every_kind

@@ -8,12 +8,12 @@ import pytest
 from made_outcomes import FRAMES, outcome, study
 from pyarrow import parquet
 
+from mast_zenoh.launch.tables import to_arrow
 from mast_zenoh.study import results
 from mast_zenoh.study.numbers import Number, numbers
 from mast_zenoh.study.parameters import ParameterColumns
 from mast_zenoh.study.summary import Samples
 from mast_zenoh.study.table_file import TableFile
-from mast_zenoh.tables import to_arrow
 
 NAN = float("nan")
 

@@ -11,11 +11,12 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh import loading, scenario
+from mast_zenoh import scenario
+from mast_zenoh.config import loading
 from mast_zenoh.control import CONTROLS
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted
-from mast_zenoh.report import attempts_table
-from mast_zenoh.report.attempts_table import STRAY, AttemptRow
+from mast_zenoh.report.tables import attempts as attempts_table
+from mast_zenoh.report.tables.attempts import STRAY, AttemptRow
 from mast_zenoh.study import definition
 from mast_zenoh.study.rogue import comparison
 from mast_zenoh.study.rogue.attempts import Attempt, Outcome, RogueRouter
@@ -75,7 +76,7 @@ def test_a_file_may_list_insiders_of_its_own_kind_and_no_outsider(tmp_path: Path
     ],
 )
 def test_a_study_without_attackers_or_with_impossible_ones_is_refused(tmp_path: Path, listed: str, said: str) -> None:
-    (tmp_path / "mine.py").write_text(f"from mast_zenoh import loading\n_, scenario = {BASELINE}\n{listed}\n")
+    (tmp_path / "mine.py").write_text(f"from mast_zenoh.config import loading\n_, scenario = {BASELINE}\n{listed}\n")
     content = f"dict(name='s', runs=dict(a=dict(scenario={str(tmp_path / 'mine.py')!r})), security=['acl'])"
     (tmp_path / "s.py").write_text(f"def study():\n    return {content}\n")
     with pytest.raises(ConfigurationError, match=said):

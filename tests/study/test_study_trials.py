@@ -15,14 +15,14 @@ import pytest
 from pyarrow import parquet
 from small_study import TABLES, tables, write_small
 
-from mast_zenoh import cli
+from mast_zenoh.cli import app
 from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
 from mast_zenoh.metrics.record import ESTIMATORS
 from mast_zenoh.study import definition, identity, trial, trials
 from mast_zenoh.study.trial import Outcome, Trial
 
 OWN = """
-from mast_zenoh import bundle, loading
+from mast_zenoh.config import bundle, loading
 
 def scenario():
     return loading.module(bundle.ROOT / "scenarios" / "baseline.py").scenario(n_infrastructure=1)
@@ -276,7 +276,7 @@ def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path:
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
     )
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        app.main()
     assert ended.value.code in (0, None)
     said = capsys.readouterr().out
     for word in ("CAFP IoB", "attacked-1-20.0", "Causes of false objects", "OSPA", "(n < 5)", *TABLES):
@@ -290,7 +290,7 @@ def test_some_failed_trials_have_an_exit_code_of_their_own(small, tmp_path: Path
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
     )
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        app.main()
     assert ended.value.code == TrialsFailed.exit_code == 24
     said = capsys.readouterr()
     assert "mast run uncoordinated --set" in said.err

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from reference_scene import Frames, read, run, score, unpacked
 
+from mast_zenoh.arrays.states import Detections, ObjectStates, concatenate
 from mast_zenoh.fusion import (
     BestMemberFusion,
     Clusterer,
@@ -15,7 +16,6 @@ from mast_zenoh.fusion import (
     SampledAssignmentClusterer,
     UnfilteredGroupTracker,
 )
-from mast_zenoh.states import Detections, ObjectStates, concatenate
 from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, Tracker
 
 

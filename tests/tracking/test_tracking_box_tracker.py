@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tracking_worlds import detected, joined, nanoseconds
 
-from mast_zenoh.geometry import rotation_from_yaw
-from mast_zenoh.states import CLASS_INDEX, Detections, ObjectStates
+from mast_zenoh.arrays.geometry import rotation_from_yaw
+from mast_zenoh.arrays.states import CLASS_INDEX, Detections, ObjectStates
 from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, SensorView
 
 NOTHING = Detections.empty()

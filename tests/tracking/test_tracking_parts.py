@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.geometry import rotation_from_yaw_pitch
+from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.tracking import BipartiteAssignment, GreedyAssignment, SensorView
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mast_zenoh.geometry import wrap_angle
-from mast_zenoh.states import CLASS_INDEX, Detections, ObjectStates
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import CLASS_INDEX, Detections, ObjectStates
 from mast_zenoh.tracking import Tracker
 
 STEP_S = 0.1

@@ -11,12 +11,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.deploy.compose.document import ROUTER
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.deploy.joining import router_ended
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.resolved import NodeSpec
 
 _AT_A_TIME = 4  # commands to the engine
 _LOG_GRACE_S = 5.0  # from the end of a container to the end of its log

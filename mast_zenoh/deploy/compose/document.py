@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
+from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.deploy.image import USER
 from mast_zenoh.deploy.yamltext import Anchored, Merged, dump
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.resolved import NodeSpec, Resolved
-from mast_zenoh.runtime.launcher_watch import UP
+from mast_zenoh.runtime.mesh.launcher_watch import UP
 from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, CONTROL, KEY
 

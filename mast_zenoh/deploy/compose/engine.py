@@ -14,7 +14,8 @@ from typing import Any
 
 import zenoh
 
-from mast_zenoh.deploy import arithmetic, credentials, image
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.deploy import credentials, image, numeric_environment
 from mast_zenoh.deploy import docker as engine
 from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.compose.containers import Containers
@@ -23,9 +24,8 @@ from mast_zenoh.deploy.joining import join
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.resolved import Resolved
 from mast_zenoh.security import levels
 
 _ROUTER_S = 60.0  # for the router to come up
@@ -70,7 +70,7 @@ class Compose(Engine):
             image=self.image,
             secure=launch.secure,
             user=user,
-            environment=arithmetic.environment(),
+            environment=numeric_environment.environment(),
             patience_s=self.patience_s,
         )
         (folder / document.FILE).write_text(content, encoding="utf-8")

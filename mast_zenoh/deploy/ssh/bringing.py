@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from mast_zenoh.deploy import arithmetic
+from mast_zenoh.deploy import numeric_environment
 from mast_zenoh.deploy.joining import join
 from mast_zenoh.deploy.ssh import connection, hostsfile, installation
 from mast_zenoh.deploy.ssh.attachment import Attachment, attaching
@@ -26,15 +26,15 @@ from mast_zenoh.deploy.ssh.installation import Cargo, Installed
 from mast_zenoh.deploy.ssh.nodes import RemoteNodes, exit_of
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.launch.processes import ENVIRONMENT
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.runtime.mesh import prefix
-from mast_zenoh.runtime.session import open_router
+from mast_zenoh.runtime.mesh.node import prefix
+from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import ROUTER
 from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 if TYPE_CHECKING:
     import asyncssh
@@ -256,10 +256,10 @@ class Bringing:
 
     def _mast_node(self, name: str) -> list[str]:
         patience = ["--patience", str(self.told.patience_s)]
-        return [self.installed[name].python, "-m", "mast_zenoh.runtime.elsewhere", "--run", self.run, *patience]
+        return [self.installed[name].python, "-m", "mast_zenoh.runtime.remote_node", "--run", self.run, *patience]
 
     def _environment(self, name: str) -> dict[str, str]:
-        return {"PYTHONPATH": self.installed[name].release, **ENVIRONMENT, **arithmetic.environment()}
+        return {"PYTHONPATH": self.installed[name].release, **ENVIRONMENT, **numeric_environment.environment()}
 
     # -- waiting -------------------------------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.ssh import connection, hostsfile, installation
 from mast_zenoh.deploy.ssh.attachment import attaching
 from mast_zenoh.deploy.ssh.bringing import Bringing
@@ -25,9 +26,8 @@ from mast_zenoh.deploy.ssh.hostsfile import Host
 from mast_zenoh.deploy.ssh.installation import Cargo
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.resolved import Resolved
 from mast_zenoh.security import levels
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.endpoints import ROLES
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.resolved import NodeSpec
+from mast_zenoh.wiring.endpoints import ROLES
 
 #: The value of `router.on` for the machine on which `mast deploy` runs.
 LAUNCHER = "launcher"

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mast_zenoh import release
+from mast_zenoh import version as release
 from mast_zenoh.deploy import wheel
 from mast_zenoh.deploy.ssh import connection
 from mast_zenoh.deploy.ssh.hostsfile import Host
@@ -43,7 +43,7 @@ class Cargo:
     """What is brought: our own wheel, built into a folder, and the names of all others."""
 
     def __init__(self, folder: Path) -> None:
-        self.version = release.named()  # of the very sources that are packed
+        self.version = release.version_string()  # of the very sources that are packed
         self.wheel = wheel.build(folder)
         self.release = hashlib.sha256(self.wheel.read_bytes()).hexdigest()[:12]
         self._requirements = wheel.requirements()

@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.deploy.joining import router_ended
 from mast_zenoh.deploy.ssh.attachment import Attachment
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.resolved import NodeSpec
 from mast_zenoh.security.credentials import ROUTER
 
 #: From a command to its answer: a lost connection must have come back by then.

@@ -23,8 +23,8 @@ import sys
 import zipfile
 from typing import Any
 
-_SAY_VERSION = "from mast_zenoh import release; print(release.named())"
-_IMPORT_ALL = "import mast_zenoh.runtime.elsewhere, mast_zenoh.tracking.box_tracker, mast_zenoh.fusion.pipeline; "
+_SAY_VERSION = "from mast_zenoh import version; print(version.version_string())"
+_IMPORT_ALL = "import mast_zenoh.runtime.remote_node, mast_zenoh.tracking.box_tracker, mast_zenoh.fusion.pipeline; "
 
 
 def probe(folder: str, environment: str, release: str) -> dict[str, Any]:

@@ -11,12 +11,12 @@ import re
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.compose import document as compose
 from mast_zenoh.deploy.image import USER
 from mast_zenoh.deploy.yamltext import Anchored, dump
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch.supervisor import MAX_RESTARTS
-from mast_zenoh.resolved import Resolved
 
 FILE = "stack.yml"
 CREDENTIALS = compose.CREDENTIALS

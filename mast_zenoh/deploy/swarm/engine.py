@@ -15,7 +15,8 @@ from typing import Any
 
 import zenoh
 
-from mast_zenoh.deploy import arithmetic, credentials
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.deploy import credentials, numeric_environment
 from mast_zenoh.deploy import docker as dockerd
 from mast_zenoh.deploy import image as images
 from mast_zenoh.deploy.docker import docker
@@ -27,10 +28,9 @@ from mast_zenoh.deploy.swarm.services import Services
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.launching import Launch
+from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime.timetable import Timetable
+from mast_zenoh.runtime.lockstep.timetable import Timetable
 from mast_zenoh.security import levels
 
 _ROUTER_S = 90.0  # for the router to come up
@@ -85,7 +85,7 @@ class Swarm(Engine):
             place=placement.resolve(self.place, resolved.nodes),
             pinned=placement.pinned(resolved.steps),
             absent=Timetable(resolved, lockstep=resolved.mode == "lockstep").absent,
-            environment=arithmetic.environment(),
+            environment=numeric_environment.environment(),
             patience_s=self.patience_s,
         )
         (folder / document.FILE).write_text(content, encoding="utf-8")

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.deploy.swarm import tasks
 from mast_zenoh.deploy.swarm.document import ROUTER, STOP_GRACE_S, router_exit
@@ -19,7 +20,6 @@ from mast_zenoh.deploy.swarm.logs import keep_logs
 from mast_zenoh.deploy.swarm.tasks import Task
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
-from mast_zenoh.resolved import NodeSpec
 
 _LOOK_EVERY_S = 0.5
 _CHANGED_S = 60.0  # for Docker to carry out what it was told, at most

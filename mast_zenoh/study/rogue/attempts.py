@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import zenoh
 
-from mast_zenoh.runtime.session import open_router
+from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security.credentials import ROUTER
 from mast_zenoh.security.levels import endpoint, router_settings
 from mast_zenoh.study.rogue.siege import NOTHING, Siege

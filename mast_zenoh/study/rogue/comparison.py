@@ -10,13 +10,15 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
-from mast_zenoh import loading, registry, scenario
+from mast_zenoh import scenario
+from mast_zenoh.config import loading, registry
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.launch import ending, local
+from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.report import attempts_table
-from mast_zenoh.report.attempts_table import AttemptRow
-from mast_zenoh.resolved import Resolved
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.report.tables import attempts as attempts_table
+from mast_zenoh.report.tables.attempts import AttemptRow
 from mast_zenoh.study.definition import Configuration, Study
 from mast_zenoh.study.rogue.attempts import Attempt, Outcome
 from mast_zenoh.study.rogue.infiltration import infiltrate
@@ -94,7 +96,7 @@ def _played(each: _Prepared, levels: Sequence[str], folder: Path, console: Conso
             yield from _outside(each, level, folder)
     if each.insiders:
         console.print(f"[dim]{each.label}: the undisturbed twin")
-        twin = local.run(each.lockstep, folder / f"{each.label}-twin", runtime="inproc")
+        twin = launcher.run(each.lockstep, folder / f"{each.label}-twin", runtime="inproc")
         if twin.error:
             raise twin.error
         for level, insider in itertools.product(levels, each.insiders):

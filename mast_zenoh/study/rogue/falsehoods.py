@@ -8,7 +8,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from mast_zenoh.runtime.results import EVALUATOR
+from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.study.rogue.position import MARKER, Position
 
 _BILLION = 10**9

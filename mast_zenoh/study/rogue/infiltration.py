@@ -11,12 +11,12 @@ from pathlib import Path
 
 import zenoh
 
-from mast_zenoh import release
+from mast_zenoh import version
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run
 from mast_zenoh.launch.folder import json_or_empty
 from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.resolved import Resolved
 from mast_zenoh.study.rogue.insiders import Insider
 from mast_zenoh.study.rogue.position import MARKER, position
 from mast_zenoh.study.rogue.siege import Siege, attackers_own
@@ -85,7 +85,7 @@ def infiltrate(resolved: Resolved, folder: Path, level: str, insider: Insider, t
         with suppress(zenoh.ZError), siege.join(insider.node) as session:
             admitted = True
             with attackers_own(insider.name, insider.act):
-                sent = insider.act(siege, session, position(resolved, insider.node, release.named()))
+                sent = insider.act(siege, session, position(resolved, insider.node, version.version_string()))
             siege.ended(_END_S)
         ended = siege.ended(_END_S)
         in_time = ended is not None
@@ -96,7 +96,7 @@ def infiltrate(resolved: Resolved, folder: Path, level: str, insider: Insider, t
 
 
 def _finding(
-    resolved: Resolved, node: str, ended: local.Run | None, in_time: bool, twin: Path, strays: set[str]
+    resolved: Resolved, node: str, ended: run.Run | None, in_time: bool, twin: Path, strays: set[str]
 ) -> Finding:
     driver = next(name for name, spec in resolved.nodes.items() if spec.role == "simulator")
     others = [name for name in resolved.nodes if name != node]

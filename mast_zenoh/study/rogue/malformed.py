@@ -11,8 +11,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from mast_zenoh.control import CONTROLS
-from mast_zenoh.runtime import results
+from mast_zenoh.control import CONTROLS, results
 
 Random = np.random.Generator
 

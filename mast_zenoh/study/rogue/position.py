@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from mast_zenoh.resolved import RECORDING, Resolved
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.config.resolved import RECORDING, Resolved
+from mast_zenoh.wiring.model import Wiring
 
 #: A word in everything forged that could become the name of a file: whatever is called so was written by an insider.
 MARKER = "mast_forged_by_an_insider"

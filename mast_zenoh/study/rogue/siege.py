@@ -17,22 +17,22 @@ import numpy as np
 import zenoh
 from rich.console import Console
 
-from mast_zenoh import codec
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import failures
+from mast_zenoh.control.failures import described
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, MastError, RunError, nearest
-from mast_zenoh.launch import local
+from mast_zenoh.launch import run
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.launching import Launch
-from mast_zenoh.messages import SCHEMAS, Header, Message, text
-from mast_zenoh.resolved import Resolved
-from mast_zenoh.runtime import failures
-from mast_zenoh.runtime.failures import described
-from mast_zenoh.runtime.mesh import prefix
-from mast_zenoh.runtime.session import open_session
+from mast_zenoh.launch.mesh_run import Launch
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
+from mast_zenoh.runtime.mesh.node import prefix
+from mast_zenoh.runtime.mesh.session import open_session
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.security.levels import client_settings, endpoint
 from mast_zenoh.study.rogue.detour import Detour
-from mast_zenoh.wiring import Wiring
+from mast_zenoh.wiring.model import Wiring
 
 #: What an outsider may show besides the certificate of a node: `shows` of an attempt.
 NOTHING, FOREIGN, EXPIRED = "nothing", "foreign", "expired"
@@ -73,7 +73,7 @@ class Siege:
         self._engine = engine
         self._console = console
         self._launch: Launch | None = None
-        self._ended: local.Run | None = None
+        self._ended: run.Run | None = None
         self._thread = threading.Thread(target=self._play, name="siege")
         self._resources = ExitStack()
         self._foreign: Authority | None = None
@@ -212,12 +212,12 @@ class Siege:
             pause.wait(_POLL_S)
         return True
 
-    def ended(self, seconds: float) -> local.Run | None:
+    def ended(self, seconds: float) -> run.Run | None:
         """What has become of the run when it has ended by itself; None when it has not within so many seconds."""
         self._thread.join(seconds)
         return self._ended
 
-    def end(self) -> local.Run | None:
+    def end(self) -> run.Run | None:
         """Have the run end, if it has not; what has become of it."""
         if self._thread.is_alive() and self._launch is not None:
             self._launch.signals.append(signal.SIGINT)  # as if somebody had pressed Ctrl-C
@@ -247,7 +247,7 @@ class Siege:
 
         more: dict[str, Any] = {"engine": self._engine, "console": self._console}
         try:
-            self._ended = local.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **more)
+            self._ended = run.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **more)
         except Exception as error:  # a defect, which the attackers may have found
             self.crash = described(error)
 

@@ -3,8 +3,8 @@
 from typing import Any
 
 from mast_zenoh.node import Context, Node, Overheard
-from mast_zenoh.runtime.process import main
-from mast_zenoh.wiring import ANY
+from mast_zenoh.runtime.mesh.main import main
+from mast_zenoh.wiring.model import ANY
 
 
 class Listener(Node):

@@ -1,6 +1,6 @@
 """A scenario with little to compute, played 200 times over: two agents, two cars; its evaluator says what it heard."""
 
-from mast_zenoh import loading
+from mast_zenoh.config import loading
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 

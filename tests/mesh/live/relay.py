@@ -1,7 +1,7 @@
 """A user's own interposer: passes everything on as it comes, and can keep every third message until the next clock."""
 
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.process import main
+from mast_zenoh.runtime.mesh.main import main
 
 
 class Relay(Node):

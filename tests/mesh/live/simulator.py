@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from mast_zenoh import bundle, loading
+from mast_zenoh.config import bundle, loading
 from mast_zenoh.node import Context
-from mast_zenoh.runtime.process import main
+from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.scenes.recording import Recording
 
 TIMES = 200

@@ -1,0 +1,144 @@
+"""Frames, rotations and boxes. Pure functions on arrays.
+
+Frames are right-handed, x forward, y left, z up; the world frame is east-north-up. Rotations are ACTIVE: a
+rotation R (3, 3) of a body turns components in the body frame into components in the world frame,
+`world = position + R @ local`. Quaternions are (w, x, y, z) of the same active rotation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
+
+TWO_PI = 2.0 * np.pi
+
+_NO_TURN = [1.0, 0.0, 0.0, 0.0]
+
+
+def wrap_angle(angle: Floats) -> Floats:
+    """Angles in rad wrapped to [-pi, pi); rounding may give pi itself."""
+    return (np.asarray(angle) + np.pi) % TWO_PI - np.pi
+
+
+def rotation_from_yaw(yaw: float) -> Floats:
+    """(3, 3) rotation about z by `yaw` rad."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_from_yaw_pitch(yaw: float, pitch_down: float) -> Floats:
+    """(3, 3) rotation of a body that heads to `yaw` and looks `pitch_down` rad below the horizon."""
+    c, s = np.cos(pitch_down), np.sin(pitch_down)
+    pitch = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return np.asarray(rotation_from_yaw(yaw) @ pitch, np.float64)
+
+
+def rotation_from_quaternion(quaternion: Floats) -> Floats:
+    """(..., 3, 3) rotations from (..., 4) active quaternions (w, x, y, z); they are normalised first."""
+    q = np.asarray(quaternion, np.float64)
+    if q.ndim == 1:  # one, as in every message: plain numbers are quicker than arrays of one
+        return _rotation(*q.tolist())
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _rotation(w: float, x: float, y: float, z: float) -> Floats:
+    """(3, 3) rotation of one quaternion."""
+    n = 2.0 / (w * w + x * x + y * y + z * z)
+    return np.array(
+        [
+            [1.0 - n * (y * y + z * z), n * (x * y - w * z), n * (x * z + w * y)],
+            [n * (x * y + w * z), 1.0 - n * (x * x + z * z), n * (y * z - w * x)],
+            [n * (x * z - w * y), n * (y * z + w * x), 1.0 - n * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: Floats) -> Floats:
+    """(..., 4) active quaternions (w, x, y, z), w >= 0, of (..., 3, 3) rotations.
+
+    Shepperd (J. Guidance and Control 1978): from the greatest component, so that nothing is divided by a small number.
+    """
+    matrix = np.asarray(rotation, np.float64)
+    trace = np.trace(matrix, axis1=-2, axis2=-1)
+    # Products of the components, times four: row k is the quaternion times four of its k-th component.
+    products = matrix + np.swapaxes(matrix, -1, -2)
+    turned = np.stack([matrix[..., i, j] - matrix[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
+    rows = np.empty((*matrix.shape[:-2], 4, 4))
+    rows[..., 1:, 1:], rows[..., 0, 1:], rows[..., 1:, 0] = products, turned, turned
+    rows[..., 0, 0] = 1.0 + trace
+    for k in range(3):
+        rows[..., k + 1, k + 1] = 1.0 - trace + 2.0 * matrix[..., k, k]
+    greatest = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(rows, greatest[..., None, None], axis=-2)[..., 0, :]
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., :1] < 0.0, -q, q)
+
+
+def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:
+    """States of a frame of reference at `origin` (3,) m with active quaternion `rotation` (4,), in the world frame.
+
+    Sizes stay as they are; yaw turns by the frame's heading.
+    """
+    if _is_world(origin, rotation):
+        return states
+    matrix = rotation_from_quaternion(rotation)
+    jacobian = np.eye(9)
+    jacobian[0:3, 0:3] = jacobian[6:9, 6:9] = matrix
+    return states.with_(
+        position=to_world(states.position, origin, matrix),
+        velocity=states.velocity @ matrix.T,
+        yaw=wrap_angle(states.yaw + heading(matrix)),
+        covariance=jacobian @ states.covariance @ jacobian.T,
+    )
+
+
+def states_to_local(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:
+    """States of the world frame in a frame of reference; inverse of `states_to_world`."""
+    if _is_world(origin, rotation):
+        return states
+    matrix = rotation_from_quaternion(rotation)
+    w, x, y, z = rotation
+    return states_to_world(states, -origin @ matrix, np.array([w, -x, -y, -z]))
+
+
+def _is_world(origin: Floats, rotation: Floats) -> bool:
+    """Whether a frame of reference is the world frame, as that of most tracks is."""
+    return rotation.tolist() == _NO_TURN and not any(origin.tolist())
+
+
+def heading(rotation: Floats) -> Floats:
+    """(...,) rad: the heading of the x axis of (..., 3, 3) rotations, projected to the ground."""
+    return np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
+
+
+def to_world(points: Floats, position: Floats, rotation: Floats) -> Floats:
+    """(n, 3) points of a body frame in the world frame; position (3,), rotation (3, 3) of the body."""
+    return points @ rotation.T + position
+
+
+def to_local(points: Floats, position: Floats, rotation: Floats) -> Floats:
+    """(n, 3) points of the world frame in a body frame; inverse of `to_world`."""
+    return (points - position) @ rotation
+
+
+def box_corners(position: Floats, size: Floats, yaw: Floats) -> Floats:
+    """(n, 8, 3) m: corners of upright boxes. position (n, 3) centre, size (n, 3) l w h, yaw (n,)."""
+    signs = np.array([[sx, sy, sz] for sz in (-1, 1) for sx, sy in ((1, 1), (-1, 1), (-1, -1), (1, -1))]) / 2
+    local = signs[None] * np.asarray(size)[:, None, :]
+    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x = c * local[..., 0] - s * local[..., 1]
+    y = s * local[..., 0] + c * local[..., 1]
+    return np.stack([x, y, local[..., 2]], axis=-1) + np.asarray(position)[:, None, :]
+
+
+def within_range(position: Floats, centre: Floats, radius: float) -> Bools:
+    """(n,) whether (n, 3) positions lie within `radius` m of `centre` (3,) in the bird's-eye view."""
+    offset = position[:, :2] - centre[:2]
+    return np.asarray(np.einsum("ij,ij->i", offset, offset) <= radius * radius)

@@ -1,0 +1,274 @@
+"""The command line. Thin: every command is one call into the packages below."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from mast_zenoh import scenario
+from mast_zenoh.cli import deploy, intercept
+from mast_zenoh.cli.options import (
+    Against,
+    AllowChurn,
+    AllowFailures,
+    Frames,
+    Mode,
+    Out,
+    Rate,
+    Record,
+    Report,
+    Scenario,
+    Secure,
+    SecureCommand,
+    Seed,
+    Settings,
+    check_run_folder,
+    conclude,
+    reference_folder,
+    reporting,
+    show_notices,
+)
+from mast_zenoh.cli.options import err as _err
+from mast_zenoh.cli.options import out as _out
+from mast_zenoh.errors import Interrupted, MastError
+from mast_zenoh.launch import ending
+from mast_zenoh.wiring.model import Wiring, to_mermaid, to_text
+
+if TYPE_CHECKING:
+    from mast_zenoh.study.definition import Study
+
+app = typer.Typer(
+    help="mast-zenoh: attack, break and defend collaborative sensor fusion on a Zenoh mesh.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.add_typer(deploy.app, name="deploy")
+app.command()(deploy.doctor)
+
+
+@app.command(cls=SecureCommand)
+def run(
+    scenario_file: Scenario,
+    settings: Settings = None,
+    frames: Frames = None,
+    seed: Seed = None,
+    runtime: Annotated[Literal["mesh", "inproc"], typer.Option(help="Processes on a mesh, or one process.")] = "mesh",
+    mode: Mode = None,
+    rate: Rate = None,
+    out: Out = None,
+    endpoint: Annotated[str | None, typer.Option(help="Of a Zenoh router that runs already, tcp/HOST:PORT.")] = None,
+    secure: Secure = "open",
+    report: Report = True,
+    record: Record = True,
+    allow_failures: AllowFailures = False,
+    allow_churn: AllowChurn = False,
+    against: Against = None,
+) -> None:
+    """Run a scenario; results, logs and a report go to a run folder."""
+    from mast_zenoh.launch import run as launcher
+
+    if against not in (None, "twin"):
+        check_run_folder(Path(against))
+
+    path, loaded = scenario.load(scenario_file, settings or ())
+    resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
+    if runtime == "inproc" and resolved.mode == "realtime":
+        raise typer.BadParameter(
+            "real time needs the mesh: one process has no network to be late on", param_hint="--mode"
+        )
+    if secure != "open" and (runtime == "inproc" or endpoint):
+        where = f"the router at {endpoint} is another's" if endpoint else "one process has no mesh"
+        raise typer.BadParameter(f"a secure mesh has a router of its own: {where}", param_hint="--secure")
+    place: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
+    allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
+    ended = launcher.run(resolved, out, **place, **allowed, console=_out)
+    conclude(ended, report=report, against=against, allow_failures=allow_failures)
+
+
+@app.command()
+def study(
+    study_file: Annotated[str, typer.Argument(help="A study file, or the name of one of ours: case_study, …")],
+    settings: Settings = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="Seeds for each configuration and scene.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Trials at a time; all cores if dask is installed.")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, tcp://HOST:8786.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what is done in --out.")] = False,
+    frames: Frames = None,
+    seed: Seed = None,
+    runtime: Annotated[Literal["mesh", "inproc"] | None, typer.Option(help="Overrides the study's own.")] = None,
+    out: Out = None,
+    allow_failures: AllowFailures = False,
+) -> None:
+    """Run the scenarios of a study and compare them: once each with reports, or many trials with intervals."""
+    from mast_zenoh.study import definition
+
+    loaded = definition.load(study_file, settings or ())
+    if loaded.security:
+        given = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume}
+        given |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
+        if useless := [name for name, value in given.items() if value]:
+            why = f"attackers are let loose once at each level, on the mesh: {', '.join(useless)} cannot change that"
+            raise typer.BadParameter(why, param_hint=study_file)
+        _besiege(loaded, out, seed=seed, frames=frames)
+        return
+    count = trials or loaded.trials
+    if count is None and not (jobs or cluster or resume):
+        _compare(loaded, out, frames=frames, seed=seed, runtime=runtime, allow_failures=allow_failures)
+        return
+    from mast_zenoh.report.tables import study as study_table
+    from mast_zenoh.study import execution
+    from mast_zenoh.study import trials as many
+
+    ended = many.run(
+        loaded,
+        out,
+        count=count or 1,
+        jobs=jobs or execution.default_jobs(),
+        cluster=cluster,
+        resume=resume,
+        seed=seed,
+        frames=frames,
+        runtime=runtime,
+        allow_failures=allow_failures,
+        console=_out,
+    )
+    _out.print(study_table.as_rich(ended.rows, ended.facts))
+    for path in ended.files:
+        _out.print(str(path), markup=False, highlight=False)
+    _out.print(f"report: {ended.report}", markup=False, highlight=False)
+    ended.raise_failures()
+
+
+def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
+    """Every configuration once, side by side."""
+    from mast_zenoh.study import comparison
+
+    ended = comparison.run(loaded, out, console=_out, **options)
+    with reporting(ended.out):
+        from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
+
+        terminal.show(_out, ended.folders)
+        _out.print(f"report: {html.write_study_report(ended.out, ended.folders)}", highlight=False)
+    for label, run_ in ended.runs.items():
+        show_notices(run_, f"{label}: ")
+    ended.raise_failures()
+
+
+def _besiege(loaded: Study, out: Path | None, **options: Any) -> None:
+    """Every configuration at every level of security, with the attackers that its scenario file lists."""
+    from mast_zenoh.report.tables import attempts
+    from mast_zenoh.study.rogue import comparison
+
+    ended = comparison.run(loaded, out, console=_out, **options)
+    _out.print(attempts.as_rich(ended.rows))
+    for path in ended.files:
+        _out.print(str(path), markup=False, highlight=False)
+
+
+@app.command()
+def wiring(
+    scenario_file: Scenario,
+    settings: Settings = None,
+    format: Annotated[Literal["text", "json", "mermaid"], typer.Option(help="How to print it.")] = "text",
+) -> None:
+    """Who talks to whom on which key, rewrites shown."""
+    path, loaded = scenario.load(scenario_file, settings or ())
+    resolved = scenario.resolve(path, loaded, record=True)
+    found = Wiring.from_json(resolved.wiring)
+    if format == "json":
+        sys.stdout.write(json.dumps(found.to_json(), indent=2) + "\n")
+    else:
+        sys.stdout.write((to_text if format == "text" else to_mermaid)(found) + "\n")
+
+
+@app.command()
+def diff(
+    run_a: Annotated[Path, typer.Argument(metavar="A", help="The folder of a run, or a recording.")],
+    run_b: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    ignore: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to leave out: 'attack/*'.")] = None,
+    taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
+) -> None:
+    """Compare the messages of two runs: exit 0 when equal, 1 when they differ, 2 when they cannot be compared."""
+    from mast_zenoh.messagelog.churn import comparable
+    from mast_zenoh.messagelog.difference import compare
+    from mast_zenoh.messagelog.explain import explain
+
+    try:
+        before, why = comparable(run_a, run_b)
+        found = compare(run_a, run_b, ignore=ignore or (), taps=taps, before=before)
+    except MastError as error:
+        _err.print(f"cannot compare: {error}", markup=False, highlight=False)
+        raise typer.Exit(2) from None
+    for line in explain(found):
+        _out.print(line, markup=False, highlight=False)
+    if why and found.first is None:
+        _err.print(f"not comparable from frame {before} on: {why}", markup=False, highlight=False)
+        raise typer.Exit(2)
+    raise typer.Exit(0 if found.first is None else 1)
+
+
+app.command()(intercept.intercept)
+app.command()(intercept.release)
+
+
+@app.command()
+def report(
+    run_folder: Annotated[Path, typer.Argument(help="The folder of a run.")],
+    frame: Annotated[int | None, typer.Option(min=0, help="The frame that the pictures show.")] = None,
+    against: Against = None,
+    measure: Annotated[bool, typer.Option("--measure", help="Measure the run anew, from its recording.")] = False,
+) -> None:
+    """Write the report of a run again, compared with another run if one is named.
+
+    A run that has no metrics is measured first, if it was recorded.
+    """
+    from mast_zenoh.launch import measurement
+    from mast_zenoh.report import html, terminal
+
+    if measure or measurement.can_fill_in(run_folder):
+        for refused in measurement.measure(run_folder):
+            _err.print(f"warning: {refused}", markup=False, highlight=False)
+        _out.print(f"measured: {run_folder / measurement.METRICS}", markup=False, highlight=False)
+    other = None if against is None else reference_folder(run_folder, against)
+    with reporting(run_folder):
+        if other is not None:
+            terminal.show_run(_out, run_folder, other)
+        _out.print(f"report: {html.write_report(run_folder, frame, other)}", highlight=False)
+    if warning := terminal.failure(run_folder):
+        _err.print(f"warning: {warning}", style="bold yellow", markup=False, highlight=False)
+
+
+def carry_out() -> int:
+    """Carry out the command; its exit code. An error becomes one line and its own code (docs/exit_codes.md)."""
+    os.umask(os.umask(0o022) | 0o022)  # what a run writes is nobody else's to change; its nodes inherit it
+    try:
+        app()
+    except SystemExit as left:
+        if left.code == Interrupted.exit_code:  # Typer's, for a KeyboardInterrupt
+            return _show(Interrupted("stopped before anything was started, or left running"))
+        return left.code if isinstance(left.code, int) else int(left.code is not None)
+    except (Exception, KeyboardInterrupt) as caught:
+        error = ending.from_exception(caught)
+        if error is None:
+            raise
+        return _show(error)
+    return 0
+
+
+def _show(error: MastError) -> int:
+    _err.print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
+    _err.print(str(error), markup=False, highlight=False)
+    return error.exit_code
+
+
+def main() -> None:
+    """Carry out the command, and exit with its code."""
+    sys.exit(carry_out())

@@ -1,0 +1,174 @@
+"""`mast deploy …` and `mast doctor`: runs whose nodes live elsewhere, and what this machine can do."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from rich.table import Table
+
+from mast_zenoh import scenario
+from mast_zenoh.cli.options import (
+    AllowChurn,
+    AllowFailures,
+    Frames,
+    Mode,
+    Out,
+    Rate,
+    Record,
+    Report,
+    Scenario,
+    Secure,
+    SecureCommand,
+    Seed,
+    Settings,
+    conclude,
+)
+from mast_zenoh.cli.options import out as _out
+from mast_zenoh.errors import ConfigurationError, RunFolderError
+
+app = typer.Typer(help="Run a scenario in containers or on other hosts.", no_args_is_help=True, add_completion=False)
+
+Engine = Annotated[Literal["compose", "swarm", "ssh"], typer.Option(help="Where the nodes live.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
+
+
+@app.command(cls=SecureCommand)
+def up(
+    scenario_file: Scenario,
+    settings: Settings = None,
+    engine: Engine = "compose",
+    frames: Frames = None,
+    seed: Seed = None,
+    mode: Mode = None,
+    rate: Rate = None,
+    out: Out = None,
+    secure: Secure = "open",
+    image: Annotated[
+        str | None, typer.Option(help="Of all containers. Default: what `mast deploy image` makes.")
+    ] = None,
+    hosts: Annotated[Path | None, typer.Option(help="SSH: which hosts there are. Default: deploy/hosts.toml.")] = None,
+    place: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NODES=LABEL", help="Swarm: on which machine, by its label mast.host, nodes are to be."),
+    ] = None,
+    patience: Annotated[float | None, typer.Option(help="Seconds that nodes stay without this launcher.")] = None,
+    report: Report = True,
+    record: Record = True,
+    allow_failures: AllowFailures = False,
+    allow_churn: AllowChurn = False,
+) -> None:
+    """Run a scenario elsewhere: start all, follow it, collect its results into a run folder, take all away again."""
+    from mast_zenoh.deploy import engines, space
+    from mast_zenoh.launch import run
+
+    path, loaded = scenario.load(scenario_file, settings or ())
+    resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
+    told = {"image": image, "hosts": hosts, "place": _placed(place), "patience_s": patience}
+    chosen = _made(engines.load(engine), {name: value for name, value in told.items() if value is not None})
+    space.check(out or Path("runs"), space.needed(resolved))
+    allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
+    ended = run.run(resolved, out, engine=chosen, secure=secure, **allowed, console=_out)
+    conclude(ended, report=report)
+
+
+@app.command()
+def status(run_folder: RunFolder) -> None:
+    """Which nodes of a run there are, and where."""
+    kind, record = _deployed(run_folder)
+    table = Table("node", "state", "where", box=None)
+    for row in kind.status(run_folder, record):
+        table.add_row(row["node"], row["state"], row["where"])
+    from mast_zenoh.launch import liveness
+
+    _out.print(f"{record['id']}: {liveness.seen_now(record)['status']}", highlight=False)
+    _out.print(table)
+
+
+@app.command()
+def logs(
+    run_folder: RunFolder,
+    node: Annotated[str | None, typer.Argument(help="Of which node. Default: all.")] = None,
+    follow: Annotated[bool, typer.Option("--follow", help="Go on while it says more.")] = False,
+) -> None:
+    """What the nodes of a run have said."""
+    kind, record = _deployed(run_folder)
+    kind.logs(run_folder, record, node, follow=follow)
+
+
+@app.command()
+def down(run_folder: RunFolder) -> None:
+    """Take away what is left of a run: after a launcher that was killed, or lost its machine."""
+    kind, record = _deployed(run_folder)
+    kind.down(run_folder, record)
+    if record["status"] == "running":
+        from mast_zenoh.launch.folder import write_json
+
+        write_json(
+            run_folder / "run.json", record | {"status": "failed", "message": "taken down by `mast deploy down`"}
+        )
+    _out.print(f"{record['id']}: nothing is left", highlight=False)
+
+
+@app.command()
+def image(
+    base: Annotated[str | None, typer.Option(help="An image with Python 3.11 or newer and venv.")] = None,
+    tag: Annotated[str | None, typer.Option(help="What to call it.")] = None,
+) -> None:
+    """Build the image that nodes in containers are made from."""
+    from mast_zenoh.deploy import image as images
+
+    base = base or images.BASE
+    made = images.build(tag or images.TAG, base)
+    more = images.size_over_base(made, base) / 1e6
+    _out.print(f"image: {made}, {more:.0f} MB over {base}", highlight=False)
+
+
+def doctor(
+    credentials: Annotated[Path | None, typer.Option(help="A folder of certificates to look at, too.")] = None,
+    endpoint: Annotated[str | None, typer.Option(help="And whether they are good for this router.")] = None,
+) -> None:
+    """What this machine can do, and what to install for what it cannot."""
+    from mast_zenoh.deploy import doctor as findings
+
+    table = Table("", "", "", "what to do", box=None)
+    wrong = False
+    for finding in findings.examine(credentials, endpoint):
+        mark = {True: "[green]ok", False: "[red]no", None: "[yellow]--"}[finding.ok]
+        wrong |= finding.ok is False
+        table.add_row(mark, finding.name, finding.said, finding.fix)
+    _out.print(table)
+    raise typer.Exit(1 if wrong else 0)
+
+
+def _deployed(folder: Path) -> tuple[Any, dict[str, Any]]:
+    """The engine and run.json of a run that was deployed."""
+    from mast_zenoh.deploy import engines
+    from mast_zenoh.launch.folder import read_json
+
+    record = read_json(folder / "run.json")
+    if "deployment" not in record:
+        raise RunFolderError(f"{folder}: its nodes did not live elsewhere, so there is nothing of it but the folder")
+    return engines.load(record["deployment"]["engine"]), record
+
+
+def _made(kind: Any, told: dict[str, Any]) -> Any:
+    """An engine with the options that were given; one that it does not have is a wrong word."""
+    takes = inspect.signature(kind).parameters
+    for name in told:
+        if name not in takes:
+            raise typer.BadParameter(
+                f"engine {kind.name} has no such option", param_hint=f"--{name.removesuffix('_s')}"
+            )
+    return kind(**told)
+
+
+def _placed(words: list[str] | None) -> dict[str, str] | None:
+    if not words:
+        return None
+    for word in words:
+        if "=" not in word:
+            raise ConfigurationError(f"--place {word}: expected NODES=LABEL, such as 'infra_*=west'")
+    return dict(word.split("=", 1) for word in words)

@@ -1,0 +1,185 @@
+"""What several commands of the command line share: options, the two consoles, how a run is concluded."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from difflib import get_close_matches
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+from typer.core import TyperCommand
+
+from mast_zenoh.control import failures
+from mast_zenoh.errors import HandlerFailed, Interrupted, NotComparable, RunFolderError
+from mast_zenoh.launch import ending
+from mast_zenoh.security import levels
+
+if TYPE_CHECKING:
+    from mast_zenoh.launch.run import Run
+    from mast_zenoh.report.comparison import Reference
+    from mast_zenoh.report.runfolder import RunFolder
+
+
+#: All but tab and line feed, and what turns the direction of writing.
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+class PlainConsole(Console):
+    """A console on which a text is only text: control characters, which a node's words may hold, become �."""
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        """See Console."""
+        super().print(*(_CONTROL.sub("�", each) if isinstance(each, str) else each for each in objects), **how)
+
+
+out = PlainConsole(soft_wrap=True)
+err = PlainConsole(stderr=True, soft_wrap=True)
+
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")
+]
+Scenario = Annotated[
+    str, typer.Argument(help="A scenario file, or the name of one of ours: baseline, uncoordinated, …")
+]
+Out = Annotated[Path | None, typer.Option(help="Folder for the results; new or empty. Default: runs/NAME-TIME.")]
+Frames = Annotated[int | None, typer.Option(min=1, help="How many frames to play.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Of all random draws.")]
+Secure = Annotated[
+    Literal["open", "tls", "mtls", "acl"],
+    typer.Option("--secure", metavar="[LEVEL]", help="Secure the mesh: tls, mtls, or acl, which is meant without one."),
+]
+Mode = Annotated[Literal["lockstep", "realtime"] | None, typer.Option(help="Exact, or paced by the clock.")]
+Rate = Annotated[float | None, typer.Option(help="Real time: how many times faster than the wall clock.")]
+Against = Annotated[
+    str | None,
+    typer.Option(metavar="RUN|twin", help="Compare with another run, or with the same run without its adversaries."),
+]
+Report = Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")]
+AllowChurn = Annotated[
+    bool, typer.Option("--allow-churn", help="Only warn when a node was lost in lock-step that was to be there.")
+]
+AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn when a handler of a node has failed.")]
+Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
+
+
+class SecureCommand(TyperCommand):
+    """A command whose option `--secure` may stand alone."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put in the level that was left out."""
+        spelt = list(args)
+        for index, (word, following) in enumerate(pairwise([*args, ""])):
+            if word == "--secure" and following.isalpha() and get_close_matches(following.lower(), levels.LEVELS):
+                levels.check(following)
+            if word == "--secure" and following not in levels.LEVELS:
+                spelt[index] = f"--secure={levels.SECURE}"
+        return super().parse_args(ctx, spelt)
+
+
+def conclude(ended: Run, *, report: bool, against: str | None = None, allow_failures: bool = False) -> None:
+    """Show the results of a run, compared with another if one is named, and raise what it failed by.
+
+    A comparison that is not possible costs neither the results nor the run's own failure, which is raised first. A twin
+    whose handlers failed counts as a failure of the run unless that is allowed.
+    """
+    try:
+        with reporting(ended.folder):
+            refusal, reference = _show(ended, report=report, against=against)
+    except RunFolderError as error:
+        if ended.error:
+            err.print(f"warning: {error}", style="bold yellow", markup=False, highlight=False)
+            raise ended.error from None
+        raise
+    if ended.error:
+        if refusal:
+            err.print(f"warning: not compared: {refusal}", style="bold yellow", markup=False, highlight=False)
+        raise ended.error
+    if refusal:
+        raise refusal
+    if reference is not None and against == "twin" and not allow_failures:
+        _raise_failure(reference)
+
+
+@contextmanager
+def reporting(folder: Path, command: str = "report") -> Iterator[None]:
+    """What ends the drawing of a report costs the report: the error says so, and how to write it.
+
+    Raises RunFolderError for results that no report can be made of: an evaluator hands in what it likes.
+    """
+    again = f"the results in {folder} are complete but for the report: `mast {command} {folder}` writes it"
+    try:
+        yield
+    except (KeyboardInterrupt, OSError) as caught:
+        raise ending.explained(caught, again) from None
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as caught:
+        what = failures.described(caught)
+        raise RunFolderError(f"{folder}: no report can be made of what the evaluator has handed in: {what}") from caught
+
+
+def _show(ended: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
+    """Show the results of a run; why it could not be compared, and what it was compared with."""
+    from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
+    from mast_zenoh.report.runfolder import RunFolder
+
+    scored = (ended.folder / "metrics.json").is_file()
+    run = RunFolder.load(ended.folder)
+    reference, refusal = None, None
+    if against is not None and scored:
+        reference, refusal = _reference(run, against, interrupted=isinstance(ended.error, Interrupted))
+    if scored:
+        terminal.show_loaded(out, run, reference)
+    if report:
+        out.print(f"report: {html.write_page(run, reference=reference)}", highlight=False)
+    else:
+        out.print(f"run folder: {ended.folder}", highlight=False)
+    show_notices(ended)
+    return refusal, reference
+
+
+def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
+    """What a run is compared with, or why it cannot be."""
+    from mast_zenoh.report import comparison
+
+    if interrupted:
+        return None, NotComparable(f"{run.path}: was interrupted: expected a run that came to its end")
+    try:
+        return comparison.reference(run, reference_folder(run.path, against)), None
+    except RunFolderError as error:
+        return None, error
+
+
+def _raise_failure(reference: Reference) -> None:
+    """Raise HandlerFailed if handlers of the run that another one is compared with have failed."""
+    record = reference.run.run
+    if record.get("status") == "handler_failures":
+        raise HandlerFailed(f"{reference.name} ({reference.run.path}): {record.get('message')}")
+
+
+def check_run_folder(folder: Path) -> None:
+    """Raise NotComparable unless a folder holds the results of a run: before another one is played for a comparison."""
+    if not (folder / "metrics.json").is_file():
+        raise NotComparable(f"{folder}: has no metrics.json: expected the folder of a run with results, or twin")
+
+
+def reference_folder(run_folder: Path, against: str) -> Path:
+    """The folder of the run that another one is compared with: `twin` is its own unattacked twin, played if need be."""
+    from mast_zenoh.launch import twin
+
+    return twin.of(run_folder, out) if against == twin.FOLDER else Path(against)
+
+
+def show_notices(ended: Run, label: str = "") -> None:
+    """Print what deserves attention in a run, and the failures of handlers that its error does not name."""
+    notices = [f"{notice['kind']}: {notice['text']}" for notice in ended.record.get("notices", ())]
+    if ended.record["message"] and not ended.error:
+        notices.append(f"note: {ended.record['message']}")
+    for notice in notices:
+        out.print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
+    if ended.failures and not isinstance(ended.error, HandlerFailed):
+        warning = failures.summary(ended.failures, ended.logs)
+        err.print(f"{label}warning: {warning}", style="bold yellow", markup=False, highlight=False)

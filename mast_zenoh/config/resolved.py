@@ -1,0 +1,139 @@
+"""A scenario with nothing left to decide: what a run folder holds, and what the processes of a run are given."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mast_zenoh.config import loading, registry
+from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.messages.timespan import Timespan
+from mast_zenoh.node import Node
+
+if TYPE_CHECKING:  # most nodes never see a scene
+    from mast_zenoh.scenes.recording import Recording
+
+RECORDING = "scene.npz"
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSpec:
+    """One node of a run: its role, file, class, parameters, and what its end means for the run."""
+
+    role: str
+    file: str
+    type: str
+    config: dict[str, Any]
+    on_exit: str
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """A scenario with nothing left to decide.
+
+    modules: the user's Python files that define algorithms named in it; whoever builds its nodes runs them first
+    steps: what happens to processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
+    leeway_ns: by how much the times of messages may be wrong, see `Timespan`; None, as in earlier versions: any
+    """
+
+    name: str
+    seed: int
+    mode: str
+    rate: float
+    frames: int
+    period_ns: int
+    nodes: dict[str, NodeSpec]
+    wiring: dict[str, Any]
+    scene: dict[str, Any]
+    modules: tuple[str, ...] = ()
+    steps: tuple[ProcessStep, ...] = ()
+    timeline: tuple[dict[str, Any], ...] = ()
+    network: dict[str, Any] = field(default_factory=dict)
+    leeway_ns: int | None = None
+    recording: Recording | None = field(default=None, compare=False)
+
+    @property
+    def timespan(self) -> Timespan | None:
+        """The frames and times that messages can have; None where it is unknown."""
+        return None if self.leeway_ns is None else Timespan(self.frames, self.period_ns, self.leeway_ns)
+
+    @property
+    def patient(self) -> bool:
+        """Whether a node that says nothing for long is waited for: in lock-step, unless the scenario cuts networks."""
+        return self.mode == "lockstep" and not self.network
+
+    def to_json(self) -> dict[str, Any]:
+        """The form of scenario.json, without the wiring, which has a file of its own."""
+        nodes = {
+            name: {
+                "role": s.role,
+                "file": s.file,
+                "type": s.type,
+                "on_exit": s.on_exit,
+                "config": self._plain(s.config),
+            }
+            for name, s in self.nodes.items()
+        }
+        names = ["name", "seed", "mode", "rate", "frames", "period_ns", "leeway_ns"]
+        names += ["scene", "modules", "timeline", "network"]
+        steps = [step._asdict() for step in self.steps]
+        return {**{name: getattr(self, name) for name in names}, "steps": steps, "nodes": nodes}
+
+    def _plain(self, value: Any) -> Any:
+        """A configuration as JSON: the recorded scene and the log are named by their files."""
+        if value is self.recording is not None:
+            return RECORDING
+        if isinstance(value, MessageLog):
+            return str(value.path)
+        if isinstance(value, Mapping):
+            return {key: self._plain(item) for key, item in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [self._plain(item) for item in value]
+        return value
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any], wiring: dict[str, Any]) -> Resolved:
+        """What `to_json` wrote."""
+        nodes = {name: NodeSpec(**spec) for name, spec in data["nodes"].items()}
+        steps = tuple(ProcessStep(**step) for step in data["steps"])
+        lists = {name: tuple(data[name]) for name in ("modules", "timeline")}
+        return cls(**{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps})
+
+    @classmethod
+    def read(cls, run_folder: Path) -> Resolved:
+        """The resolved scenario in a run folder."""
+        scenario = json.loads((run_folder / "scenario.json").read_text(encoding="utf-8"))
+        return cls.from_json(scenario, json.loads((run_folder / "wiring.json").read_text(encoding="utf-8")))
+
+    def in_folder(self, run_folder: Path) -> Resolved:
+        """The same, with what its nodes write placed in a run folder: for those that are built in another directory."""
+
+        def placed(value: Any) -> Any:
+            return MessageLog(run_folder / value.path) if isinstance(value, MessageLog) else value
+
+        return replace(
+            self,
+            nodes={
+                name: replace(spec, config={key: placed(value) for key, value in spec.config.items()})
+                for name, spec in self.nodes.items()
+            },
+        )
+
+    def write(self, run_folder: Path) -> None:
+        """scenario.json, wiring.json and scene.npz: all that the nodes of the run need."""
+        if self.recording is not None:
+            self.recording.save(run_folder / RECORDING)
+        for name, content in (("scenario.json", self.to_json()), ("wiring.json", self.wiring)):
+            (run_folder / name).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def build_node(spec: NodeSpec, name: str, place: str = "scenario.json") -> Node:
+    """The node of a spec, newly made."""
+    cls = loading.node_class(Path(spec.file), spec.type)
+    node = registry.construct(cls, spec.config, f"{place}: {name}")
+    assert isinstance(node, Node)
+    return node

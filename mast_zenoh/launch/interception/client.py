@@ -1,0 +1,223 @@
+"""Asks a run that goes on to put a node on a wire, or to take one off: what `mast intercept` and `mast release` do.
+
+Whoever asks checks the request against the run folder, and builds the node once, so that the launcher need not run the
+file of a user: it only starts it, as a process of its own.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from inspect import signature
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.config import bundle, loading
+from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
+from mast_zenoh.config.settings import nested
+from mast_zenoh.control.files import decode_refusal
+from mast_zenoh.control.interception import answer_of, place_json
+from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, WiringError, nearest
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import liveness
+from mast_zenoh.launch.interception.server import SECRET_FILE, seal
+from mast_zenoh.node import Node
+from mast_zenoh.runtime.mesh.node import prefix
+from mast_zenoh.runtime.mesh.session import open_client
+from mast_zenoh.scenario.nodes import inform, node_spec
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.wiring import maps
+from mast_zenoh.wiring.insertion import Place, insert
+from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring
+
+_TIMEOUT_S = 180.0
+_REACH_S = 2.0
+
+
+def intercept(
+    run: Path,
+    wire: str,
+    file: str,
+    *,
+    name: str | None = None,
+    input: str | None = None,
+    output: str | None = None,
+    settings: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Put the node in `file` on a wire of the run in a folder, and say what was done: node, wires, frame, took_ms.
+
+    name:  of the new node; None: of its file, with a number
+    input, output: its ports on the wire; None: those that carry the wire's messages
+    settings: its parameters, `key=value`; a dotted key reaches into a dict
+
+    Raises NotRunning, and what is wrong with the request: WiringError (the wire), NodeFileError (the node's file or
+    ports), ConfigurationError (its parameters or name), StartError (it did not come up), RunError (nobody changed).
+    """
+    record = _running(run)
+    resolved = Resolved.read(run)
+    node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
+    inform({node: spec}, Recording.load(run / RECORDING))
+    told = {"file": spec.file, "type": spec.type, "role": spec.role, "config": spec.config, "on_exit": spec.on_exit}
+    return _ask(run, record, {"do": "intercept", "name": node, "spec": told, "place": place_json(place)})
+
+
+def release(run: Path, *, name: str | None = None, wire: str | None = None) -> dict[str, Any]:
+    """Take a node off its wires: the one of this name, or the only one on this wire; say what was done.
+
+    Raises NotRunning, WiringError (no such node or wire), RunError (nobody changed).
+    """
+    if (name is None) == (wire is None):
+        raise ConfigurationError("release: expected a name or a wire, one of them")
+    return _ask(run, _running(run), {"do": "release", "name": name, "wire": wire})
+
+
+def plan(
+    resolved: Resolved,
+    wire: str,
+    file: str,
+    *,
+    name: str | None = None,
+    input: str | None = None,
+    output: str | None = None,
+    settings: Sequence[str] = (),
+) -> tuple[str, NodeSpec, Place]:
+    """(name, spec, place) of a node that is to be put on a wire of a run; checked, and built once. See `intercept`."""
+    wiring = Wiring.from_json(resolved.wiring)
+    wires = {found.key: found for found in wiring.wires}
+    if wire not in wires:
+        raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
+    for module in resolved.modules:
+        loading.module(Path(module))
+    path = bundle.find("nodes", file, Path.cwd())
+    if path is None:
+        raise NodeFileError(f"no node file {file!r}{nearest(file, bundle.names('nodes', Path.cwd()))}")
+    target, config = wires[wire], nested(settings)
+    cls = loading.node_class(path, config.get("type"))
+    if name is None:
+        name = next(free for i in count(1) if (free := f"{path.stem}_{i}") not in resolved.nodes)
+    elif name in resolved.nodes:
+        raise ConfigurationError(f"there is a node {name!r} already: give another --name")
+    if "agent" in signature(cls).parameters and target.subject in resolved.nodes:
+        config.setdefault("agent", target.subject)
+    spec = replace(node_spec(path, name, cls.role, config | {"file": str(path)}), on_exit="continue")
+    build_node(spec, name, str(path))
+    subject = str(spec.config.get("agent", target.subject))
+    place = _place(cls, path, name, target, subject, wiring, resolved, input, output)
+    insert(wiring, name, place)
+    return name, spec, place
+
+
+def _place(
+    cls: type[Node],
+    path: Path,
+    name: str,
+    target: Wire,
+    subject: str,
+    wiring: Wiring,
+    resolved: Resolved,
+    input: str | None,
+    output: str | None,
+) -> Place:
+    """Its ports on the wire, what else it hears, and what it says of its own.
+
+    It hears the one other wire of a message type that it takes, if that is nobody's or of its subject (the clock, its
+    agent's pose), and speaks on the wires that the testbed's map has for its role (an adversary's report).
+    """
+    into = _port(cls.inputs, target, input, f"{path}: {cls.__name__}", "input")
+    out = _port(cls.outputs, target, output, f"{path}: {cls.__name__}", "output")
+    hears: dict[str, str] = {}
+    for port, message in cls.inputs.items():
+        if port == into or message in cls.outputs.values():
+            continue
+        found = [w.key for w in wiring.wires if w.message == message and w.subject in ("", subject)]
+        if len(found) == 1 and found[0] != target.key:
+            hears[found[0]] = port
+    taken = {wire.key for wire in wiring.wires}
+    says = tuple(
+        wire for wire in _own_wires(cls, name, resolved) if wire.key not in taken and wire.legs[0].publisher.port != out
+    )
+    return Place(target.key, into, out, hears, says)
+
+
+def _port(ports: Mapping[str, str], target: Wire, named: str | None, place: str, side: str) -> str:
+    if ANY in ports.values():
+        raise NodeFileError(f"{place} hears every key: it cannot be put on a wire")
+    fitting = [port for port, message in ports.items() if message == target.message]
+    if named is not None:
+        if named not in ports:
+            raise NodeFileError(f"{place}: no {side} port {named!r}{nearest(named, ports)}")
+        if named not in fitting:
+            raise NodeFileError(f"{place}: {side} {named!r} carries {ports[named]!r} messages, not {target.message!r}")
+        return named
+    if len(fitting) != 1:
+        found = f"the {side}s {', '.join(fitting)}: say which by --{side}" if fitting else f"no {side}"
+        raise NodeFileError(f"{place}: {found} for {target.message!r} messages, which the wire {target.key!r} carries")
+    return fitting[0]
+
+
+def _own_wires(cls: type[Node], name: str, resolved: Resolved) -> list[Wire]:
+    """The wires on which a node of this role speaks in the testbed's map, to those of the run that take them."""
+    found = []
+    for entry in maps.load(bundle.ROOT / "keyexpr_maps" / "testbed.toml")["wire"]:
+        role, _, port = str(entry["from"]).partition(".")
+        if role != cls.role or cls.outputs.get(port) != entry["message"] or f"{{{role}}}" not in entry["key"]:
+            continue
+        ends = []
+        for reference in entry["to"]:
+            to_role, _, to_port = reference.partition(".")
+            for other, spec in resolved.nodes.items():
+                if spec.role == to_role and to_port in loading.node_class(Path(spec.file), spec.type).inputs:
+                    ends.append(Endpoint(other, to_port))
+        key = entry["key"].replace(f"{{{role}}}", name)
+        found.append(Wire(key, name, entry["message"], (Leg(key, Endpoint(name, port), tuple(ends)),)))
+    return found
+
+
+def _running(run: Path) -> dict[str, Any]:
+    """run.json of a run on a mesh that goes on."""
+    record: dict[str, Any] = liveness.seen_now(run_folder.read_json(run / "run.json"))
+    if record.get("status") != "running":
+        raise NotRunning(f"{run}: the run is over: {record.get('status')}")
+    if record.get("runtime") != "mesh":
+        raise NotRunning(f"{run}: the run plays in one process: expected one on a mesh")
+    if record.get("security", "open") != "open":
+        level = record["security"]
+        raise NotRunning(
+            f"{run}: security level {level}: only the nodes that it was started with have certificates and rights: "
+            "name the node in the scenario, or start the run without --secure"
+        )
+    if not record.get("endpoint") or not (run / SECRET_FILE).is_file():
+        raise NotRunning(f"{run}: the run is not on its way yet, or has ended without a word")
+    return record
+
+
+def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[str, Any]:
+    """What the launcher answers; raises the error that it tells of, and NotRunning where nobody answers."""
+    sealed = seal(request, (run / SECRET_FILE).read_bytes())
+    endpoint = record["endpoint"]
+    if not _reachable(endpoint):
+        raise NotRunning(f"{run}: nobody answers at {endpoint}: the run has ended without a word")
+    with open_client(endpoint) as session:
+        replies = session.get(f"{prefix(record['id'])}/@control/intercept", payload=sealed, timeout=_TIMEOUT_S)
+        for reply in replies:
+            if reply.ok is not None:
+                return answer_of(reply.ok.payload.to_bytes())
+            if reply.err is not None:
+                late = NotRunning(f"{run}: the launcher did not answer in time")
+                raise decode_refusal(reply.err.payload.to_bytes()) or late
+    raise NotRunning(f"{run}: the launcher does not answer")
+
+
+def _reachable(endpoint: str) -> bool:
+    """Whether somebody listens: a client of Zenoh would try for ever."""
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    if protocol != "tcp" or not port.isdigit():
+        return True
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _REACH_S).close()
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,277 @@
+"""Puts nodes on wires of a run that goes on, and takes them off: the launcher's part.
+
+The client asks for it, by a query on @control/intercept that is sealed with a secret known only to those who may read
+the run folder: the launcher starts processes for nobody else. Requests are served one after the other, a step at each
+turn of the launcher's loop.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import queue
+import secrets
+import threading
+import time
+from collections.abc import Callable, Generator
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import msgpack
+import zenoh
+
+from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.control import fields, files, flow
+from mast_zenoh.control import interception as control
+from mast_zenoh.control.failures import described
+from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NotRunning, RunError, StartError
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.runtime.mesh.node import prefix
+from mast_zenoh.wiring import insertion
+from mast_zenoh.wiring.insertion import Place
+from mast_zenoh.wiring.model import Wiring
+
+if TYPE_CHECKING:
+    from mast_zenoh.launch.mesh_run import Launch
+
+SECRET_FILE = "control.key"
+MAX_WAITING = 64  #: requests that wait for the one before
+_DRIVER_TIMEOUT_S = 60.0
+_START_TIMEOUT_S = 60.0
+_LEAVE_GRACE_S = 5.0
+
+#: A piece of work in steps: it yields whenever it has to wait, and returns what is answered.
+Work = Generator[None, None, dict[str, Any]]
+
+
+def seal(request: dict[str, Any], secret: bytes) -> bytes:
+    """A request as it is sent; a number drawn at random makes it one of its kind."""
+    body: bytes = msgpack.packb(request | {"number": secrets.token_hex(8)})  # of one who may read the secret
+    return bytes(msgpack.packb([body, hmac.digest(secret, body, hashlib.sha256)]))
+
+
+def unseal(payload: bytes, secret: bytes) -> dict[str, Any]:
+    """The request in what was sent; raises MessageError for one of somebody who does not know the secret."""
+    body, digest = control.sealed_parts(payload)
+    if hmac.compare_digest(digest, hmac.digest(secret, body, hashlib.sha256)):
+        return fields.mapping(fields.unpack(body, "intercept"), "intercept")
+    raise MessageError("a request that was not made with this run's secret")
+
+
+class Interceptions:
+    """Serves requests to change the wiring of one run, and heals a wire whose inserted node has died."""
+
+    def __init__(self, launch: Launch, session: zenoh.Session, supervisor: Supervisor[Any]) -> None:
+        self._launch = launch
+        self._session = session
+        self._supervisor = supervisor
+        self._base = prefix(launch.record["id"])
+        self._secret = secrets.token_bytes(32)
+        self._file = launch.folder / SECRET_FILE
+        self._file.touch(mode=0o600)
+        self._file.write_bytes(self._secret)
+        self._requests: queue.Queue[tuple[zenoh.Query, str, control.Intercept | control.Release]]
+        self._requests = queue.Queue(MAX_WAITING)
+        self._served: set[str] = set()
+        self._work: Generator[None] | None = None
+        self._inserted: set[str] = set()
+        self._alive: set[str] = set()
+        self._done: list[dict[str, Any]] = launch.record.setdefault("interceptions", [])
+        asked: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
+        presence: Any = zenoh.handlers.Callback(self._note, indirect=False)
+        self._declared: list[Any] = [
+            session.declare_queryable(f"{self._base}/@control/intercept", asked),
+            session.liveliness().declare_subscriber(f"{self._base}/alive/*", presence, history=True),
+        ]
+
+    def turn(self) -> None:
+        """Do the next step of what is to be done, if anything is."""
+        if self._work is None:
+            self._work = self._next()
+        if self._work is not None:
+            try:
+                next(self._work)
+            except StopIteration:
+                self._work = None
+
+    def close(self) -> None:
+        """The run is over: refuse what has not been done."""
+        while self._work is not None or not self._requests.empty():
+            self.turn()
+        for entity in self._declared:
+            entity.undeclare()
+        self._file.unlink(missing_ok=True)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        """Take up a request, in Zenoh's thread: what is none takes nobody's room."""
+        try:
+            request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
+            number, what = fields.text(request.get("number"), "intercept: number", 64), control.request_of(request)
+            self._requests.put_nowait((query, number, what))
+        except queue.Full:
+            self._refuse(query, MessageError(f"more than {MAX_WAITING} requests wait"))
+        except MessageError as error:
+            self._refuse(query, error)
+
+    def _refuse(self, query: zenoh.Query, error: Exception) -> None:
+        if not isinstance(error, MastError) or isinstance(error, MessageError):
+            self._launch.invalid.note("intercept", described(error))
+        with suppress(zenoh.ZError):
+            query.reply_err(files.encode_refusal(error))
+        query.drop()
+
+    def _note(self, token: zenoh.Sample) -> None:
+        name = str(token.key_expr).rpartition("/")[2]
+        (self._alive.add if token.kind == zenoh.SampleKind.PUT else self._alive.discard)(name)
+
+    def _next(self) -> Generator[None] | None:
+        for name in sorted(self._inserted):
+            child = self._supervisor.children[name]
+            if child.exit is not None and not child.meant and self._launch.stopping_since is None:
+                return self._heal(child)
+        return None if self._requests.empty() else self._serve(*self._requests.get())
+
+    def _serve(self, query: zenoh.Query, number: str, what: control.Intercept | control.Release) -> Generator[None]:
+        try:
+            if number in self._served:
+                raise MessageError("a request that was made before")
+            self._served.add(number)
+            self._check_running()
+            if isinstance(what, control.Intercept):
+                answer = yield from self._intercept(*what)
+            else:
+                answer = yield from self._release(*what)
+        except Exception as error:  # whatever is asked, the run goes on
+            self._refuse(query, error)
+        else:
+            query.reply(query.key_expr, msgpack.packb(answer))
+            query.drop()
+
+    def _intercept(self, name: str, spec: NodeSpec, place: Place) -> Work:
+        """Start a node, and put it on its wire when it is there."""
+        before = self._launch.resolved
+        if name in before.nodes or any(child.name == name for child in self._supervisor.running()):
+            raise ConfigurationError(f"there is a node {name!r} already: give another --name")
+        after = insertion.insert(Wiring.from_json(before.wiring), name, place)
+        yield from self._until(lambda: self._launch.frame >= 0)
+        self._adopt(replace(before, nodes={**before.nodes, name: spec}, wiring=after.to_json()))
+        try:
+            running = {child.name for child in self._supervisor.running()}
+            self._supervisor.start(name, spec, before.nodes.keys() - running)
+            child = self._supervisor.children[name]
+            yield from self._until(lambda: name in self._alive or child.exit is not None, _START_TIMEOUT_S)
+            if name not in self._alive:
+                what = f"{name} ended before it could be put on {place.wire}: {child.ended}"
+                raise StartError(f"{what}; see logs/{name}.log")
+            answer = yield from self._ask_driver(after, {name: spec.role}, [])
+        except MastError:
+            self._adopt(before)
+            if name in self._supervisor.children:
+                yield from self._end(self._supervisor.children[name], "not put on its wire")
+            raise
+        self._inserted.add(name)
+        return self._noted("intercept", name, [place.wire], answer)
+
+    def _release(self, named: str | None, wire: str | None) -> Work:
+        """Take a node off its wires, and have it leave when all that it got is passed on."""
+        wiring = Wiring.from_json(self._launch.resolved.wiring)
+        name = named or insertion.interposer_of(wiring, wire or "")
+        yield from self._until(lambda: self._launch.frame >= 0)
+        answer = yield from self._take_off(name)
+        self._inserted.discard(name)
+        if name in self._supervisor.children:
+            yield from self._end(self._supervisor.children[name], "released")
+        return self._noted("release", name, answer.pop("wires"), answer)
+
+    def _heal(self, child: Child) -> Generator[None]:
+        """An inserted node has died: connect the ends of its wire again. What was in it is lost."""
+        self._inserted.discard(child.name)
+        try:
+            answer = yield from self._take_off(child.name)
+        except MastError as error:
+            self._launch.display.say(f"[yellow]the wire of {child.name} could not be healed: {error}")
+            return
+        self._supervisor.let_go(child)
+        wires = answer.pop("wires")
+        self._noted("heal", child.name, wires, answer)
+        self._launch.display.say(f"[yellow]{', '.join(wires)} healed without {child.name}: what was in it is lost")
+
+    def _take_off(self, name: str) -> Work:
+        before = self._launch.resolved
+        wiring = Wiring.from_json(before.wiring)
+        after = insertion.remove(wiring, name)
+        wires = [wire.key for wire in wiring.wires if name in wire.interposers]
+        nodes = {other: spec for other, spec in before.nodes.items() if other != name}
+        self._adopt(replace(before, nodes=nodes, wiring=after.to_json()))
+        try:
+            answer = yield from self._ask_driver(after, {}, [name])
+        except MastError:
+            self._adopt(before)
+            raise
+        return answer | {"wires": wires}
+
+    def _ask_driver(self, wiring: Wiring, join: dict[str, str], leave: list[str]) -> Work:
+        """Have the driver lead everybody into the new wiring. Returns what it says of it."""
+        replies: list[zenoh.Reply] = []
+        over = threading.Event()
+        handler: Any = zenoh.handlers.Callback(replies.append, over.set, indirect=False)
+        self._session.get(
+            f"{self._base}/@control/rewire",
+            handler,
+            payload=self._launch.signatures.sign("rewire", flow.encode_rewire(wiring, join, leave)),
+            timeout=_DRIVER_TIMEOUT_S,
+        )
+        yield from self._until(over.is_set)
+        for reply in replies:
+            if reply.ok is not None:
+                answer = flow.decode_rewired(reply.ok.payload.to_bytes())
+                if "error" in answer:
+                    raise RunError(f"nothing was changed: {answer['error']}")
+                return answer
+        raise RunError("nothing was changed: whoever drives the scene does not answer")
+
+    def _end(self, child: Child, why: str) -> Generator[None]:
+        """Have a process leave; end it when it does not."""
+        child.meant = True
+        child.notes.append(why)
+        told = self._launch.signatures.sign(f"leave/{child.name}", why.encode())
+        self._session.put(f"{self._base}/@control/leave/{child.name}", told)
+        deadline = time.monotonic() + _LEAVE_GRACE_S
+        while child.exit is None and time.monotonic() < deadline:
+            yield
+        if child.exit is None:
+            self._supervisor.end_now(child)
+        self._supervisor.let_go(child)
+        while child.name in self._alive and time.monotonic() < deadline + _LEAVE_GRACE_S:
+            yield  # its name may be given again when all know that it has gone
+
+    def _until(self, condition: Callable[[], object], seconds: float = float("inf")) -> Generator[None]:
+        """Wait; raises NotRunning when the run stops meanwhile, StartError after so many seconds."""
+        deadline = time.monotonic() + seconds
+        while True:
+            self._check_running()
+            if condition():
+                return
+            if time.monotonic() > deadline:
+                raise StartError(f"not within {seconds:.0f} s")
+            yield
+
+    def _check_running(self) -> None:
+        if self._launch.stopping_since is not None or not self._supervisor.running():
+            raise NotRunning("the run is over")
+
+    def _adopt(self, resolved: Resolved) -> None:
+        """From now on this is the truth: for who is started from now on, and for who reads the run folder."""
+        self._launch.resolved = resolved
+        run_folder.write_json(self._launch.folder / "wiring.json", resolved.wiring)
+        run_folder.write_json(self._launch.folder / "scenario.json", resolved.to_json())
+
+    def _noted(self, action: str, name: str, wires: list[str], answer: dict[str, Any]) -> dict[str, Any]:
+        """Write down what was done, and return it."""
+        did = {"action": action, "node": name, "wires": wires, **answer}
+        self._done.append(did)
+        self._launch.record["nodes"] = self._supervisor.to_json({})
+        run_folder.write_json(self._launch.folder / "run.json", self._launch.record)
+        return did

@@ -1,0 +1,282 @@
+"""The hosts of a run: a namespace for each, one for the centre, links between them, and faults when their time comes.
+
+    centre   router, and every node that no host claims                 10.77.0.1
+    host i   its nodes; one link, to the centre                         10.77.0.(1 + i)
+
+A link is a pair of Ethernet devices, or two TUN devices with a relay between them if it is ever to delay packets and
+the kernel has no netem. Nothing of it is in the machine's own network: no device, no address, no route, no rule.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from subprocess import CalledProcessError
+from types import TracebackType
+from typing import Any
+
+from mast_zenoh.errors import BackendError
+from mast_zenoh.faults import network
+from mast_zenoh.faults.network import LinkState
+from mast_zenoh.launch.netns import machine, relay, shaping
+from mast_zenoh.launch.netns.namespaces import Namespace, Owner, sweep
+
+CENTRE = "10.77.0.1"
+_INSIDE = f"tcp/{CENTRE}:7447"
+_DEVICE = "centre"  # in a host: its one device
+_READY_S = 10.0
+_END_S = 1.0
+
+
+class Hosts:
+    """A context: entered, the namespaces, links and router are there; left, nothing of it is.
+
+    spec: the hosts and faults, as `faults.network.resolve` made them; rate: scene time over wall time
+    logs: folder for what the router and the relays say
+
+    Raises BackendError on entering if the machine cannot do all of it; nothing is left then either.
+    """
+
+    def __init__(self, spec: Mapping[str, Any], rate: float, logs: Path) -> None:
+        self.spec = spec
+        self.rate = rate
+        self.logs = logs
+        self.inside = _INSIDE  # the router's endpoint for nodes
+        self.endpoint = ""  # and for the launcher, and others outside
+        self.done: list[dict[str, Any]] = []
+        self._home = {node: name for name, host in spec["hosts"].items() for node in host["nodes"]}
+        self._states = {name: LinkState() for name in spec["hosts"]}
+        self._links: dict[str, _Link] = {}
+        self._processes: list[_Process] = []
+        self._resources = ExitStack()
+        self._changing = threading.Lock()
+        self._healed = threading.Event()
+        self._first_frame = threading.Event()
+        self._player = threading.Thread(target=self._play, name="host faults")
+        self._failure: str | None = None
+
+    def __enter__(self) -> Hosts:
+        try:
+            self._set_up()
+        except (CalledProcessError, OSError) as error:
+            self.__exit__(None, None, None)
+            self._fail("hosts", error)
+            raise BackendError(str(self._failure)) from None
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._healed.set()
+        self._first_frame.set()
+        if self._player.is_alive():
+            self._player.join()
+        self._resources.close()
+
+    def command(self, node: str) -> list[str]:
+        """What to put before the command that starts a node."""
+        name = self._home.get(node)
+        return (self._links[name].host if name else self._centre).command()
+
+    def begin(self) -> None:
+        """The first frame is out: from now on scene time runs. May be called again, and from any thread."""
+        self._first_frame.set()
+
+    def heal(self) -> None:
+        """No fault from now on, whatever is still to come."""
+        self._healed.set()
+        with self._changing:
+            try:
+                self._apply(network.own_states(self.spec))
+            except (CalledProcessError, OSError) as error:
+                self._fail("healing", error)
+
+    def problem(self) -> str | None:
+        """What has gone wrong with it meanwhile, if anything."""
+        return self._failure or next(
+            (f"{p.name} has ended: {p.last_words()}" for p in self._processes if p.gone()), None
+        )
+
+    # -- set up --------------------------------------------------------------------------------------------------
+
+    def _set_up(self) -> None:
+        sweep()
+        owner = Owner.this_process()
+        delays_by = machine.delays_by(network.needs(self.spec), owner)
+        self._centre = self._namespace(owner.name("centre"))
+        self._centre.ip("address", "add", f"{CENTRE}/32", "dev", "lo")
+        for number, (name, host) in enumerate(self.spec["hosts"].items(), 1):
+            there = self._namespace(owner.name(str(number)))
+            by = (host["delay_by"] or delays_by) if host["delayed"] else None
+            link = _Link(self._centre, there, f"host{number}", by)
+            if by == "relay":
+                link.relay = self._process(f"relay_{name}", "relay", link.ends())
+            else:
+                link.make_devices()
+            link.address(f"10.77.0.{1 + number}")
+            self._links[name] = link
+        folder = owner.folder()
+        self._resources.callback(shutil.rmtree, folder, ignore_errors=True)
+        self.endpoint = f"unixsock-stream/{folder}/router.sock"
+        self._process("router", "router", [_INSIDE, self.endpoint], self._centre.command())
+        self._apply(network.own_states(self.spec))
+        self._player.start()
+
+    def _namespace(self, name: str) -> Namespace:
+        made = Namespace.make(name)
+        self._resources.callback(made.remove)
+        return made
+
+    def _process(self, name: str, module: str, arguments: Sequence[str], inside: Sequence[str] = ()) -> _Process:
+        command = [*inside, sys.executable, "-P", "-m", f"mast_zenoh.launch.netns.{module}", *arguments]
+        process = _Process(name, command, self.logs / f"{name}.log")
+        self._resources.callback(process.end)
+        process.await_ready()
+        self._processes.append(process)
+        return process
+
+    # -- faults --------------------------------------------------------------------------------------------------
+
+    def _play(self) -> None:
+        """The life of the thread that changes the links when it is time."""
+        self._first_frame.wait()
+        begun = time.monotonic()
+        for step in network.steps(self.spec):
+            if self._healed.wait(max(0.0, begun + step.at_s / self.rate - time.monotonic())):
+                return
+            with self._changing:
+                if self._healed.is_set():
+                    return
+                try:
+                    self._apply(step.states)
+                except (CalledProcessError, OSError) as error:
+                    self._fail(", ".join(step.states), error)
+                    return
+                late_s = time.monotonic() - begun - step.at_s / self.rate
+                self.done.append({"at_s": step.at_s, "hosts": sorted(step.states), "late_ms": round(late_s * 1000, 3)})
+
+    def _fail(self, what: str, error: CalledProcessError | OSError) -> None:
+        said = error.stderr if isinstance(error, CalledProcessError) else ""
+        self._failure = self._failure or f"{what}: {said.strip() or error}"
+
+    def _apply(self, states: Mapping[str, LinkState]) -> None:
+        """Bring links into states. Cuts and losses of all links at the centre change in one transaction."""
+        before, self._states = self._states, {**self._states, **states}
+        changed = {name: state for name, state in states.items() if state != before[name]}
+        dropping = [name for name, state in changed.items() if _drops(state) != _drops(before[name])]
+        if dropping:
+            self._centre.nft(shaping.rules({self._links[name].device: state for name, state in self._states.items()}))
+        for name in dropping:
+            self._links[name].host.nft(shaping.rules({_DEVICE: changed[name]}))
+        for name, state in changed.items():
+            self._links[name].shape(before[name], state)
+
+
+def _drops(state: LinkState) -> tuple[bool, float]:
+    return state.cut, state.loss
+
+
+class _Link:
+    """The link of one host: `device` at the centre, and one in the host; `by` is what delays its packets, if any."""
+
+    def __init__(self, centre: Namespace, host: Namespace, device: str, by: str | None) -> None:
+        self.centre = centre
+        self.host = host
+        self.device = device
+        self.by = by
+        self.relay: _Process | None = None
+
+    def ends(self) -> list[str]:
+        """Namespace and device of both ends."""
+        return [self.centre.name, self.device, self.host.name, _DEVICE]
+
+    def make_devices(self) -> None:
+        """A pair of Ethernet devices, made where they are to be."""
+        self.centre.ip("link", "add", self.device, "type", "veth", "peer", "name", _DEVICE, "netns", self.host.name)
+
+    def address(self, address: str) -> None:
+        """Give both ends their addresses; each knows a way to the other and to nobody else."""
+        for namespace, device, own, peer in (
+            (self.centre, self.device, CENTRE, address),
+            (self.host, _DEVICE, address, CENTRE),
+        ):
+            namespace.ip("address", "add", own, "peer", peer, "dev", device)
+            namespace.ip("link", "set", device, "up")
+
+    def shape(self, before: LinkState, state: LinkState) -> None:
+        """Delay and bandwidth from now on."""
+        waits = (state.delay_ms, state.jitter_ms) != (before.delay_ms, before.jitter_ms)
+        narrows = state.bits_per_s != before.bits_per_s
+        if self.relay is not None and waits:
+            self.relay.tell(relay.COMMAND.pack(state.delay_ms * 1e-3, state.jitter_ms * 1e-3))
+        if self.by == "netem" and (waits or narrows):
+            self.centre.tc(shaping.netem(self.device, state))
+            self.host.tc(shaping.netem(_DEVICE, state))
+        elif narrows:
+            self.centre.tc(shaping.bandwidth(self.device, state.bits_per_s))
+            self.host.tc(shaping.bandwidth(_DEVICE, state.bits_per_s))
+
+
+class _Process:
+    """A process that serves the network: says "ready", and leaves when its standard input ends."""
+
+    def __init__(self, name: str, command: Sequence[str], log: Path) -> None:
+        self.name = name
+        self.log = log
+        with log.open("ab", buffering=0) as stderr:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+                bufsize=0,
+                start_new_session=True,
+            )
+
+    def await_ready(self) -> None:
+        """Raises BackendError when it does not come up."""
+        assert self._process.stdout is not None
+        guard = threading.Timer(_READY_S, self._process.kill)
+        guard.start()
+        try:
+            said = self._process.stdout.readline()
+        finally:
+            guard.cancel()
+        if said != b"ready\n":
+            self.end()
+            raise BackendError(f"hosts: {self.name} did not come up: {self.last_words()}")
+
+    def tell(self, command: bytes) -> None:
+        """Write to its standard input."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(command)
+
+    def gone(self) -> bool:
+        """Whether it has ended."""
+        return self._process.poll() is not None
+
+    def last_words(self) -> str:
+        """The end of what it has said."""
+        lines = self.log.read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else f"exit code {self._process.poll()}"
+
+    def end(self) -> None:
+        """Close its standard input, and kill it if that does not help."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()

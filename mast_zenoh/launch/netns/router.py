@@ -1,0 +1,23 @@
+"""The router of a run with hosts, as a process of its own at the centre.
+
+    python -m mast_zenoh.launch.netns.router ENDPOINT...
+
+A session's threads stay in the network in which it was opened, so the launcher, which is outside, opens none in
+there: it comes by a socket file. Says "ready" when the router listens; the end of standard input ends it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+
+from mast_zenoh.runtime.mesh.session import open_router
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    session, _ = open_router(*sys.argv[1:], links_may_be_cut=True)
+    with session:
+        print("ready", flush=True)
+        while os.read(sys.stdin.fileno(), 4096):
+            pass

@@ -1,0 +1,192 @@
+"""Runs a resolved scenario on this machine: as processes on a mesh of its own, or in this process."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from mast_zenoh import checks
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import failures
+from mast_zenoh.errors import BackendError, MastError
+from mast_zenoh.launch import conclusion, ending, liveness, steps, stop_signals
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.display import Display
+from mast_zenoh.launch.engine import Engine
+from mast_zenoh.launch.mesh_run import Launch
+from mast_zenoh.launch.nodelogs import NodeLogs
+from mast_zenoh.messagelog import churn
+from mast_zenoh.runtime.inproc import InProcess
+
+
+@dataclass
+class Run:
+    """A run that has ended: its folder, its run.json, and why it failed, if it did."""
+
+    folder: Path
+    record: dict[str, Any]
+    error: MastError | None = None
+
+    @property
+    def failures(self) -> dict[str, list[failures.Entry]]:
+        """The failures of handlers by node, also those that were allowed."""
+        nodes = self.record["nodes"]
+        return {name: node["failures"] for name, node in nodes.items() if node.get("failures")}
+
+    @property
+    def logs(self) -> dict[str, str]:
+        """The paths of the nodes' logs."""
+        return {name: str(self.folder / node["log"]) for name, node in self.record["nodes"].items() if node.get("log")}
+
+
+def run(
+    resolved: Resolved,
+    out: Path | None = None,
+    *,
+    runtime: str = "mesh",
+    endpoint: str | None = None,
+    listen: str = "tcp/127.0.0.1:0",
+    secure: str = "open",
+    engine: Engine | None = None,
+    allow_failures: bool = False,
+    allow_churn: bool = False,
+    prepare: Callable[[Launch], None] = lambda launch: None,
+    console: Console | None = None,
+) -> Run:
+    """Run a scenario and write its run folder; what goes wrong is in the result and in run.json.
+
+    endpoint: of a router that is there already; None: one in this process, listening at `listen`
+    secure:   one of `security.levels.LEVELS`; above "open", who takes part gets certificates for this run alone
+    engine:   where the nodes live, if not here as processes: it brings its own router
+    allow_failures: whether a run in which a handler failed is "ok" all the same; otherwise its error is HandlerFailed
+    allow_churn: whether a lock-step run in which a node was lost is "ok" all the same; otherwise its error is NodeLost
+    prepare:  called with what will launch the run on its mesh, before it does
+    Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
+    """
+    console = console or Console(quiet=True)
+    where = f"engine {engine.name}" if engine else "one process" if runtime == "inproc" else "processes of this machine"
+    steps.check(resolved, where, unplugs=engine is not None and engine.unplugs)
+    if engine is not None:
+        engine.check(resolved, secure)
+    with stop_signals.noted() as received:
+        folder = run_folder.create(out, resolved.name)
+        record: dict[str, Any] = {
+            "id": f"{resolved.name}-{secrets.token_hex(4)}",
+            "name": resolved.name,
+            "status": ending.RUNNING,
+            "message": "",
+            "runtime": runtime,
+            "security": secure,
+            "mode": resolved.mode,
+            "rate": resolved.rate,
+            "seed": resolved.seed,
+            "frames": resolved.frames,
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "command": [os.path.basename(sys.argv[0]), *sys.argv[1:]],
+            "launcher": liveness.identity(),
+            "versions": run_folder.versions(),
+            "timings": {},
+            "nodes": {},
+            "churn": [],
+        }
+        with run_folder.begun(folder):
+            run_folder.write_json(folder / "run.json", record)
+            resolved.write(folder)
+        begun, caught = time.monotonic(), None
+        try:
+            if received:
+                raise ending.from_signals(received)
+            with Display(console, resolved.name, resolved.frames) as display:
+                if runtime == "inproc":
+                    _run_inproc(resolved, folder, record, display, received)
+                else:
+                    launch = Launch(
+                        resolved, folder, record, display, endpoint, listen, secure, engine, signals=received
+                    )
+                    prepare(launch)
+                    launch.run()
+        except BaseException as raised:  # whatever it is, the run folder says how the run ended
+            caught = raised
+        record["timings"]["total_s"] = round(time.monotonic() - begun, 3)
+        ended = Run(folder, record, ending.of_run(caught, record, str(folder)))
+        if record["churn"] and resolved.mode == "lockstep" and not ended.error and not allow_churn:
+            ended.error = churn.error(record["churn"])
+        if ended.failures and not ended.error and not allow_failures:
+            ended.error = failures.error(ended.failures, ended.logs)
+        record["status"] = ending.status(ended.error)
+        record["message"] = str(ended.error) if ended.error else record["message"]
+        run_folder.finish(folder, record)
+        if caught is not None and ending.from_exception(caught) is None:
+            raise caught  # a defect
+        if any(entry["kind"] != "attack" for entry in resolved.timeline):
+            checks.run(folder, resolved)
+    if received and not ended.error:
+        stop_signals.pass_on(received)  # it came when nothing of the run was left to stop
+    return ended
+
+
+def _run_inproc(
+    resolved: Resolved, folder: Path, record: dict[str, Any], display: Display, received: list[int]
+) -> None:
+    """All nodes in this process."""
+    if resolved.network.get("faults"):
+        raise BackendError("host faults need hosts: one process has no network between its nodes; use runtime 'mesh'")
+    states = dict.fromkeys(resolved.nodes, "running")
+    with NodeLogs(folder / "logs") as logs:
+
+        def progress(frame: int) -> bool:
+            display.update(frame, states)
+            return not received
+
+        process = InProcess(resolved.in_folder(folder), progress=progress)
+        outcomes: dict[str, dict[str, Any]] = {}
+        try:
+            with stop_signals.second_interrupts(received):
+                outcomes = process.run()
+        finally:
+            record["nodes"] = _nodes_inproc(resolved, folder, process, outcomes)
+    timing = outcomes.pop("")
+    record["timings"] |= run_folder.rates(timing["frames"], timing["wall_s"])
+    record["steps"] = [step._asdict() for step in process.steps]
+    conclusion.write(resolved, folder, record, outcomes, {})
+    if received and timing["frames"] < resolved.frames:
+        raise ending.from_signals(received)
+    if logs.failure is not None:
+        raise logs.failure
+
+
+def _nodes_inproc(
+    resolved: Resolved, folder: Path, process: InProcess, outcomes: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    """The `nodes` part of run.json."""
+    nodes: dict[str, Any] = {}
+    failed = process.failures()
+    for name, host in (process.hosts | process.gone).items():
+        finished = name in outcomes
+        log = f"logs/{name}.log"
+        nodes[name] = {
+            "role": resolved.nodes[name].role,
+            "pid": os.getpid(),
+            "exit": 0 if finished else None,
+            "ended": "ok" if finished else "killed by the scenario" if name in process.gone else "did not finish",
+            "restarts": [(s.node, s.action) for s in process.steps].count((name, "start"))
+            - (name in process.timetable.absent),
+            "log": log if (folder / log).is_file() else None,
+            "last_frame": host.frame,
+            "rejected": {f"{key}: {reason}": n for (key, reason), n in host.rejected.items()},
+            "first_rejected": host.first_rejected,
+            "foreign": {},
+            "invalid_control": {},
+            "unsigned_control": 0,
+            "failures": failed.get(name, []),
+        }
+    return nodes

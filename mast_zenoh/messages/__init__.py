@@ -1,0 +1,1 @@
+"""Data messages: schemas, codec, memory layout of their columns, and validation."""

@@ -1,0 +1,220 @@
+"""Messages to bytes and back: MessagePack, columnar, versioned, strictly checked.
+
+    {"schema": "tracks", "version": 1, "source": "ego", "frame": 3, "time_ns": 300000000, "seq": 3,
+     "body": {"position": ["<f8", [12, 3], b"..."], "agents": ["str", [2], ["ego", "infra_1"]], ...}}
+
+Arrays are raw little-endian bytes in C order; decoding makes read-only views of them and copies nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import validation
+from mast_zenoh.messages.layout import LAYOUTS, MAX_BYTES, MAX_ROWS, MAX_TEXT, WIRE_DTYPE, exact_columns
+from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Message, Schema
+
+_HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
+_HEADER_NAMES = frozenset(_HEADER_KEYS)
+_MAP_OF_6, _MAP_OF_7, _BODY_KEY = b"\x86", b"\x87", b"\xa4body"
+_LONGEST_HEADER = 4096  #: bytes
+_HEADER_LIMIT = 1 << 62
+
+
+def conform(header: Header, body: Body) -> Message:
+    """A message whose body has exactly the columns of its schema, read-only and contiguous.
+
+    Raises MessageError where a column is missing, unknown, or of the wrong dtype or shape.
+    """
+    schema = SCHEMAS[header.schema]
+    if len(body) != len(schema.columns):
+        raise MessageError(validation.names_differ(schema.name, body, schema.columns))
+    layout = LAYOUTS[schema.name]
+    sizes: dict[str, int] = {}
+    try:
+        found = layout.sizes(body)
+        plan = layout.plan(found)
+        exact = exact_columns(body, plan)
+        if exact is not None:
+            return Message(header, exact)
+        shapes, sizes = [planned.shape for planned in plan], layout.named(found)
+    except (KeyError, IndexError, ValueError):
+        shapes = []  # what is odd is told below
+    columns: dict[str, NDArray[Any]] = {}
+    for index, column in enumerate(schema.columns):
+        name, wire = column.name, WIRE_DTYPE.get(column.dtype)
+        if name not in body:
+            raise MessageError(validation.names_differ(schema.name, body, schema.columns))
+        array = body[name]
+        if wire is not None:
+            if type(array) is not np.ndarray or array.dtype != wire or not (array.ndim and array.flags.c_contiguous):
+                array = np.ascontiguousarray(array, dtype=wire)
+            if array.flags.writeable:
+                array = array.view()
+                array.setflags(write=False)
+        if not shapes or array.shape != shapes[index]:
+            validation.check_shape(schema.name, column, array.shape, sizes)
+        columns[name] = array
+    return Message(header, columns)
+
+
+def check_values(message: Message) -> None:
+    """Raises MessageError where `decode` would, had the message that `conform` made been sent as bytes."""
+    header = message.header
+    _check_header(header)
+    if LAYOUTS[header.schema].sound(message.body):
+        validation.check_references(message)
+        return
+    if sum(column.nbytes for column in message.body.values()) > MAX_BYTES:
+        raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
+    for column in SCHEMAS[header.schema].columns:
+        array = message.body[column.name]
+        if column.dtype == "str":
+            validation.check_texts(header.schema, column, array)
+        validation.check_values(header.schema, column, array)
+    validation.check_references(message)
+
+
+def encode(message: Message) -> bytes:
+    """The bytes of a message that `conform` made."""
+    header, columns = message
+    layout = LAYOUTS[header.schema]
+    body: dict[str, list[Any]] = {}
+    for name, dtype, dtype_name, _, dims, _, _ in layout.plan(layout.sizes(columns)):
+        array = columns[name]
+        body[name] = [dtype_name, dims, list(array) if dtype is None else array.tobytes()]
+    version = SCHEMAS[header.schema].version
+    values = (header.schema, version, header.source, header.frame, header.time_ns, header.seq, body)
+    packed: bytes = msgpack.packb(dict(zip(_HEADER_KEYS, values, strict=True)))
+    return packed
+
+
+def decode(payload: bytes, expected: str) -> Message:
+    """The message in `payload`, which must be of the schema `expected` in this package's version.
+
+    Raises MessageError for anything else: truncated, oversized, of another version, with a missing or
+    further column, a forged shape, a value that is not finite.
+    """
+    header, body = _opened(payload, expected)
+    schema = SCHEMAS[expected]
+    if not isinstance(body, dict) or len(body) != len(schema.columns):
+        raise MessageError(validation.names_differ(expected, body, schema.columns))
+    message = Message(header, _columns(schema, body))
+    validation.check_references(message)
+    return message
+
+
+class Unopened(Mapping[str, NDArray[Any]]):
+    """The columns of a message whose body nobody has looked at: whoever does so first decodes them.
+
+    Then raises MessageError where `decode` would have, as often as somebody looks.
+    """
+
+    __slots__ = ("_columns", "_expected", "_payload")
+
+    def __init__(self, payload: bytes, expected: str) -> None:
+        self._payload, self._expected = payload, expected
+        self._columns: Body | None = None
+
+    def _open(self) -> Body:
+        if self._columns is None:
+            self._columns = decode(self._payload, self._expected).body
+        return self._columns
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._open()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._open())
+
+    def __len__(self) -> int:
+        return len(self._open())
+
+
+def decode_unopened(payload: bytes, expected: str) -> Message:
+    """As `decode`, but only the header is checked now, and the body when somebody looks at it."""
+    return Message(decode_header_only(payload, expected), Unopened(payload, expected))
+
+
+def decode_header_only(payload: bytes, expected: str) -> Header:
+    """The header of a message; of its body nothing is checked, not even, where the header is sound, that it is one.
+
+    Raises MessageError where `decode` would because of the header.
+    """
+    return _quick_header(payload, expected) or decode_header(payload, expected)
+
+
+def _quick_header(payload: bytes, expected: str) -> Header | None:
+    """The header of a message with nothing odd about it, without touching its body; None where there is."""
+    end = payload.find(_BODY_KEY, 0, _LONGEST_HEADER)
+    if payload[:1] != _MAP_OF_7 or end < 0 or len(payload) > MAX_BYTES:
+        return None
+    try:
+        fields = msgpack.unpackb(_MAP_OF_6 + payload[1:end], strict_map_key=True, max_ext_len=0, max_map_len=6)
+        schema, version, source, frame, time_ns, seq = [fields[name] for name in _HEADER_KEYS[:-1]]
+    except Exception:  # whatever it is, the slow way finds out
+        return None
+    if schema != expected or type(version) is not int or version != SCHEMAS[expected].version:
+        return None
+    header = Header(schema, source, frame, time_ns, seq)
+    _check_header(header)
+    return header
+
+
+def decode_header(payload: bytes, expected: str) -> Header:
+    """The header of the message in `payload`; its body may be anything.
+
+    Raises MessageError where `decode` would for all but the body.
+    """
+    return _opened(payload, expected)[0]
+
+
+def _opened(payload: bytes, expected: str) -> tuple[Header, Any]:
+    """The header, checked, and the body as it is packed."""
+    if len(payload) > MAX_BYTES:
+        raise MessageError(f"{expected}: {len(payload)} bytes, at most {MAX_BYTES} allowed")
+    try:
+        fields = msgpack.unpackb(payload, strict_map_key=True, max_ext_len=0, max_map_len=64, max_array_len=MAX_ROWS)
+    except Exception as error:
+        raise MessageError(f"{expected}: not MessagePack: {type(error).__name__}: {error}") from None
+    if not isinstance(fields, dict) or fields.keys() != _HEADER_NAMES:
+        raise MessageError(f"{expected}: not a map of {', '.join(_HEADER_KEYS)}")
+    schema, version, source, frame, time_ns, seq, body = [fields[name] for name in _HEADER_KEYS]
+    wanted = SCHEMAS[expected].version
+    if schema != expected or type(version) is not int or version != wanted:
+        found = f"{str(schema)[:40]} version {str(version)[:10]}"
+        raise MessageError(f"{expected}: found {found}, expected {expected} version {wanted}")
+    header = Header(expected, source, frame, time_ns, seq)
+    _check_header(header)
+    return header, body
+
+
+def _columns(schema: Schema, body: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """The columns of a body, checked."""
+    columns = LAYOUTS[schema.name].quick(body)
+    if columns is not None:
+        return columns
+    # Something is odd: the slow way finds out what, and says it.
+    columns = {}
+    sizes: dict[str, int] = {}
+    for column in schema.columns:
+        if column.name not in body:
+            raise MessageError(validation.names_differ(schema.name, body, schema.columns))
+        array = validation.array_of(schema.name, column, body[column.name], sizes)
+        validation.check_values(schema.name, column, array)
+        columns[column.name] = array
+    return columns
+
+
+def _check_header(header: Header) -> None:
+    if not isinstance(header.source, str) or len(header.source) > MAX_TEXT:
+        raise MessageError(f"{header.schema}: source is not a name")
+    for name, value in (("frame", header.frame), ("time_ns", header.time_ns), ("seq", header.seq)):
+        if type(value) is not int or not 0 <= value < _HEADER_LIMIT:
+            raise MessageError(f"{header.schema}: {name} is {str(value)[:40]}, expected a whole number from 0")

@@ -1,0 +1,223 @@
+"""Message types: one table per type says column, dtype, shape and unit. docs/messages.md is generated from it.
+
+A message is a header and a body of columns. In a shape, letters are sizes that must agree within one message
+(`n` rows are n objects, `a` rows are a agents); numbers are fixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: A message body: column name to array. Columns of text are arrays of dtype object holding str.
+Body = Mapping[str, NDArray[Any]]
+
+
+class Header(NamedTuple):
+    """What every message says of itself.
+
+    schema:  name of the message type
+    source:  name of the node that made it (an interposer leaves it as it is)
+    frame:   index of the scene's frame that the message is about
+    time_ns: int, ns, time of that frame in the scene
+    seq:     counts the messages of one publisher on one wire, from 0
+    """
+
+    schema: str
+    source: str
+    frame: int
+    time_ns: int
+    seq: int
+
+
+class Message(NamedTuple):
+    """One message: header and columns. Arrays are read-only for whoever receives it."""
+
+    header: Header
+    body: Body
+
+
+def same_columns(one: Body, other: Body) -> bool:
+    """Whether two bodies of one message type are the same to the last bit."""
+    return all(
+        column.shape == other[name].shape and column.tobytes() == other[name].tobytes() for name, column in one.items()
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: dtype is a NumPy name or `str`; shape as in the module's docstring."""
+
+    name: str
+    dtype: str
+    shape: tuple[str | int, ...]
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Schema:
+    """One message type."""
+
+    name: str
+    version: int
+    meaning: str
+    columns: tuple[Column, ...]
+
+
+def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tuple[Column, ...]:
+    """Columns of object states; `filtered` ones also have covariance and existence probability."""
+    columns = [
+        Column("id", "int64", (size,), "", "identity, unique within one producer"),
+        Column("position", "float64", (size, 3), "m", "centre of the box"),
+        Column("velocity", "float64", (size, 3), "m/s", ""),
+        Column("size", "float64", (size, 3), "m", "length, width, height"),
+        Column("yaw", "float64", (size,), "rad", "heading of the length axis, counter-clockwise from x"),
+        Column("covariance", "float64", (size, 9, 9), "m, m/s", "of [x y z l w h vx vy vz]"),
+        Column("score", "float64", (size,), "", "existence probability, 0 to 1"),
+        Column("class_id", "uint8", (size,), "", "index into mast_zenoh.arrays.states.CLASSES"),
+    ]
+    return tuple(
+        Column(prefix + c.name, c.dtype, c.shape, c.unit, c.meaning)
+        for c in columns
+        if filtered or c.name not in ("covariance", "score")
+    )
+
+
+_FRAME_OF_REFERENCE = (
+    Column("origin", "float64", (3,), "m", "of the columns' frame of reference, in the world frame"),
+    Column("rotation", "float64", (4,), "", "active quaternion w x y z, frame of reference to world"),
+)
+
+SCHEMAS: dict[str, Schema] = {
+    schema.name: schema
+    for schema in (
+        Schema("clock", 1, "a frame begins", ()),
+        Schema(
+            "truth",
+            1,
+            "all objects of the scene, world frame; for the evaluator only",
+            (
+                *_states(filtered=False),
+                Column("points", "int32", ("n", "a"), "", "lidar returns of the object at each agent"),
+                Column("agents", "str", ("a",), "", "names of the agents"),
+                Column("agent_position", "float64", ("a", 3), "m", "where each agent is"),
+                Column("agent_object", "int64", ("a",), "", "id of the object that the agent is; -1: none"),
+            ),
+        ),
+        Schema(
+            "pose",
+            1,
+            "where an agent says it is, world frame",
+            (
+                Column("position", "float64", (3,), "m", ""),
+                Column("rotation", "float64", (4,), "", "active quaternion w x y z, agent to world"),
+                Column("velocity", "float64", (3,), "m/s", ""),
+            ),
+        ),
+        Schema(
+            "detections",
+            1,
+            "what an agent's sensor detects, sensor frame",
+            (
+                Column("position", "float64", ("n", 3), "m", "centre of the box"),
+                Column("size", "float64", ("n", 3), "m", "length, width, height"),
+                Column("yaw", "float64", ("n",), "rad", "heading about the world's vertical, less the sensor's"),
+                Column("score", "float64", ("n",), "", "confidence, 0 to 1"),
+                Column("class_id", "uint8", ("n",), "", "index into mast_zenoh.arrays.states.CLASSES"),
+                Column("covariance", "float64", ("n", 3, 3), "m", "of the position; all zero: not given"),
+                Column("mount_position", "float64", (3,), "m", "of the sensor, in the agent's frame"),
+                Column("mount_rotation", "float64", (4,), "", "active quaternion w x y z, sensor to agent"),
+            ),
+        ),
+        Schema("tracks", 1, "an agent's confirmed tracks", (*_states(), *_FRAME_OF_REFERENCE)),
+        Schema(
+            "status",
+            1,
+            "an agent presents itself",
+            (
+                Column("mobile", "uint8", (1,), "", "1: moves, 0: stands"),
+                Column("detections", "int64", (1,), "", "detections taken in this frame"),
+                Column("tracks", "int64", (1,), "", "tracks sent in this frame"),
+            ),
+        ),
+        Schema(
+            "collated",
+            1,
+            "the tracks of all agents at one time, world frame",
+            (
+                *_states(),
+                Column("agent", "int64", ("n",), "", "row of `agents` that the track came from"),
+                Column("agents", "str", ("a",), "", "names of the agents whose tracks are in the batch"),
+                Column("age_ns", "int64", ("a",), "ns", "how far each agent's tracks were brought forward"),
+            ),
+        ),
+        Schema(
+            "picture",
+            1,
+            "the common picture: fused, labelled objects, world frame",
+            (*_states(), Column("support", "int64", ("n",), "", "agents whose tracks were fused in this frame")),
+        ),
+        Schema(
+            "attack_report",
+            1,
+            "what an adversary changed, world frame; for the evaluator only",
+            (
+                Column("action", "uint8", ("n",), "", "index into mast_zenoh.attacks.ACTIONS"),
+                Column("target", "int64", ("n",), "", "the adversary's own number of the target"),
+                Column("before_position", "float64", ("n", 3), "m", "zero where an object was inserted"),
+                Column("after_position", "float64", ("n", 3), "m", "zero where an object was removed"),
+                Column("velocity", "float64", ("n", 3), "m/s", "of the object afterwards, or before its removal"),
+            ),
+        ),
+        Schema(
+            "link_report",
+            1,
+            "what a link did to messages in the step before; for the evaluator only",
+            (
+                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES"),
+                Column("frame", "int64", ("n",), "", "frame of the message"),
+                Column("seq", "int64", ("n",), "", "sequence number of the message"),
+                Column("fate", "uint8", ("n",), "", "index into mast_zenoh.links.FATES"),
+                Column("rule", "int64", ("n",), "", "index of the rule that did it, among those up or down"),
+                Column("delay_s", "float64", ("n",), "s", "by which it is late; 0 where it was dropped"),
+            ),
+        ),
+        Schema(
+            "observation",
+            2,
+            "what an adversary sees on its wire, for its coordinator, world frame",
+            (
+                *_states(),
+                Column("agent_position", "float64", (3,), "m", "of the compromised agent"),
+                Column("sensor_position", "float64", (3,), "m", "of its sensor"),
+                Column("sensor_rotation", "float64", (3, 3), "", "active, sensor to world"),
+                Column("azimuth", "float64", (2,), "rad", "that its sensor covers, from and to, in the sensor frame"),
+                Column("elevation", "float64", (2,), "rad", "that its sensor covers, in the sensor frame"),
+                Column("max_range", "float64", (1,), "m", "that its sensor covers"),
+            ),
+        ),
+        Schema(
+            "directive",
+            1,
+            "what a coordinator wants its adversaries to do, world frame",
+            (
+                *_states("add_", "n", filtered=False),
+                *_states("remove_", "m", filtered=False),
+                *_states("move_", "k", filtered=False),
+                Column("move_offset", "float64", ("k", 3), "m", "how far each is to be moved"),
+            ),
+        ),
+    )
+}
+
+
+def text(values: list[str]) -> NDArray[Any]:
+    """A column of text."""
+    column = np.empty(len(values), dtype=object)
+    column[:] = values
+    return column

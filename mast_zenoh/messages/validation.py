@@ -1,0 +1,102 @@
+"""What is odd about the columns of a message. Each check raises MessageError, which says it, or finds nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages.layout import (
+    DTYPE_NAME,
+    LEAST_QUATERNION,
+    MAX_MAGNITUDE,
+    MAX_ROWS,
+    MAX_SQUARES,
+    MAX_TEXT,
+    WIRE_DTYPE,
+    index_limit,
+)
+from mast_zenoh.messages.schemas import Column, Message
+
+
+def array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) -> NDArray[Any]:
+    """The array that is packed as [dtype, shape, data]; sizes: see `check_shape`."""
+    if not isinstance(packed, list) or len(packed) != 3:
+        raise MessageError(f"{schema}.{column.name}: not [dtype, shape, data]")
+    dtype, shape, data = packed
+    if dtype != DTYPE_NAME[column.dtype]:
+        raise MessageError(f"{schema}.{column.name}: dtype {str(dtype)[:20]}, expected {DTYPE_NAME[column.dtype]}")
+    if not isinstance(shape, list) or not all(type(size) is int for size in shape):
+        raise MessageError(f"{schema}.{column.name}: shape is not a list of whole numbers")
+    check_shape(schema, column, tuple(shape), sizes)
+    if column.dtype == "str":
+        if not isinstance(data, list) or [len(data)] != shape:
+            raise MessageError(f"{schema}.{column.name}: not a list of {shape[0]} short strings")
+        check_texts(schema, column, data)
+        texts = np.empty(len(data), dtype=object)
+        texts[:] = data
+        return texts
+    wire = WIRE_DTYPE[column.dtype]
+    if not isinstance(data, bytes) or len(data) != prod(shape) * wire.itemsize:
+        raise MessageError(f"{schema}.{column.name}: data do not fill the shape {shape}")
+    return np.frombuffer(data, dtype=wire).reshape(shape)
+
+
+def check_shape(schema: str, column: Column, shape: tuple[int, ...], sizes: dict[str, int]) -> None:
+    """sizes: of the letters of the schema, as far as they are known; those that this shape says are added."""
+    if len(shape) == len(column.shape):
+        for size, wanted in zip(shape, column.shape, strict=True):
+            if not 0 <= size <= MAX_ROWS:
+                break
+            if size != (sizes.setdefault(wanted, size) if isinstance(wanted, str) else wanted):
+                break
+        else:
+            return
+    known = ", ".join(f"{name} = {size}" for name, size in sizes.items())
+    expected = f"({', '.join(map(str, column.shape))})" + (f" with {known}" if known else "")
+    raise MessageError(f"{schema}.{column.name}: shape {shape}, expected {expected}")
+
+
+def check_texts(schema: str, column: Column, texts: Sequence[object] | NDArray[Any]) -> None:
+    """All must be text, and short."""
+    if not all(isinstance(item, str) and len(item) <= MAX_TEXT for item in texts):
+        raise MessageError(f"{schema}.{column.name}: not a list of {len(texts)} short strings")
+
+
+def check_values(schema: str, column: Column, array: NDArray[Any]) -> None:
+    """Numbers must be finite and sensible, indices must be of something."""
+    if column.dtype == "float64":
+        # The sum of squares is not finite as soon as one value is, and too large where one is absurd: one pass, no
+        # temporary. The mean, not the sum, is limited, so that what is made of many sound messages is sound.
+        flat = array.reshape(-1)
+        squares = np.vdot(flat, flat)
+        if not squares <= MAX_SQUARES * max(len(flat), 1):
+            raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")
+        if column.name.endswith("rotation") and squares < LEAST_QUATERNION**2:
+            raise MessageError(f"{schema}.{column.name}: a quaternion of no length, which is no rotation")
+    elif column.dtype == "uint8" and array.size:
+        limit = index_limit(column)
+        if int(array.max()) >= limit:
+            raise MessageError(f"{schema}.{column.name}: index {int(array.max())}, expected below {limit}")
+
+
+def check_references(message: Message) -> None:
+    """What must hold between columns: row numbers exist, ids are unique."""
+    schema, body = message.header.schema, message.body
+    if schema == "collated":
+        agent, rows = body["agent"], len(body["agents"])
+        if agent.size and not (agent.min() >= 0 and agent.max() < rows):
+            raise MessageError(f"collated.agent: a row outside `agents`, which has {rows}")
+    elif schema in ("tracks", "picture") and len(set(body["id"].tolist())) != len(body["id"]):
+        raise MessageError(f"{schema}.id: an id occurs twice")
+
+
+def names_differ(schema: str, body: Any, columns: tuple[Column, ...]) -> str:
+    """In words: which of the columns a body lacks, and which it has that are none."""
+    wanted = {column.name for column in columns}
+    found = set(map(str, body)) if isinstance(body, Mapping) else set()
+    return f"{schema}: columns missing: {sorted(wanted - found)}, unknown: {sorted(found - wanted)[:8]}"

@@ -1,0 +1,187 @@
+"""The bird's-eye view: boxes in the paper's colour key, buildings, agents, and the adversaries' doings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Wedge
+from matplotlib.ticker import MultipleLocator
+
+from mast_zenoh.arrays.geometry import box_corners, heading
+from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.report.figures.style import (
+    ADVERSARY,
+    AGENT,
+    BUILDING,
+    BUILDING_EDGE,
+    FAINT,
+    GRID,
+    GROUND,
+    OUTCOME_COLOURS,
+    OUTCOME_LABELS,
+    dark_axes,
+    plain,
+)
+from mast_zenoh.report.figures.view import Boxes, FrameView, Marks
+from mast_zenoh.report.tables.interposers import adversaries_by_agent, interposers
+
+#: Boxes are drawn at least this long and wide, m, so that a pedestrian is more than a speck.
+_SMALLEST = 1.4
+#: Length of the wedge that shows where a sector sensor looks, m; its range is longer and would cover the scene.
+_WEDGE = 22.0
+
+_HALO = [patheffects.withStroke(linewidth=2.5, foreground=GROUND)]
+
+
+def draw_birdseye(axes: Axes, view: FrameView, estimator: str, window: tuple[float, float, float]) -> None:
+    """Draw one estimator's boxes (one of `view.PANELS`) of a frame; `window` as from `view.window`, m."""
+    x, y, half = window
+    dark_axes(axes)
+    axes.set_xlim(x - half, x + half)
+    axes.set_ylim(y - half, y + half)
+    axes.set_aspect("equal")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MultipleLocator(20.0))
+    axes.grid(color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.set_xlabel("x, east (m)", color=FAINT, fontsize=10, labelpad=2)
+    axes.set_ylabel("y, north (m)", color=FAINT, fontsize=10, labelpad=-2)
+    recording = view.run.recording
+    if recording is not None:
+        axes.add_collection(
+            PolyCollection(list(recording.buildings), facecolors=BUILDING, edgecolors=BUILDING_EDGE, zorder=1)
+        )
+    for order, (outcome, colour) in enumerate(OUTCOME_COLOURS.items()):
+        _draw_boxes(axes, view.boxes[estimator][outcome], outcome, colour, 3 + 0.1 * order)
+    _draw_attack(axes, view.marks(estimator))
+    _draw_agents(axes, view, window)
+
+
+def _draw_boxes(axes: Axes, boxes: Boxes, outcome: str, colour: str, zorder: float) -> None:
+    if not len(boxes):
+        return
+    size = np.maximum(boxes.size, _SMALLEST)
+    corners = box_corners(boxes.position, size, boxes.yaw)[:, :4, :2]
+    wrong = outcome in ("truth missed", "track false")
+    axes.add_collection(
+        PolyCollection(
+            list(corners),
+            facecolors=to_rgba(colour, 0.35 if wrong else 0.0),
+            edgecolors=colour,
+            linewidths=1.3 if outcome == "track matched" else 1.6,
+            zorder=zorder,
+        )
+    )
+    ahead = np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
+    centre = boxes.position[:, :2]
+    ticks = np.stack([centre, centre + ahead * (size[:, :1] / 2 + 1.2)], axis=1)
+    lines = [ticks]
+    if outcome == "track false":  # crossed out as well, for those who cannot tell red from yellow
+        lines += [corners[:, [0, 2]], corners[:, [1, 3]]]
+    axes.add_collection(LineCollection(list(np.concatenate(lines)), colors=colour, linewidths=1.1, zorder=zorder))
+
+
+def _draw_attack(axes: Axes, marks: Marks) -> None:
+    if len(marks.added):
+        axes.plot(*marks.added[:, :2].T, "D", ms=12, mfc="none", mec=ADVERSARY, mew=1.3, zorder=4)
+    if len(marks.removed):
+        axes.plot(*marks.removed[:, :2].T, "x", ms=10, color=ADVERSARY, mew=2.0, zorder=4)
+    for before, after in marks.moved:
+        arrow = {"arrowstyle": "->", "color": ADVERSARY, "lw": 1.5}
+        axes.annotate("", after[:2], before[:2], arrowprops=arrow, annotation_clip=True, zorder=4)
+
+
+def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]) -> None:
+    recording = view.run.recording
+    if recording is None or view.frame >= len(recording):
+        return
+    x, y, half = window
+    taken: list[tuple[float, float, float, float]] = []
+    attacked = adversaries_by_agent(interposers(view.run))
+    for index, agent in enumerate(recording.agents):
+        at = recording.agent_position[view.frame, index]
+        if max(abs(at[0] - x), abs(at[1] - y)) > half:
+            continue
+        colour = ADVERSARY if agent.name in attacked else AGENT
+        sector = agent.sensor.azimuth_max_deg - agent.sensor.azimuth_min_deg
+        facing = recording.agent_rotation[view.frame, index] @ agent.sensor.mount_rotation
+        turn = float(heading(facing))
+        if sector < 359.0:
+            start = np.degrees(turn) + agent.sensor.azimuth_min_deg
+            wedge = Wedge((at[0], at[1]), _WEDGE, start, start + sector)
+            wedge.set(facecolor=to_rgba(colour, 0.10), edgecolor=to_rgba(colour, 0.35), linewidth=0.8, zorder=2)
+            axes.add_patch(wedge)
+        marker, face = ("^", colour) if agent.kind == "static" else ("o", "none")
+        axes.plot(at[0], at[1], marker, ms=9, mfc=face, mec=colour, mew=1.5, zorder=5)
+        # The name goes behind the agent, where its wedge and the traffic that it watches are not.
+        behind = -np.array([np.cos(turn), np.sin(turn)])
+        inside = np.abs(at[:2] + behind * 0.25 * half - [x, y]) < half
+        side = _free_side(taken, at, len(agent.name), half, np.where(inside, behind, -behind) > 0)
+        axes.annotate(
+            plain(agent.name),
+            (at[0], at[1]),
+            (7 if side[0] else -7, 4 if side[1] else -4),
+            textcoords="offset points",
+            ha="left" if side[0] else "right",
+            va="bottom" if side[1] else "top",
+            color=colour,
+            fontsize=10,
+            fontweight="bold" if colour == ADVERSARY else "normal",
+            path_effects=_HALO,
+            zorder=6,
+        )
+
+
+def _free_side(
+    taken: list[tuple[float, float, float, float]], at: Floats, letters: int, half: float, wanted: Bools
+) -> tuple[bool, bool]:
+    """(right, above): where a name stands beside `at` without lying on another; as `wanted` if that is free.
+
+    taken: what the names before it cover, as left, right, bottom, top in m; this one is added
+    """
+    width, height, gap = 0.045 * letters * half, 0.09 * half, 0.03 * half
+    right, above = bool(wanted[0]), bool(wanted[1])
+    for choice in ((right, above), (right, not above), (not right, above), (not right, not above)):
+        left = at[0] + gap if choice[0] else at[0] - gap - width
+        low = at[1] + gap if choice[1] else at[1] - gap - height
+        box = (left - gap, left + width + gap, low, low + height)
+        if not any(box[0] < t[1] and t[0] < box[1] and box[2] < t[3] and t[2] < box[3] for t in taken):
+            taken.append(box)
+            return choice
+    return right, above
+
+
+def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:
+    """Handles of a legend for what `views` can show: outcomes always, agents and attacks where there are any."""
+    handles: list[Artist] = []
+    for outcome in ("truth matched", "track matched", "truth missed", "track false", "unevaluated"):
+        if outcome == "unevaluated" and not any(len(of[outcome]) for v in views for of in v.boxes.values()):
+            continue
+        colour = OUTCOME_COLOURS[outcome]
+        filled = to_rgba(colour, 0.35 if outcome in ("truth missed", "track false") else 0.0)
+        handles.append(Patch(facecolor=filled, edgecolor=colour, linewidth=1.5, label=OUTCOME_LABELS[outcome]))
+    if agents and any(v.run.recording is not None for v in views):
+        handles.append(_marker("o", AGENT, "vehicle with sensors", hollow=True))
+        handles.append(_marker("^", AGENT, "roadside sensor"))
+        if any(adversaries_by_agent(interposers(v.run)) for v in views):
+            handles.append(_marker("^", ADVERSARY, "adversary on its wire"))
+    marks = [v.before.joined(v.behind) for v in views]
+    if any(len(each.added) for each in marks):
+        handles.append(_marker("D", ADVERSARY, "inserted by adversary", hollow=True))
+    if any(len(each.removed) for each in marks):
+        handles.append(_marker("x", ADVERSARY, "removed by adversary"))
+    if any(len(each.moved) for each in marks):
+        handles.append(_marker("$\\rightarrow$", ADVERSARY, "moved by adversary"))
+    return handles
+
+
+def _marker(marker: str, colour: str, label: str, *, hollow: bool = False) -> Line2D:
+    face = "none" if hollow else colour
+    return Line2D([], [], linestyle="", marker=marker, ms=8, mfc=face, mec=colour, mew=1.5, label=label)

@@ -1,0 +1,173 @@
+"""Charts of counts: over time for one run or several, and means side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from mast_zenoh.report.figures.bands import bands, fault_key, shade
+from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, INK, LOCAL, RUN_COLOURS, light_axes, plain
+from mast_zenoh.report.figures.timeaxis import padded, rows_over_time
+from mast_zenoh.report.files import Table
+from mast_zenoh.report.narrative.changes import scored
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.tables.scores import ESTIMATES, ScoreTable, shown_estimates
+
+_BARS = (("fn", "missed objects"), ("fp", "false objects"), ("tp", "matched objects"))
+_ROWS = (
+    ("fn", "missed objects\nper frame"),
+    ("fp", "false objects\nper frame"),
+    ("rmse_m", "RMSE (m)"),
+)
+_STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)), "-", (0, (6, 1.5)))
+#: The bold lines are means over this many frames up to the one shown: never later ones, so that nothing seems to
+#: rise before the attack begins.
+SMOOTH = 5
+
+
+def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None, estimate: str = "picture") -> Figure | None:
+    """The ego's missed and false objects and its RMSE by time; None: no run left counts.
+
+    Of one run, every estimate that has a column in the table; of several, the ego alone in the first, and `estimate` of
+    each. Bold lines are means over the last SMOOTH frames, pale ones the values of single frames.
+    """
+    told = {label: run for label, run in runs.items() if run.counts_of("picture") is not None}
+    if not told:
+        return None
+    lines = _lines(told, estimate)
+    timed = all(run.seconds(counts["frame"]) is not None for _, run, counts, _ in lines)
+
+    def times(run: RunFolder, frames: NDArray[Any]) -> NDArray[np.float64]:
+        seconds = run.seconds(frames) if timed else None
+        return frames.astype(np.float64) if seconds is None else seconds
+
+    marked = bands(runs.values(), timed=timed)
+    shown = [times(run, counts["frame"]) for _, run, counts, _ in lines]
+    extent = min(at[0] for at in shown), max(at[-1] for at in shown)
+    figure, axes = rows_over_time(len(_ROWS), 1.66, marked, *extent)
+    attacked = [times(run, np.array(run.attack_frames)) for run in runs.values() if run.attack_frames]
+    for axis, (column, label) in zip(axes, _ROWS, strict=True):
+        light_axes(axis)
+        shade(axis, marked, *extent)
+        if attacked:
+            start, end = min(band[0] for band in attacked), max(band[1] for band in attacked)
+            axis.axvspan(start, end, color=ADVERSARY_ON_LIGHT, alpha=0.07, linewidth=0, label="attack")
+            axis.axvline(start, color=ADVERSARY_ON_LIGHT, linewidth=0.9, alpha=0.6)
+        for name, run, counts, look in lines:
+            _line(axis, times(run, counts["frame"]), counts[column].astype(np.float64), look, name)
+        if frame is not None:
+            first = next(iter(told.values()))
+            axis.axvline(float(times(first, np.array([frame]))[0]), color=INK, linewidth=0.9, label="frame shown")
+        axis.set_ylabel(label, fontsize=10, color=INK)
+        axis.set_ylim(0.0, _top(lines, column))
+        axis.set_xlim(*padded(*extent))
+        axis.yaxis.set_major_locator(MaxNLocator(4, integer=column != "rmse_m"))
+    axes[-1].set_xlabel("time (s)" if timed else "frame", fontsize=10, color=INK)
+    handles, labels = axes[0].get_legend_handles_labels()
+    if marked:
+        handles, labels = [fault_key(), *handles], ["fault", *labels]
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.055, 1.0), ncols=7, frameon=False, fontsize=10)
+    return figure
+
+
+def _top(lines: list[tuple[str, RunFolder, Table, _Look]], column: str) -> float:
+    """Where an axis ends: above all values in scored frames."""
+    most = [
+        float(np.nanmax(counts[column][inside].astype(np.float64), initial=0.0))
+        for _, run, counts, _ in lines
+        if (inside := scored(run, counts["frame"])).any()
+    ]
+    return 1.08 * max(most, default=0.0) or 1.0
+
+
+class _Look(NamedTuple):
+    colour: str
+    style: object
+    width: float = 1.9
+
+
+_ALONE = _Look(LOCAL, (0, (1, 1)))
+
+
+def _lines(runs: Mapping[str, RunFolder], estimate: str) -> list[tuple[str, RunFolder, Table, _Look]]:
+    """What is drawn: name, run, counts and look of each line."""
+    first = next(iter(runs.values()))
+    found = [("ego alone", first, first.counts_of("local"), _ALONE)]
+    if len(runs) == 1:
+        names = [
+            name for name in shown_estimates([first.metrics], first.ego or "") if name not in ("local", "received")
+        ]
+        for index, name in enumerate(names):
+            look = _Look(RUN_COLOURS[index], _STYLES[index], 2.4 if name == "picture" else 1.6)
+            found.append((ESTIMATES[name], first, first.counts_of(name), look))
+    else:
+        for index, (label, run) in enumerate(runs.items()):
+            look = _Look(RUN_COLOURS[index % len(RUN_COLOURS)], _STYLES[index % len(_STYLES)])
+            found.append((f"{ESTIMATES[estimate]}, {label}", run, run.counts_of(estimate), look))
+    return [(name, run, counts, look) for name, run, counts, look in found if counts is not None]
+
+
+def _line(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: _Look, label: str) -> None:
+    axis.plot(x, y, color=look.colour, linewidth=0.8, alpha=0.30, drawstyle="steps-mid")
+    known = np.isfinite(y)
+    x, y = x[known], y[known]
+    if len(y) == 0:
+        return
+    last = np.arange(1, len(y) + 1)
+    since = np.maximum(last - SMOOTH, 0)
+    total = np.concatenate([[0.0], np.cumsum(y)])
+    smooth = (total[last] - total[since]) / (last - since)
+    axis.plot(x, smooth, color=look.colour, linewidth=look.width, linestyle=look.style, label=plain(label))
+
+
+def means(table: ScoreTable, estimate: str = "picture") -> Figure:
+    """Grouped bars of the means per frame: the ego alone in the first run, then one estimate of each run.
+
+    Whiskers are one standard deviation over frames.
+    """
+    figure = Figure(figsize=(11.5, 3.6), facecolor="white")
+    axis = figure.subplots()
+    figure.subplots_adjust(left=0.065, right=0.985, top=0.86, bottom=0.10)
+    light_axes(axis)
+    bars = [(f"ego alone, {table.runs[0]}", LOCAL, table.runs[0], "local")]
+    bars += [(run, RUN_COLOURS[i % len(RUN_COLOURS)], run, estimate) for i, run in enumerate(table.runs)]
+    width = 0.8 / len(bars)
+    for index, (label, colour, run, estimate) in enumerate(bars):
+        values = [table.cell(column, run, estimate).value for column, _ in _BARS]
+        at = np.arange(3) + (index - (len(bars) - 1) / 2) * width
+        heights = [np.nan if value.mean is None else value.mean for value in values]
+        spread = [0.0 if value.std is None else value.std for value in values]
+        below = np.minimum(spread, np.nan_to_num(heights))
+        axis.bar(
+            at,
+            heights,
+            width * 0.9,
+            yerr=np.stack([below, spread]),
+            color=colour,
+            ecolor=INK,
+            error_kw={"elinewidth": 0.9, "capsize": 2.5, "alpha": 0.7},
+            label=plain(label),
+        )
+        for x, height, up in zip(at, heights, spread, strict=True):
+            if np.isfinite(height):
+                axis.annotate(
+                    f"{height:.2f}",
+                    (x, height + up),
+                    (0, 2),
+                    textcoords="offset points",
+                    ha="center",
+                    va="bottom",
+                    fontsize=9 if len(bars) <= 5 else 7,
+                    color=INK,
+                )
+    axis.set_xticks(range(3), [label for _, label in _BARS], fontsize=11)
+    axis.set_ylabel("mean per frame", fontsize=10, color=INK)
+    axis.margins(y=0.12)
+    figure.legend(loc="upper left", bbox_to_anchor=(0.055, 1.0), ncols=7, frameon=False, fontsize=10)
+    return figure

@@ -1,0 +1,129 @@
+"""The wiring diagram: nodes as boxes, data as lines; intercepted wires in the adversary's colour, links in theirs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+from matplotlib.path import Path as Curve
+
+from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, FAINT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS, plain
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.tables.wiring import FLOW, GAP, HIGH, ROW, WIDE, Layout, Spot, layout, live_frames
+
+_HALF = WIDE / 2
+
+
+def draw_wiring(run: RunFolder) -> Figure | None:
+    """The diagram of a run; None when wiring.json told of no wire to draw."""
+    plan = layout(run)
+    if plan is None:
+        return None
+    xs, ys = [x for x, _ in plan.places.values()], [y for _, y in plan.places.values()]
+    low, high = min(xs) - _HALF - 0.2, max(xs) + _HALF + 0.2
+    top = min(ys) - HIGH
+    figure = Figure(figsize=(high - low, plan.floor + 0.15 - top), facecolor="white")
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set_xlim(low, high)
+    axes.set_ylim(plan.floor + 0.15, top)
+    axes.set_axis_off()
+    for (source, target), line in sorted(plan.lines.items(), key=lambda item: (item[1].intercepted, item[1].linked)):
+        hostile = line.intercepted or _hostile(run, source.node) or _hostile(run, target.node)
+        colour = ADVERSARY_ON_LIGHT if hostile else FAULT_ON_LIGHT if line.linked else FAINT
+        width = 1.9 if line.intercepted else 1.3 if line.linked else 1.0
+        _draw_line(axes, _route(run, plan, source, target), colour, width)
+    when = live_frames(run)
+    for spot, (x, y) in plan.places.items():
+        _draw_node(axes, run, spot.node, x, y, when.get(spot.node, ""))
+    _name_lines(axes, run, plan)
+    return figure
+
+
+def _route(run: RunFolder, plan: Layout, source: Spot, target: Spot) -> Curve:
+    """The way of a line: it bends at the end where many lines meet, and is level where it passes nodes on wires."""
+    (ax, ay), (bx, by) = plan.places[source], plan.places[target]
+    if _aside(run, plan, source) or _aside(run, plan, target):  # to and from a node above the flow
+        way = 0.3 if ay < by else -0.3
+        lift = HIGH / 2 if ay < by else -HIGH / 2
+        return Curve([(ax + way, ay + lift), (bx + way, by - lift)])
+    if bx <= ax:  # back: down, along under everything, and up beside the target
+        rise = bx + _HALF + 0.24
+        points = [(ax, ay + HIGH / 2), (ax, plan.floor), (rise, plan.floor), (rise, by + 0.09), (bx + _HALF, by + 0.09)]
+        return Curve(points)
+    start, end = ax + _HALF, bx - _HALF
+    fans_out = run.role(source.node) in FLOW and run.role(source.node) != "agent"
+    bend = min(GAP, end - start) - 0.14  # leaves a level end for the arrowhead
+    low, high = (start, start + bend) if fans_out else (end - 0.14 - bend, end - 0.14)
+    middle = (low + high) / 2
+    points = [(start, ay), (low, ay), (middle, ay), (middle, by), (high, by), (end, by)]
+    return Curve(points, [Curve.MOVETO, Curve.LINETO, Curve.CURVE4, Curve.CURVE4, Curve.CURVE4, Curve.LINETO])
+
+
+def _hostile(run: RunFolder, node: str) -> bool:
+    return run.role(node) in ("adversary", "coordinator")
+
+
+def _aside(run: RunFolder, plan: Layout, spot: Spot) -> bool:
+    """Whether a node stands above the flow."""
+    return run.role(spot.node) not in FLOW and plan.places[spot][1] <= -1.2 * ROW
+
+
+def _draw_line(axes: Axes, route: Curve, colour: str, width: float) -> None:
+    axes.add_patch(
+        FancyArrowPatch(
+            path=route,
+            arrowstyle="-|>,head_length=5,head_width=2.5",
+            edgecolor=colour,
+            facecolor=colour,
+            linewidth=width,
+            shrinkA=0,
+            shrinkB=0,
+            zorder=1,
+        )
+    )
+
+
+def _draw_node(axes: Axes, run: RunFolder, node: str, x: float, y: float, when: str) -> None:
+    """A box with the node's name; `when`: if it came while the run went on, in which frames it was there."""
+    role, hostile = run.role(node), _hostile(run, node)
+    edges, faces = {"agent": RUN_COLOURS[0], "link": FAULT_ON_LIGHT}, {"agent": "#eef5fb", "link": "#fbf6ea"}
+    edge = ADVERSARY_ON_LIGHT if hostile else edges.get(role, INK)
+    face = "#fdeef9" if hostile else faces.get(role, "#f6f7f9")
+    box = (x - _HALF, y - HIGH / 2), WIDE, HIGH
+    rounded = "round,pad=0,rounding_size=0.07"
+    look: dict[str, Any] = {"facecolor": face, "edgecolor": edge, "linewidth": 1.2, "zorder": 2}
+    axes.add_patch(FancyBboxPatch(*box, boxstyle=rounded, linestyle="--" if when else "-", **look))
+    if when:
+        ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+        axes.text(
+            x, y - HIGH / 2 - 0.09, when, ha="center", va="center", fontsize=7.5, color=edge, bbox=ground, zorder=3
+        )
+    label = node if len(node) <= 20 else node[:18] + "…"
+    axes.text(x, y, plain(label), ha="center", va="center", fontsize=9.5, color=edge if hostile else INK, zorder=3)
+
+
+def _name_lines(axes: Axes, run: RunFolder, plan: Layout) -> None:
+    """What flows: once under each gap between two columns, on the way back, and beside a node above the flow."""
+    columns = sorted({x for spot, (x, _) in plan.places.items() if run.role(spot.node) in FLOW})
+    labels: dict[tuple[float, float, str, str], list[str]] = {}
+    for (source, target), line in plan.lines.items():
+        (ax, ay), (bx, by) = plan.places[source], plan.places[target]
+        if _aside(run, plan, source) or _aside(run, plan, target):
+            x, y = (ax, ay) if ay < by else (bx, by)
+            place = (x + 0.36, y + HIGH, "left", "center") if ay < by else (x - 0.36, y + HIGH, "right", "center")
+        elif bx <= ax:
+            place = ax - 0.1, plan.floor - 0.05, "right", "bottom"
+        else:
+            left = max((x for x in columns if x <= ax), default=ax)
+            right = min((x for x in columns if x >= bx), default=bx)
+            if any(left < x < right for x in columns):  # passes a whole column: named in the gap that it starts in
+                continue
+            place = (left + right) / 2 + 0.5, plan.floor - 0.42, "center", "center"
+        told = labels.setdefault(place, [])
+        told += [message for message in line.messages if message not in told]
+    for (x, y, horizontal, vertical), messages in labels.items():
+        style: dict[str, Any] = {"fontsize": 9, "style": "italic", "color": LOCAL, "zorder": 3}
+        ground = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
+        axes.text(x, y, plain(", ".join(sorted(messages))), ha=horizontal, va=vertical, bbox=ground, **style)

@@ -1,0 +1,181 @@
+"""The figures of a report: each is drawn once, kept as PNG (the wiring also as SVG) and described in words."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mast_zenoh.report.figures.birdseye import draw_birdseye, key
+from mast_zenoh.report.figures.camera import STRIP, draw_camera, ego_eye
+from mast_zenoh.report.figures.style import FAINT, GROUND, plain, png, svg
+from mast_zenoh.report.figures.view import FrameView, clipped, window
+from mast_zenoh.report.tables.scores import MEASURES, ScoreTable, number
+
+_PANELS = {
+    "local": "the ego alone: its own tracks",
+    "picture": "the common picture",
+    "received": "the ego's tracks as they are received",
+    "picture_received": "the picture as the ego receives it",
+    "picture_on_arrival": "the picture when it reaches the ego",
+    "mission": "the ego with the picture",
+}
+_WHITE = "#f2f5f9"
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A figure as it goes into the page.
+
+    name:    of the file under figures/, without extension
+    png:     bytes
+    alt:     what it shows, for those who cannot see it
+    caption: what to know when looking at it
+    svg:     bytes, where the page shows the SVG
+    """
+
+    name: str
+    png: bytes
+    alt: str
+    caption: str
+    svg: bytes | None = None
+
+    @property
+    def source(self) -> str:
+        """A data URI of the figure, for `img src`."""
+        kind, data = ("svg+xml", self.svg) if self.svg else ("png", self.png)
+        return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Width and height of the PNG."""
+        return int.from_bytes(self.png[16:20]), int.from_bytes(self.png[20:24])
+
+    def save(self, folder: Path) -> None:
+        """Write `folder/<name>.png`, and `.svg` where there is one."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{self.name}.png").write_bytes(self.png)
+        if self.svg:
+            (folder / f"{self.name}.svg").write_bytes(self.svg)
+
+
+def picture(name: str, figure: Figure, alt: str, caption: str, *, vector: bool = False) -> Picture:
+    """Render a figure."""
+    return Picture(name, png(figure), alt, caption, svg(figure) if vector else None)
+
+
+def _dark_figure(views: Sequence[FrameView], width: float, height: float, *, agents: bool = True) -> Figure:
+    """An empty dark figure of `height` inches with the key of `views` below, for which it grows."""
+    handles = key(views, agents=agents)
+    lines = 1 if len(handles) <= 6 else 2
+    figure = Figure(figsize=(width, height + 0.24 + 0.22 * lines), facecolor=GROUND)
+    figure.legend(
+        handles=handles,
+        loc="lower center",
+        ncols=-(-len(handles) // lines),
+        frameon=False,
+        labelcolor=_WHITE,
+        fontsize=10.5,
+        handlelength=1.4,
+        columnspacing=1.8,
+        borderaxespad=0.3,
+    )
+    return figure
+
+
+def _panel(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
+    """Axes placed in inches from the upper left corner."""
+    w, h = figure.get_size_inches()
+    return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h))
+
+
+def birdseye_figure(view: FrameView) -> Figure:
+    """The ego's own tracks, the picture and both together, from above, on the same axes."""
+    shown = window([view])
+    view = clipped(view, shown)
+    width = 14.4
+    pitch = width / len(view.boxes)
+    side = pitch - 0.74
+    figure = _dark_figure([view], width, side + 0.82)
+    for index, estimator in enumerate(view.boxes):
+        axes = _panel(figure, 0.66 + pitch * index, 0.4, side, side)
+        draw_birdseye(axes, view, estimator, shown)
+        if index:
+            axes.set_ylabel("")
+        _title(axes, _PANELS[estimator], view, when=index == 0)
+    return figure
+
+
+def _title(axes: Axes, title: str, view: FrameView, size: float = 12.5, *, when: bool = True) -> None:
+    axes.set_title(plain(title), color=_WHITE, fontsize=size, loc="left", pad=6)
+    if when:
+        axes.set_title(view.time_label, color=FAINT, fontsize=10.5, loc="right", pad=6)
+
+
+def camera_figure(view: FrameView) -> Figure | None:
+    """The ego alone above what it acts on, as its camera would see them; None: the ego is not in the scene."""
+    eye = ego_eye(view)
+    if eye is None:
+        return None
+    strip = 11.7 * eye.camera.height * (STRIP[1] - STRIP[0]) / eye.camera.width
+    view = clipped(view, window([view]))
+    still = [marks._replace(moved=np.zeros((0, 2, 3))) for marks in (view.before, view.behind)]
+    view = replace(view, before=still[0], behind=still[1])  # arrows say nothing in perspective
+    first, *_, last = view.boxes
+    estimates = first, last
+    figure = _dark_figure([view], 12.0, 2 * (strip + 0.42) + 0.1, agents=False)
+    for index, estimator in enumerate(estimates):
+        axes = _panel(figure, 0.15, 0.36 + index * (strip + 0.42), 11.7, strip)
+        draw_camera(axes, view, estimator, eye)
+        _title(axes, _PANELS[estimator], view)
+    return figure
+
+
+def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estimate: str = "picture") -> Figure:
+    """One estimate of several runs in the same frame from above, three in a row, their numbers under each."""
+    columns = min(len(views), 3)
+    shown = window(list(views.values()))
+    views = {label: clipped(view, shown) for label, view in views.items()}
+    pitch = 14.4 / columns
+    side, foot = pitch - 0.74, 1.62
+    lines = -(-len(views) // columns)
+    figure = _dark_figure(list(views.values()), 14.4, lines * (side + foot) + 0.05)
+    for index, (label, view) in enumerate(views.items()):
+        line, column = divmod(index, columns)
+        left, top = 0.66 + column * pitch, 0.38 + line * (side + foot)
+        axes = _panel(figure, left, top, side, side)
+        draw_birdseye(axes, view, estimate, shown)
+        _title(axes, label, view, 14.0)
+        if column:
+            axes.set_ylabel("")
+        if label in table.runs:
+            _numbers(figure, (table, label, estimate), left, top + side + 0.6, side)
+    return figure
+
+
+def _numbers(figure: Figure, of: tuple[ScoreTable, str, str], left: float, top: float, width: float) -> None:
+    """Missed, false, matched and RMSE under a panel, in the colours of the key; in inches from the upper left.
+
+    of: the table, the run and the estimate
+    """
+    table, run, estimate = of
+    w, h = figure.get_size_inches()
+    shown = (
+        ("fn", "missed", "#ffd60a"),
+        ("fp", "false", "#ff6b6b"),
+        ("tp", "matched", "#7db2ff"),
+        ("rmse_m", "RMSE (m)", _WHITE),
+    )
+    keys = {measure.key: measure for measure in MEASURES}
+    told = [(number(table.cell(key, run, estimate).value, keys[key]), name, colour) for key, name, colour in shown]
+    for index, (value, name, colour) in enumerate(told):
+        x = (left + width * (index + 0.5) / len(told)) / w
+        figure.text(x, 1 - top / h, value, color=colour, fontsize=17, ha="center", va="top", fontweight="bold")
+        figure.text(x, 1 - (top + 0.32) / h, name, color=_WHITE, fontsize=10, ha="center", va="top")
+    x = (left + width * 1.5 / len(told)) / w
+    figure.text(x, 1 - (top + 0.51) / h, "objects per frame", color=FAINT, fontsize=9.5, ha="center", va="top")

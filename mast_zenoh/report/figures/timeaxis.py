@@ -1,0 +1,44 @@
+"""Charts one above the other on one time axis, with lanes for what happened above them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mast_zenoh.report.figures.bands import LANE, Band, draw_lanes, lanes, placed
+
+
+def rows_over_time(
+    count: int, height: float, marked: Sequence[Band], low: float, high: float
+) -> tuple[Figure, Sequence[Axes]]:
+    """A figure of `count` charts of `height` inches one above the other on one time axis, `marked` named above them.
+
+    low, high: the first and the last frame's time
+    """
+    left, width = 0.75, 10.58
+    found, left_out = placed(marked, *padded(low, high), width)
+    strip = LANE * lanes(found) + (0.08 if found else 0.0)
+    gap, foot, head = 0.1 * height, 0.51, 0.42
+    total = head + strip + count * height + (count - 1) * gap + foot
+    figure = Figure(figsize=(11.5, total), facecolor="white")
+    if found:
+        top = (total - head - LANE * lanes(found)) / total
+        names = figure.add_axes((left / 11.5, top, width / 11.5, LANE * lanes(found) / total))
+        draw_lanes(names, found, left_out, *padded(low, high))
+    axes: list[Axes] = []
+    for row in range(count):
+        bottom = foot + (count - 1 - row) * (height + gap)
+        share: dict[str, Any] = {"sharex": axes[0]} if axes else {}
+        rectangle = (left / 11.5, bottom / total, width / 11.5, height / total)
+        axes.append(figure.add_axes(rectangle, **share))
+        axes[-1].tick_params(labelbottom=row == count - 1)
+    return figure, axes
+
+
+def padded(low: float, high: float) -> tuple[float, float]:
+    """The ends of a time axis, a little beyond the first and the last frame."""
+    pad = 0.01 * (high - low) or 0.5
+    return low - pad, high + pad

@@ -1,0 +1,1 @@
+"""Results in words, made from the numbers."""

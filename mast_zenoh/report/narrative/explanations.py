@@ -1,0 +1,284 @@
+"""Why what an adversary did had limited effect: each reason is derived from what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import Bools
+from mast_zenoh.metrics.achievement import DISPLACED_M
+from mast_zenoh.report.files import Table, rows
+from mast_zenoh.report.narrative.attribution import culprit_names
+from mast_zenoh.report.narrative.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
+from mast_zenoh.report.narrative.phrases import effects
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.tables.interposers import Interposer, interposers
+
+#: Lidar points with which an agent sees an object, as in `seen_by_others` of targets.parquet.
+_SEES = 5
+
+
+def explanations(run: RunFolder, reference: RunFolder | None = None) -> dict[str, tuple[str, ...]]:
+    """By interposer that is no link, why something that it did had limited effect on the picture or the ego.
+
+    A reason begins with the kind of change that it is about, unless it is about everything that the interposer did.
+    There is none for what the headline names as the cause of the largest change.
+    reference: the run that this one is compared with; None: the run's own measurements count
+    """
+    result = {}
+    change = largest_change(run, reference)
+    blamed = culprit_names(run, change, reference) if change is not None else []
+    for each in interposers(run):
+        kind = change.kind if change is not None and each.name in blamed else ""
+        reasons = () if each.is_link else tuple(_reasons(run, each, kind))
+        if reasons:
+            result[each.name] = reasons
+    return result
+
+
+def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[str]:
+    """Why what one interposer did had limited effect.
+
+    blamed_for: the kind of the largest change, if that is due to this interposer; empty otherwise
+    """
+    if interposer.effects is None:
+        return ["what it did was not measured"]
+    if not interposer.changed:
+        return [_idle(run, interposer)]
+    if interposer.before and run.ego not in interposer.before:
+        agents = ", ".join(interposer.before)
+        if set(interposer.wires) == {"clock"}:
+            return [f"it sat on the clock before {agents}, not before the ego"]
+        return [f"it sat on the picture's way to {agents}, not to the ego"]
+    if run.targets is None:
+        return []
+    targets = rows(run.targets, run.targets["adversary"] == interposer.name)
+    if not len(targets["frame"]):
+        return [] if blamed_for else [f"no object was manipulated that can be judged: {effects(interposer)}"]
+    achieved = run.metrics.get("achieved", {}).get(interposer.name, {})
+    if (targets["frame"] >= run.metrics.get("frames", 0)).all():
+        return ["what it sent is about frames that the run does not have"]
+    inside = scored(run, targets["frame"])
+    reasons = [] if inside.any() else ["everything that it did was in frames that are not scored"]
+    for kinds, explain, consequences in (
+        (("inserted",), _inserted, (FALSE,)),
+        (("removed",), _removed, (MISSED,)),
+        (("moved", "altered"), _moved, (DISPLACED, IDENTITY)),
+    ):
+        mine = rows(targets, np.isin(targets["kind"], kinds))
+        did_more = any(count for name, count in interposer.effects.items() if name not in (*kinds, "unsettled"))
+        if not len(mine["frame"]) or blamed_for in consequences or (blamed_for and not did_more):
+            continue
+        name = next(kind for kind in kinds if np.any(mine["kind"] == kind))
+        told = explain(run, mine, achieved)
+        others = _beside_it(run, interposer)
+        if others and told and "the fusion rejected" in told[0]:
+            told = [f"no track followed it; {others} on the same wire may have taken it out"]
+        reasons += told if name == "removed" else [f"{name}: {reason}" for reason in told]
+    return reasons
+
+
+def _beside_it(run: RunFolder, interposer: Interposer) -> str:
+    """The other interposers on its wires that changed something, in words; empty: none."""
+    names = [
+        each.name
+        for each in interposers(run)
+        if each.name != interposer.name and each.changed and set(each.wires) & set(interposer.wires)
+    ]
+    return ", ".join(names)
+
+
+def _idle(run: RunFolder, interposer: Interposer) -> str:
+    """Why an interposer changed nothing."""
+    if interposer.failures:
+        did = "it changed nothing" if interposer.failed_frames else "it crashed before it changed anything"
+        return f"{did}: {interposer.failures}"
+    if interposer.received == 0:
+        return "no message reached it"
+    start = late_start_s(run, interposer)
+    if start is not None:
+        return f"its attack was to begin at {start:g} s, after the end of the run at {_duration_s(run):.1f} s"
+    return f"it passed all {interposer.received} messages on unchanged"
+
+
+def late_start_s(run: RunFolder, interposer: Interposer) -> float | None:
+    """s, when an attack was to begin that was planned for after the end of the run; None: it was not.
+
+    The timeline of older runs has such attacks; in others, the attack's own settings tell.
+    """
+    starts = [
+        float(each["at_s"])
+        for each in run.timeline
+        if each["kind"] == "attack" and interposer.name in (each.get("nodes") or ())
+    ]
+    config = run.scenario.get("nodes", {}).get(interposer.name, {}).get("config") or {}
+    attack = config.get("attack")
+    if not starts and isinstance(attack, Mapping) and isinstance(attack.get("start_s"), (int, float)):
+        starts = [float(attack["start_s"])]
+    duration = _duration_s(run)
+    return min(starts) if starts and duration and min(starts) >= duration else None
+
+
+def _duration_s(run: RunFolder) -> float:
+    return float(run.metrics.get("frames", 0) * run.period_s)
+
+
+def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+    """Why inserted objects were not believed."""
+    reasons = []
+    if not achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
+        if not _judged(targets).any():
+            return [f"what it inserted was out of range of every agent ({run.range_m:g} m)"]
+        beside = _on_real_objects(run, targets)
+        if beside is not None and beside.mean() >= 0.5:
+            near = f"within {run.gate_m:g} m of a real object"
+            return [f"{beside.mean():.0%} of what it inserted was {near}, and was taken for it"]
+        if _only_downlink(run, targets):
+            return ["the ego's fusion rejected everything that it inserted: no track followed it"]
+        return ["the fusion rejected everything that it inserted: no track of the picture followed it"]
+    if achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
+        reasons.append("the picture had what it inserted, but the ego did not take it over")
+    return reasons
+
+
+def _removed(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+    """Why objects were not missed that were removed from messages, or were in messages that were dropped."""
+    dropped = np.zeros(len(targets["frame"]), bool)
+    if run.attacks is not None:
+        drops = (run.attacks["interposer"] == targets["adversary"][0]) & (run.attacks["effect"] == "dropped")
+        dropped = np.isin(targets["frame"], run.attacks["frame"][drops])
+    groups = (
+        ("removed", ~dropped, "what it removed"),
+        ("dropped", dropped, "the objects in the messages that it dropped"),
+    )
+    return [
+        f"{name}: {reason}"
+        for name, mine, what in groups
+        if mine.any()
+        for reason in _hidden(run, rows(targets, mine), achieved, what)
+    ]
+
+
+def _hidden(run: RunFolder, targets: Table, achieved: Mapping[str, Any], what: str) -> list[str]:
+    """Why objects were not missed; what: these objects, in words."""
+    were = "were" if what.startswith("the objects") else "was"
+    are = "are" if were == "were" else "is"
+    if achieved.get("hidden_share_centre") or achieved.get("hidden_share_ego"):
+        return []
+    known = targets["object"] >= 0
+    if not known.any():
+        return [f"{what} {were} no object of the scene, but clutter"]
+    if not _judged(targets).any():
+        return [f"{what} {are} not scored: no agent sees it, or it is out of range of every agent"]
+    if _only_downlink(run, targets):  # what other agents see is in the picture, from which it was removed
+        itself = _seen_by_ego(run, targets)[known].mean()
+        if itself >= 0.5:
+            return [f"the ego sees {what} itself, {_how_often(itself)}"]
+        return [f"{what} {were} still tracked by the ego: tracks outlive a gap"]
+    others = _seen_by_others(run, targets)[known].mean()
+    if others >= 0.5:
+        return [f"other agents still saw {what}, {_how_often(others)}"]
+    missed = achieved.get("hidden_time_share_centre") or 0.0
+    if missed > 0.0:
+        return [f"{what} {were} missed only {missed:.0%} of the time: tracks outlive a short gap"]
+    return [f"{what} {were} still tracked: tracks outlive a gap, or the ego sees it itself"]
+
+
+def _how_often(share: float) -> str:
+    """A share of the frames as words: `all the time`, `99% of the time`."""
+    return "all the time" if share >= 1.0 else f"{np.floor(100.0 * share):.0f}% of the time"
+
+
+def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+    """Why moved and altered objects are not off. Identity switches are an effect, too."""
+    effects = "moved_share", "altered_share", "id_switches"
+    if any(achieved.get(f"{effect}_{who}") for effect in effects for who in ("centre", "ego")):
+        return []
+    present = [kind for kind in ("moved", "altered") if np.any(targets["kind"] == kind)]
+    done = " or ".join(present)
+    errors = [achieved.get(f"{kind}_error_m_{estimate}") for kind in present for estimate in ("centre", "ego")]
+    known = [error for error in errors if error is not None]
+    if not known:
+        return [f"what it {done} is not scored: no agent sees it, or it is out of range of every agent"]
+    if max(known) < DISPLACED_M:
+        return [f"the tracks of what it {done} are {max(known):.2f} m off on average, which is no displacement"]
+    return []
+
+
+def _only_downlink(run: RunFolder, targets: Table) -> bool:
+    """Whether an adversary changed nothing but pictures on their way."""
+    if run.attacks is None or "message" not in run.attacks or not len(targets["frame"]):
+        return False
+    mine = run.attacks["interposer"] == targets["adversary"][0]
+    return bool(np.all(run.attacks["message"][mine] == "picture"))
+
+
+def _judged(targets: Table) -> Bools:
+    """(n,) which targets can be judged in any estimate, because they are in range and evaluated."""
+    return np.asarray(targets["judged_centre"].astype(bool) | targets["judged_ego"].astype(bool))
+
+
+def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
+    """(n,) which targets are seen by an agent whose report of them no adversary changes in that frame.
+
+    `seen_by_others` knows only the agents of one adversary: where others change the same object, their agents are left
+    out. Without the scene, an object that several adversaries change counts as seen by none.
+    """
+    seen = targets["seen_by_others"].astype(bool)
+    assert run.targets is not None
+    real = rows(run.targets, run.targets["kind"] != "inserted")
+    agents = {each.name: each.agents for each in interposers(run)}
+    hidden: dict[tuple[int, int], set[str]] = {}
+    changed_by: dict[tuple[int, int], set[str]] = {}
+    for name, number, frame in zip(real["adversary"], real["object"].tolist(), real["frame"].tolist(), strict=True):
+        hidden.setdefault((number, frame), set()).update(agents.get(name, ()))
+        changed_by.setdefault((number, frame), set()).add(name)
+    for row, key in enumerate(zip(targets["object"].tolist(), targets["frame"].tolist(), strict=True)):
+        if seen[row] and len(changed_by[key]) > 1:
+            seen[row] = _sees(run, *key, hidden[key])
+    return np.asarray(seen)
+
+
+def _seen_by_ego(run: RunFolder, targets: Table) -> Bools:
+    """(n,) which targets are among the ego's own tracks in their frame."""
+    if run.objects is None:
+        return np.zeros(len(targets["frame"]), bool)
+    own = (run.objects["estimator"] == run.original("local")) & (run.objects["kind"] == "truth")
+    own &= run.objects["outcome"] == "matched"
+    tracked = set(zip(run.objects["id"][own].tolist(), run.objects["frame"][own].tolist(), strict=True))
+    wanted = zip(targets["object"].tolist(), targets["frame"].tolist(), strict=True)
+    return np.array([each in tracked for each in wanted], bool)
+
+
+def _sees(run: RunFolder, number: int, frame: int, without: set[str]) -> bool:
+    """Whether an agent other than these sees an object in a frame of the scene."""
+    scene = run.recording
+    if scene is None or not 0 <= frame < len(scene):
+        return False
+    free = [column for column, agent in enumerate(scene.agent_names) if agent not in without]
+    start = int(scene.truth_start[frame])
+    at = start + np.flatnonzero(scene.truth_at(frame).id == number)
+    return bool((scene.points[at][:, free] >= _SEES).any())
+
+
+def _on_real_objects(run: RunFolder, targets: Table) -> Bools | None:
+    """(n,) which targets stand on a truth object of the same frame; None: there is no truth."""
+    if run.objects is None:
+        return None
+    truth = rows(run.objects, (run.objects["kind"] == "truth") & (run.objects["estimator"] == "picture"))
+    result = np.zeros(len(targets["frame"]), bool)
+    for frame in np.unique(targets["frame"]):
+        there, here = truth["frame"] == frame, np.flatnonzero(targets["frame"] == frame)
+        apart = np.hypot(
+            _column(targets, "x")[here, None] - _column(truth, "x")[there],
+            _column(targets, "y")[here, None] - _column(truth, "y")[there],
+        )
+        result[here] = (apart <= run.gate_m).any(axis=1)
+    return result
+
+
+def _column(table: Table, name: str) -> NDArray[np.float64]:
+    return np.asarray(table[name], np.float64)

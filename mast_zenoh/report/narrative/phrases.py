@@ -1,0 +1,113 @@
+"""Pieces of the sentences of a report: numbers, changes and causes as words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mast_zenoh.report.narrative.changes import DISPLACED, IDENTITY, Change
+from mast_zenoh.report.tables.interposers import EFFECTS, OF_OBJECTS, Interposer
+
+_NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
+#: Differences per frame smaller than this are called small, objects.
+NOTHING = 0.05
+
+_WHERE = {
+    "local": "in what the ego sees alone",
+    "received": "in the ego's tracks as they are received",
+    "picture": "in the common picture",
+    "picture_received": "in the picture that the ego receives",
+    "picture_on_arrival": "in the picture when it reaches the ego",
+    "mission": "for the ego with the picture",
+}
+
+OWNERS = {
+    "local": "the ego alone has",
+    "picture": "the picture has",
+    "picture_received": "the picture that the ego receives has",
+    "picture_on_arrival": "the picture that the ego holds has",
+    "mission": "the ego with the picture has",
+}
+
+
+def count(number: int) -> str:
+    """A small number as a word."""
+    return _NUMBERS[number] if 0 <= number < len(_NUMBERS) else str(number)
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def capital(text: str) -> str:
+    """With a capital first letter."""
+    return text[:1].upper() + text[1:]
+
+
+def objects(number: float, kind: str = "") -> str:
+    """`9.4 false objects`; `no false object` for none at all."""
+    noun = f"{kind} object".strip()
+    if number == 0.0:
+        return f"no {noun}"
+    text = small(number)
+    return f"{text} {noun}{'' if text == '1.0' else 's'}"
+
+
+def small(number: float) -> str:
+    """A positive number with one digit, or as many as it takes to see it."""
+    if number >= NOTHING:
+        return f"{number:.1f}"
+    return f"{number:.2g}" if number >= 0.0005 else "less than 0.001"
+
+
+def place(change: Change, ego: str | None) -> str:
+    """In which estimate a change is."""
+    text = _WHERE.get(change.estimate, f"in {change.estimate}")
+    return (
+        text if change.agent == ego else text.replace("the ego's", f"{change.agent}'s").replace("the ego", change.agent)
+    )
+
+
+def amount(change: Change, ego: str | None, *, where: bool = True) -> str:
+    """What is due to a cause: `5.5 false objects a frame in the common picture`."""
+    at = f" {place(change, ego)}" if where else ""
+    size = abs(change.amount)
+    if change.kind == DISPLACED:
+        return f"an RMSE that is at least {size:.2f} m larger{at}"
+    if change.kind == IDENTITY:
+        return f"{size:.0f} identity switch{'' if round(size) == 1 else 'es'}{at}"
+    return f"{objects(size, change.kind)} a frame{at}"
+
+
+def more_or_less(change: Change, ego: str | None, *, where: bool = True) -> str:
+    """A difference: `5.5 more false objects a frame in the common picture`."""
+    at = f" {place(change, ego)}" if where else ""
+    size, rises = abs(change.amount), change.amount > 0
+    if change.kind == DISPLACED:
+        return f"{f'{size:.2f}' if size >= 0.005 else small(size)} m {'more' if rises else 'less'} RMSE{at}"
+    word = "more" if rises else "fewer"
+    if change.kind == IDENTITY:
+        return f"{size:.0f} {word} identity switch{'' if round(size) == 1 else 'es'}{at}"
+    noun = objects(size, change.kind)
+    number, _, rest = noun.partition(f" {change.kind}")
+    return f"{number} {word} {change.kind}{rest} a frame{at}"
+
+
+def plural(number: int, noun: str) -> str:
+    """`1 frame`, `20 frames`."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def effects(interposer: Interposer) -> str:
+    """`478 rows of 6 objects inserted, 8 messages dropped`: what an interposer did by measurement."""
+    known = interposer.effects or {}
+    ordered = [name for name in (*EFFECTS, *known) if name in known and name != "unsettled"]
+    return ", ".join(_effect(interposer, name, known[name]) for name in dict.fromkeys(ordered)) or "nothing"
+
+
+def _effect(interposer: Interposer, effect: str, number: int) -> str:
+    if effect not in OF_OBJECTS:
+        return f"{plural(number, 'message')} {effect}"
+    of, clutter = interposer.objects.get(effect, (0, False))
+    parts = [plural(of, "object")] * bool(of) + ["clutter"] * clutter
+    return f"{plural(number, 'row')} of {' and of '.join(parts) or 'objects'} {effect}"

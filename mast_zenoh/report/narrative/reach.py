@@ -1,0 +1,34 @@
+"""Which estimates an interposer can influence, by where it sat."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.evaluation.downstream import reached
+from mast_zenoh.report.runfolder import RunFolder, agent_of
+from mast_zenoh.report.tables.wiring import all_wires
+from mast_zenoh.wiring.model import Passage
+
+
+def reaches(run: RunFolder, node: str, estimate: str, agent: str | None = None) -> bool:
+    """Whether what a node sends on can be seen in an estimate of an agent, by default the ego.
+
+    True where its wires are not known.
+    """
+    passages = _passages(run, node)
+    series = [(agent or run.ego or "", estimate)]
+    return not passages or bool(reached(passages, series, np.zeros(len(passages), bool)).any())
+
+
+def _passages(run: RunFolder, node: str) -> list[Passage]:
+    """Its ways through the wires that it sat on, also if it came or left while the run went on."""
+    found = []
+    for wire in all_wires(run):
+        if node not in wire.get("interposers", ()):
+            continue
+        key, legs = wire["key"], wire.get("legs", ())
+        port = (legs[0].get("from_port") if legs else None) or wire.get("message", "")
+        befores = {leg["before"]: None for leg in legs if leg.get("from") == node and leg.get("before")}
+        subject = wire.get("subject") or agent_of(key) or ""
+        found += [Passage(node, key, subject, wire.get("message", ""), port, "", "", each) for each in befores or [""]]
+    return found

@@ -1,0 +1,94 @@
+"""The estimates of a study as CSV, with all digits, and as LaTeX, for a paper."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+from mast_zenoh.report.narrative.study import titled
+from mast_zenoh.report.narrative.study_comparisons import compare
+from mast_zenoh.report.study_facts import StudyFacts
+from mast_zenoh.report.tables.scores import DASH
+from mast_zenoh.report.tables.study_rows import PAPER, StudyRow, columns_of, over_frames, over_trials
+
+#: The numbers of an estimate in table.csv: heading and field.
+_NUMBERS = {
+    "mean": "mean",
+    "std_over_frames": "std",
+    "mean_over_trials": "trial_mean",
+    "low": "low",
+    "high": "high",
+    "scenes_low": "scenes_low",
+    "scenes_high": "scenes_high",
+    "p": "p",
+}
+
+_MARK = "* remains distinguishable from 0 after Holm's procedure"
+
+
+def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
+    """A line for each configuration and series, all digits; what is not known is empty.
+
+    p_holm is p adjusted for all contrasts of the tables (`compare`), and empty where it is not one of them.
+    """
+    adjusted = compare(rows, facts.baseline).adjusted
+    parameters = list(dict.fromkeys(name for row in rows for name in row.point))
+    page = io.StringIO()
+    writer = csv.writer(page, lineterminator="\n")
+    series_names = ("who", "estimator", "metric")
+    counts = ("scenes", "seeds", "seeds_left_out")
+    writer.writerow(["configuration", *parameters, *series_names, *_NUMBERS, "p_holm", *counts])
+    for row in rows:
+        for series, estimate in row.estimates.items():
+            values = [getattr(estimate, field) for field in _NUMBERS.values()]
+            values.append(adjusted.get((row.label, series), float("nan")))
+            texts = ["" if value != value else repr(float(value)) for value in values]
+            point = [row.point.get(name, "") for name in parameters]
+            counts_of = (estimate.scenes, estimate.seeds, estimate.left_out)
+            writer.writerow([row.label, *point, *series, *texts, *counts_of])
+    return page.getvalue()
+
+
+def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
+    """A tabular that needs no package: for each configuration what the attack adds, and its intervals below."""
+    rows, facts = titled(rows, facts)
+    columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
+    groups = " & ".join(rf"\multicolumn{{{len(of)}}}{{c}}{{{name}}}" for name, of in PAPER)
+    size = facts.size.replace("\u00d7", "x")
+    comments = ["mean and std over the frames of all trials; below, mean over seeds [95 % interval], paired", size]
+    lines = [
+        *(f"% {comment}" for comment in (*comments, _MARK, facts.failures) if comment),
+        r"\begin{tabular}{l" + "r" * len(columns) + "}",
+        r"\hline",
+        rf" & {groups} \\",
+        " & " + " & ".join(_short(column.heading) for column in columns) + r" \\",
+        r"\hline",
+    ]
+    for row in (row for row in rows if row.label != facts.baseline):
+        above = [_tex(over_frames(c.of(row))) + ("^{*}" if comparisons.remains(row, c) else "") for c in columns]
+        below = [_tex(over_trials(column.of(row))) for column in columns]
+        for label, texts in ((row.label, above), ("", below)):
+            lines.append(" & ".join([_tex(label), *(f"${text}$" for text in texts)]) + r" \\")
+    return "\n".join([*lines, r"\hline", r"\end{tabular}", ""])
+
+
+def _short(heading: str) -> str:
+    """A heading without what that of its group says already: "IoE", but "CAFN IoB"."""
+    kind, which = heading.split()
+    return heading if kind.startswith("CA") else which
+
+
+def _tex(text: str) -> str:
+    """Text that LaTeX prints as it is."""
+    for plain, made in (
+        ("\u2212", "-"),
+        ("±", r"\pm"),
+        (DASH, r"\mbox{--}"),
+        ("all equal", r"\mbox{all equal}"),
+        ("_", r"\_"),
+        ("%", r"\%"),
+        ("&", r"\&"),
+    ):
+        text = text.replace(plain, made)
+    return text

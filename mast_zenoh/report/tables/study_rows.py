@@ -1,0 +1,204 @@
+"""What the tables and figures of a study show: a row per configuration, an estimate per series of numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from mast_zenoh.metrics import CAUSES
+from mast_zenoh.report.tables.scores import DASH
+
+NAN = float("nan")
+#: With fewer seeds there is no interval.
+LEAST_SEEDS = 5
+#: A difference up to this is one of rounding.
+NEGLIGIBLE = 1e-9
+
+
+class Series(NamedTuple):
+    """Which number, by the columns of results.parquet."""
+
+    who: str
+    estimator: str
+    metric: str
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One series of one configuration; what is not known is NaN.
+
+    mean, std: over the frames of all trials together, as the paper has them; std is NaN for metrics of whole runs
+    trial_mean, low, high: mean over the trials of `seeds` seeds in `scenes` scenes, each paired with its baseline, and
+               its 95 % interval over seeds of these scenes; without bounds for fewer than five seeds, or equal ones
+    scenes_low, scenes_high: 95 % interval to other scenes as well; for five scenes and more
+    p:         of no difference from the baseline, by the interval over seeds; of increments only
+    left_out:  seeds that lack the value in some scene and are in none of these, because a trial failed or has none
+    rate:      whether it is a success rate, of trials that are 0 or 1
+    """
+
+    mean: float = NAN
+    std: float = NAN
+    trial_mean: float = NAN
+    low: float = NAN
+    high: float = NAN
+    scenes_low: float = NAN
+    scenes_high: float = NAN
+    p: float = NAN
+    scenes: int = 0
+    seeds: int = 0
+    left_out: int = 0
+    rate: bool = False
+
+    @property
+    def unchanged(self) -> bool:
+        """Of an increment: whether it is 0 in every trial, as far as five seeds or more can tell."""
+        return self.seeds >= LEAST_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
+
+    @property
+    def certain(self) -> bool:
+        """Of an increment: whether it is the same in every seed, and not 0; without spread there is no interval."""
+        return self.seeds >= LEAST_SEEDS and abs(self.trial_mean) > NEGLIGIBLE and math.isnan(self.low)
+
+
+@dataclass(frozen=True, slots=True)
+class StudyRow:
+    """One configuration.
+
+    label: its own; run: that of the study file's run; point: its choice from the grid, name to value
+    ego:   name of the agent from which everything is seen
+    """
+
+    label: str
+    run: str
+    point: Mapping[str, object]
+    estimates: Mapping[Series, Estimate]
+    ego: str = "ego"
+
+    @property
+    def title(self) -> str:
+        """The label with the name of each parameter: `attacked false_positives=2.0`; without a grid the label."""
+        return (
+            " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
+            if self.point
+            else self.label
+        )
+
+    def get(self, metric: str, estimator: str = "picture", who: str | None = None) -> Estimate:
+        """The estimate of a series, by default of the ego; all NaN if there is none."""
+        return self.estimates.get(Series(who or self.ego, estimator, metric), Estimate())
+
+
+class Column(NamedTuple):
+    """One column of a table: its heading, and the series it shows; who None: the ego."""
+
+    heading: str
+    metric: str
+    estimator: str = "picture"
+    who: str | None = None
+
+    def of(self, row: StudyRow) -> Estimate:
+        """The estimate that belongs in this column of a row."""
+        return row.get(self.metric, self.estimator, self.who)
+
+
+#: Columns in groups with a name.
+Groups = tuple[tuple[str, tuple[Column, ...]], ...]
+
+#: The estimates of the ego that are laid side by side.
+ESTIMATORS = {"local": "ego alone", "picture": "picture", "mission": "ego with the picture"}
+
+_SCORES = (("FN", "fn"), ("FP", "fp"), ("TP", "tp"), ("RMSE m", "rmse_m"), ("ID sw.", "id_switches"))
+_DISTANCES = (("OSPA m", "ospa_m"), ("GOSPA m", "gospa_m"), ("complete", "completeness"))
+
+
+def _of(estimator: str, metrics: Iterable[tuple[str, str]], suffix: str = "") -> tuple[Column, ...]:
+    return tuple(Column(heading, metric + suffix, estimator) for heading, metric in metrics)
+
+
+#: What each estimate scores, and what the attack adds to it.
+SCORES: Groups = tuple((name, _of(estimator, _SCORES)) for estimator, name in ESTIMATORS.items())
+ALL_SCORES: Groups = tuple((name, _of(estimator, _SCORES + _DISTANCES)) for estimator, name in ESTIMATORS.items())
+ADDED: Groups = tuple((name, _of(estimator, _SCORES, "_iob")) for estimator, name in ESTIMATORS.items())
+
+#: The increments by the names that the paper has for them.
+PAPER: Groups = (
+    (
+        "compromised agents",
+        (
+            Column("CAFN IoB", "cafn_iob", "local", "compromised"),
+            Column("CAFP IoB", "cafp_iob", "local", "compromised"),
+        ),
+    ),
+    ("ERCC FN", (Column("FN IoB", "fn_iob"), Column("FN IoE", "fn_ioe"))),
+    ("ERCC FP", (Column("FP IoB", "fp_iob"), Column("FP IoE", "fp_ioe"))),
+    ("ERCC TP", (Column("TP IoB", "tp_iob"), Column("TP IoE", "tp_ioe"))),
+)
+
+
+def columns_of(groups: Groups) -> list[Column]:
+    """All columns of the groups, one after the other."""
+    return [column for _, columns in groups for column in columns]
+
+
+def present(rows: Sequence[StudyRow], groups: Groups) -> Groups:
+    """The groups of which any row has a number."""
+    return tuple(
+        (name, columns)
+        for name, columns in groups
+        if any(not math.isnan(column.of(row).mean) for row in rows for column in columns)
+    )
+
+
+def over_frames(estimate: Estimate) -> str:
+    """`3.42 ± 1.20`."""
+    if math.isnan(estimate.mean):
+        return DASH
+    mean = number(estimate.mean)
+    return mean if math.isnan(estimate.std) else f"{mean} ± {number(estimate.std)}"
+
+
+def over_trials(estimate: Estimate) -> str:
+    """`3.42 [3.10, 3.80]`; without an interval the mean and why: `3.42 (n < 5)`. Success rates in per cent."""
+    return f"{value(estimate)} {bounds(estimate)}".strip()
+
+
+def value(estimate: Estimate) -> str:
+    """The mean over trials alone: `3.42`, a success rate as `85 %`."""
+    mean = estimate.trial_mean
+    return f"{100.0 * mean:.0f} %" if estimate.rate and not math.isnan(mean) else number(mean, _digits(estimate))
+
+
+def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
+    """`[3.10, 3.80]`, or why there is no interval; `scenes`: that to other scenes, "" without."""
+    low, high = (estimate.scenes_low, estimate.scenes_high) if scenes else (estimate.low, estimate.high)
+    if not math.isnan(low):
+        digits = _digits(estimate)
+        ends = (f"{100.0 * end:.0f}" if estimate.rate else number(end, digits) for end in (low, high))
+        return f"[{', '.join(ends)}]"
+    if scenes or math.isnan(estimate.trial_mean):
+        return ""
+    return f"(n < {LEAST_SEEDS})" if estimate.seeds < LEAST_SEEDS else "(all equal)"
+
+
+def _digits(estimate: Estimate) -> int:
+    """Decimals that show the width of the interval: two, more where it would vanish."""
+    half = (estimate.high - estimate.low) / 2.0
+    return 2 if math.isnan(half) or half >= 0.01 else min(5, math.ceil(-math.log10(half)))
+
+
+def number(value: float, digits: int = 2) -> str:
+    """So many decimals, with a proper minus and no negative zero."""
+    if math.isnan(value):
+        return DASH
+    text = f"{value:.{digits}f}"
+    return text.replace("-", "" if float(text) == 0.0 else "\u2212")
+
+
+def shares(row: StudyRow, what: str, estimator: str = "picture") -> dict[str, float]:
+    """Of the false ("fp") or missed ("fn") objects of an estimate the part of each cause, 0 to 1; {} without any."""
+    counts = {cause: row.get(f"{what} {cause}", estimator).mean for cause in CAUSES}
+    counts = {cause: mean for cause, mean in counts.items() if mean > 0.0}
+    total = sum(counts.values())
+    return {cause: mean / total for cause, mean in counts.items()}

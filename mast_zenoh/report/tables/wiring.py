@@ -1,0 +1,249 @@
+"""The wires of a run and the nodes on them: rows of the table, and where the diagram puts nodes and lines."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from mast_zenoh.report.runfolder import RunFolder
+from mast_zenoh.report.tables.interposers import interposers
+
+#: Roles along the flow of a frame, left to right; the agents stand one above the other.
+FLOW = ("simulator", "agent", "broker", "command_center")
+#: Roles that only listen, what every node gets, and what is for listeners only: in the table, not in the drawing.
+_LISTENERS = ("evaluator", "recorder", "visualizer")
+_UNDRAWN = ("clock", "truth", "attack_report")
+
+#: Inches: a node's width and height, between columns, between the rows of two agents.
+WIDE, HIGH, GAP, ROW = 1.5, 0.34, 0.75, 0.72
+
+
+@dataclass(frozen=True, slots=True)
+class WireRow:
+    """One wire in the table.
+
+    taps:     key expressions of the hidden legs that the rewrite made
+    links:    those of the interposers that are links, which do what a network does
+    when:     by interposer, the frames in which it was there, in words, if it came while the run went on
+    branches: the subscribers that have interposers of their own before them
+    before:   by interposer that stands before some subscribers alone, these
+    """
+
+    key: str
+    message: str
+    publisher: str
+    interposers: tuple[str, ...]
+    subscribers: tuple[str, ...]
+    taps: tuple[str, ...]
+    links: tuple[str, ...] = ()
+    when: Mapping[str, str] = field(default_factory=dict)
+    branches: tuple[str, ...] = ()
+    before: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def intercepted(self) -> bool:
+        """Whether a node sits on the wire that is no link."""
+        return len(self.links) < len(self.interposers)
+
+
+def wire_rows(run: RunFolder) -> list[WireRow]:
+    """All wires: the intercepted ones first, then those with links, then by key."""
+    when = live_frames(run)
+    found = [
+        WireRow(
+            wire["key"],
+            wire.get("message", ""),
+            wire.get("publisher", ""),
+            tuple(wire.get("interposers", ())),
+            (*wire.get("subscribers", ()), *(f"{ear['node']} (listens)" for ear in wire.get("listeners", ()))),
+            tuple(leg["key"] for leg in wire.get("legs", ()) if leg["key"] not in ("", wire["key"])),
+            tuple(node for node in wire.get("interposers", ()) if run.role(node) == "link"),
+            {node: when[node] for node in wire.get("interposers", ()) if node in when},
+            tuple(dict.fromkeys(leg["before"] for leg in wire.get("legs", ()) if leg.get("before"))),
+            _before(wire),
+        )
+        for wire in all_wires(run)
+    ]
+    return sorted(found, key=lambda row: (not row.intercepted, not row.interposers, row.key))
+
+
+def _before(wire: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """By interposer that stands before some subscribers alone, these."""
+    found: dict[str, tuple[str, ...]] = {}
+    for leg in wire.get("legs", ()):
+        if leg.get("before"):
+            found[leg["from"]] = (*found.get(leg["from"], ()), leg["before"])
+    return found
+
+
+def all_wires(run: RunFolder) -> list[dict[str, Any]]:
+    """The wires of wiring.json, which is how they were at the end, with the interposers that had left by then."""
+    wires = {wire["key"]: wire for wire in run.wiring.get("wires", [])}
+    for each in interposers(run):
+        for key in each.wires if each.live is not None else ():
+            wire = wires.get(key)
+            if wire is not None and each.name not in wire.get("interposers", ()):
+                wires[key] = _with_interposer(wire, each.name)
+    return list(wires.values())
+
+
+def _with_interposer(wire: dict[str, Any], node: str) -> dict[str, Any]:
+    """A wire with one more node at the end of its trunk; the key on which it heard is not known any more."""
+    legs = list(wire.get("legs", ()))
+    place = next((i for i, leg in enumerate(legs) if leg["key"] == wire["key"]), None)
+    if place is not None:
+        last = legs[place]
+        legs[place : place + 1] = [{**last, "key": "", "to": [node]}, {**last, "from": node}]
+    return {**wire, "legs": legs, "interposers": [*wire.get("interposers", ()), node]}
+
+
+def live_frames(run: RunFolder) -> dict[str, str]:
+    """By interposer that came while the run went on, the frames in which it was on its wire, in words."""
+    found = {each.name: each for each in interposers(run) if each.live is not None}
+    return {
+        name: f"from frame {each.live}" if each.released is None else f"frames {each.live} to {each.released - 1}"
+        for name, each in found.items()
+    }
+
+
+class Spot(NamedTuple):
+    """A node in the drawing. One that sits on wires in two places has a spot in each.
+
+    after: the column after which a node on a wire stands, -1 for all others
+    """
+
+    node: str
+    after: int = -1
+
+
+@dataclass(slots=True)
+class Line:
+    """What runs from one node to another: the message types, and whether one of their wires is intercepted or has a
+
+    link on it.
+    """
+
+    messages: list[str] = field(default_factory=list)
+    intercepted: bool = False
+    linked: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where everything is drawn, in inches, y downwards.
+
+    places: (x, y) of the centre of every spot
+    lines:  by (from, to)
+    floor:  y of the line along which messages go back
+    """
+
+    places: dict[Spot, tuple[float, float]]
+    lines: dict[tuple[Spot, Spot], Line]
+    floor: float
+
+
+def layout(run: RunFolder) -> Layout | None:
+    """Place the nodes of a run in columns by the flow of a frame; None: there is nothing to draw.
+
+    Nodes on a wire stand between its ends, half a row above the agent whose wire it is. Nodes outside the flow
+    (a coordinator) stand above those that they talk to.
+    """
+    wires = [wire for wire in all_wires(run) if wire.get("message") not in _UNDRAWN]
+    lines = _lines(run, wires)
+    spots = sorted({spot for pair in lines for spot in pair})
+    if not spots:
+        return None
+    agents = sorted({s.node for s in spots if run.role(s.node) == "agent"}, key=lambda n: (n != run.ego, _natural(n)))
+    row = {agent: float(index) for index, agent in enumerate(agents)}
+    middle = max(len(agents) - 1, 0) / 2
+
+    seats: dict[Spot, tuple[int, float]] = {}  # of nodes on wires: how far along the chain, which row
+    room: dict[int, int] = defaultdict(int)
+    for wire in wires:
+        after = _gap(run, wire)
+        ends = (wire["publisher"], *wire["subscribers"][:1])
+        for node, (order, before) in _orders(wire).items():
+            beside = next((row[end] for end in (before, *ends) if end in row), middle)
+            seats.setdefault(Spot(node, after), (order, beside - 0.5))
+            room[after] = max(room[after], order + 1)
+    left = [0.0]
+    for index in range(len(FLOW)):
+        left.append(left[-1] + (WIDE + GAP) * (1 + room[index]))
+
+    places: dict[Spot, tuple[float, float]] = {}
+    stacked: dict[str, int] = defaultdict(int)
+    for spot in spots:
+        role = run.role(spot.node)
+        if spot in seats:
+            order, level = seats[spot]
+            places[spot] = left[spot.after] + (WIDE + GAP) * (order + 1), level * ROW
+        elif spot.node in row:
+            places[spot] = left[1], row[spot.node] * ROW
+        elif role in FLOW:
+            places[spot] = left[FLOW.index(role)], (middle + stacked[role]) * ROW
+            stacked[role] += 1
+    above = min((y for _, y in places.values()), default=0.0) - 1.4 * ROW
+    for index, spot in enumerate([spot for spot in spots if spot not in places]):
+        near = [
+            places[other][0] for pair in lines if spot in pair for other in pair if other in places and other != spot
+        ]
+        places[spot] = (sum(near) / len(near) if near else left[1]) + index * (WIDE + 0.2), above
+    return Layout(places, lines, max(y for _, y in places.values()) + 0.8)
+
+
+def _orders(wire: Mapping[str, Any]) -> dict[str, tuple[int, str]]:
+    """Of each node on a wire how many stand before it, and whom alone it stands before; "": before all subscribers."""
+    legs = wire.get("legs", ())
+    if not any(leg.get("before") for leg in legs):
+        return {node: (order, "") for order, node in enumerate(wire.get("interposers", ()))}
+    trunk = [leg["from"] for leg in legs if not leg.get("before")][1:]
+    found = {node: (order, "") for order, node in enumerate(trunk)}
+    passed: dict[str, int] = {}
+    for leg in legs:
+        before = leg.get("before")
+        if before:
+            order = passed.get(before, len(trunk))
+            passed[before] = order + 1
+            found[leg["from"]] = order, before
+    return found
+
+
+def _gap(run: RunFolder, wire: Mapping[str, Any]) -> int:
+    """The column after which nodes on a wire stand."""
+    ends = [run.role(end) for end in (wire["publisher"], *wire["subscribers"][:1])]
+    return min((FLOW.index(role) for role in ends if role in FLOW), default=len(FLOW) - 1)
+
+
+def _lines(run: RunFolder, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], Line]:
+    seated: dict[str, int] = {}
+    for wire in wires:
+        for node in wire.get("interposers", ()):
+            seated[node] = min(seated.get(node, len(FLOW)), _gap(run, wire))
+    lines: dict[tuple[Spot, Spot], Line] = defaultdict(Line)
+    for wire in wires:
+        chain = wire.get("interposers", ())
+        branched = any(leg.get("before") for leg in wire.get("legs", ()))
+
+        def spot(node: str, wire: Mapping[str, Any] = wire, chain: Sequence[str] = chain) -> Spot:
+            return Spot(node, _gap(run, wire) if node in chain else seated.get(node, -1))
+
+        for leg in wire.get("legs") or [{"from": wire["publisher"], "to": wire["subscribers"]}]:
+            listening = [ear["node"] for ear in wire.get("listeners", ()) if ear["key"] == leg.get("key")]
+            for to in (*leg["to"], *listening):
+                if run.role(to) in _LISTENERS:
+                    continue
+                line = lines[spot(leg["from"]), spot(to)]
+                touched = chain if not branched else [node for node in (leg["from"], to) if node in chain]
+                line.intercepted |= any(run.role(node) != "link" for node in touched)
+                line.linked |= any(run.role(node) == "link" for node in touched)
+                if wire["message"] not in line.messages:
+                    line.messages.append(wire["message"])
+    return dict(lines)
+
+
+def _natural(name: str) -> tuple[str, int]:
+    """Sort key that puts infra_2 before infra_10."""
+    stem = name.rstrip("0123456789")
+    return stem, int(name[len(stem) :] or 0)

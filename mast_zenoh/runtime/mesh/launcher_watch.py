@@ -1,0 +1,66 @@
+"""Whether the launcher is there, by its liveliness token: what lives elsewhere does not outlive it for long."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from mast_zenoh.runtime.mesh.node import prefix
+
+#: A file in the folder of temporary files, there while the launcher is: for health checks.
+UP = "mast-up"
+
+
+class LauncherWatch:
+    """Watches whether the launcher is there: a context.
+
+    patience_s: for so long it may be away, at the beginning too; then `leave` is called, once, in a thread
+    """
+
+    def __init__(self, session: zenoh.Session, run: str, patience_s: float, leave: Callable[[], None]) -> None:
+        self.patience_s = patience_s
+        self.gone = False
+        self._leave = leave
+        self._there = False
+        self._changed = threading.Condition()
+        self._over = False
+        handler: Any = zenoh.handlers.Callback(self._note, indirect=False)
+        key = f"{prefix(run)}/@control/launcher"
+        self._subscriber = session.liveliness().declare_subscriber(key, handler, history=True)
+        self._watcher = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> LauncherWatch:
+        self._watcher.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._changed:
+            self._over = True
+            self._changed.notify()
+        self._subscriber.undeclare()
+        (Path(tempfile.gettempdir()) / UP).unlink(missing_ok=True)
+
+    def _note(self, token: zenoh.Sample) -> None:
+        with self._changed:
+            self._there = token.kind == zenoh.SampleKind.PUT
+            self._changed.notify()
+
+    def _watch(self) -> None:
+        up = Path(tempfile.gettempdir()) / UP
+        with self._changed:
+            while not self._over:
+                with contextlib.suppress(OSError):
+                    up.touch() if self._there else up.unlink(missing_ok=True)
+                if self._there:
+                    self._changed.wait()
+                elif not self._changed.wait_for(lambda: self._there or self._over, self.patience_s):
+                    self.gone = True
+                    break
+        if self.gone:
+            self._leave()

@@ -1,0 +1,97 @@
+"""The `main` of a node's process. The launcher starts it for the file of a node, which needs no `main` of its own:
+
+    python -P -m mast_zenoh.runtime nodes/agent.py --run-folder DIR --run ID --name infra_1 --endpoint TCP
+
+A file that ends with `main(TheNode)` can also be started by itself: `python nodes/agent.py --run-folder DIR …`.
+
+The process leaves when it is told to stop, when it gets SIGTERM, and when its standard input closes: the launcher
+holds the other end, so that a launcher that dies, however it dies, takes its nodes with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import faulthandler
+import logging
+import os
+import shutil
+import signal
+import sys
+import threading
+from pathlib import Path
+
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.errors import MastError
+from mast_zenoh.node import Node
+from mast_zenoh.runtime.mesh import hosting
+from mast_zenoh.runtime.mesh.node import MeshNode
+
+ORPHAN_GRACE_S = 2.0
+PR_SET_PDEATHSIG = 1  #: of prctl(2): which signal a process gets when its parent dies
+
+
+def main(node: type[Node] | None = None) -> None:
+    """Run one node as this process; ends the process.
+
+    node: its class; None: the class that the scenario names, in the file that is the first argument
+    """
+    faulthandler.enable()
+    _wake_when_orphaned()
+    parser = argparse.ArgumentParser(description=(node.__doc__ or "").strip() if node else "A node of a run.")
+    if node is None:
+        parser.add_argument("file", type=Path, help="of the node; files beside it can be imported by name")
+    parser.add_argument("--run-folder", type=Path, required=True, help="holds scenario.json, wiring.json, scene.npz")
+    parser.add_argument("--name", required=True, help="which node of the scenario this is")
+    parser.add_argument("--endpoint", required=True, help="of the router, e.g. tcp/127.0.0.1:7447")
+    parser.add_argument("--run", required=True, help="id of the run: all keys begin with mast/RUN/")
+    parser.add_argument("--credentials", type=Path, help="folder of credentials: a secure mesh")
+    parser.add_argument("--without", default="", help="names of nodes that are not up now, separated by commas")
+    parser.add_argument("--stay", action="store_true", help="do not leave when standard input closes")
+    arguments = parser.parse_args()
+    if node is None:
+        sys.path.insert(0, str(arguments.file.parent))  # as if Python had been started with the file
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    try:
+        run(node, arguments)
+    except MastError as error:
+        logging.getLogger("mast").error("%s", error)
+        sys.exit(error.exit_code)
+
+
+def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
+    """Build the node from its run folder and host it until it is told to stop."""
+    hosted: list[MeshNode] = []
+    if not arguments.stay:  # from the very beginning: a launcher may be killed while we are still starting
+        threading.Thread(target=_leave_with_launcher, args=(hosted, arguments.credentials), daemon=True).start()
+    os.chdir(arguments.run_folder)
+    resolved = Resolved.read(Path())
+    built = hosting.build(resolved, arguments.name, node, f"{arguments.run_folder}/scenario.json")
+    if resolved.mode == "lockstep":
+        hosting.compute_in_peace()  # before there is a session, so that Zenoh's threads do so too
+    with hosting.join(arguments.endpoint, arguments.credentials, patient=resolved.patient) as session:
+        without = [name for name in arguments.without.split(",") if name]
+        signatures = hosting.signatures(arguments.run, arguments.credentials)
+        hosted.append(hosting.host(resolved, arguments.run, arguments.name, built, session, without, signatures))
+        hosted[0].run_until_stopped()
+
+
+def _wake_when_orphaned() -> None:
+    """A process that stands still does not see that its launcher has gone: have the kernel make it go on then."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
+
+
+def _leave_with_launcher(hosted: list[MeshNode], credentials: Path | None) -> None:
+    """Wait for the end of standard input; then leave, at the latest after a grace. No key stays behind."""
+    while os.read(0, 4096):
+        pass
+    if credentials is not None:
+        shutil.rmtree(credentials, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            credentials.parent.rmdir()  # by whoever is the last
+    for node in hosted:
+        node.inbox.put(("stop", "orphaned"))
+        threading.Event().wait(ORPHAN_GRACE_S)
+    os._exit(3)

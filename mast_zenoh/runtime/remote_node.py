@@ -1,0 +1,130 @@
+"""`mast-node`: a node, or the router, that lives where the run folder is not: in a container, on another host.
+
+    mast-node --name infra_1 --run ID --endpoint tcp/HOST:7447 [--credentials DIR] [--patience S]
+    mast-node --router --run ID --listen tcp/0.0.0.0:7447 [--settings FILE] [--patience S]
+
+A node asks the launcher for what it needs, and gives it what it has written (`runtime.file_client`). Nobody holds its
+standard input: it leaves by itself when the launcher has been gone for a while (`runtime.launcher_watch`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import json
+import logging
+import os
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import zenoh
+
+from mast_zenoh import version
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.errors import MastError, StartError
+from mast_zenoh.runtime.file_client import FileClient, HandIn, written_by
+from mast_zenoh.runtime.mesh import hosting
+from mast_zenoh.runtime.mesh.launcher_watch import LauncherWatch
+from mast_zenoh.runtime.mesh.session import open_router
+from mast_zenoh.security.credentials import Credentials
+
+#: Seconds for which a node goes on without a launcher, unless told otherwise.
+PATIENCE_S = 30.0
+
+#: Seconds within which a node must find the router, at least: everything is only just coming up.
+JOIN_S = 60.0
+
+_GRACE_S = 2.0  # for a node that leaves without a launcher; the router goes that much later
+
+log = logging.getLogger("mast")
+
+
+def main() -> None:
+    """The console script; ends the process, with the exit code of what went wrong."""
+    os.umask(0o077)  # nobody but the launcher gets what a node writes here
+    faulthandler.enable()
+    parser = argparse.ArgumentParser(prog="mast-node", description="A node of a run, or its router, on this host.")
+    parser.add_argument("--run", required=True, help="id of the run: all keys begin with mast/RUN/")
+    parser.add_argument("--name", help="which node of the scenario this is")
+    parser.add_argument("--endpoint", help="of the router, e.g. tcp/router:7447")
+    parser.add_argument("--credentials", type=Path, help="folder of credentials: a secure mesh")
+    parser.add_argument("--router", action="store_true", help="be the router of the run")
+    parser.add_argument("--listen", default="tcp/0.0.0.0:7447", help="where the router listens")
+    parser.add_argument("--settings", type=Path, help="the router's further settings: a JSON file")
+    parser.add_argument("--patience", type=float, default=PATIENCE_S, help="seconds to stay without the launcher")
+    arguments = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    if not arguments.router and not (arguments.name and arguments.endpoint):
+        parser.error("a node needs --name and --endpoint")
+    try:
+        (_route if arguments.router else _host)(arguments)
+    except MastError as error:
+        log.error("%s", error)
+        sys.exit(error.exit_code)
+
+
+def _route(arguments: argparse.Namespace) -> None:
+    """Be the router until SIGTERM, or until there is no launcher."""
+    security = json.loads(arguments.settings.read_text()) if arguments.settings else None
+    leave = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: leave.set())
+    session, endpoint = open_router(arguments.listen, security=security, links_may_be_cut=True)
+    with session, LauncherWatch(session, arguments.run, arguments.patience + _GRACE_S, leave.set) as watch:
+        log.info("mast-zenoh %s: router at %s", version.version_string(), endpoint)
+        leave.wait()
+        if watch.gone:
+            log.warning("no launcher for %.0f s: leaving", watch.patience_s)
+
+
+def _host(arguments: argparse.Namespace) -> None:
+    """Fetch what the node needs, host it until it is told to stop, hand in what it has written."""
+    credentials = Credentials.read(arguments.credentials) if arguments.credentials else None
+    run, name = arguments.run, arguments.name
+    with tempfile.TemporaryDirectory(prefix="mast-") as own, _join(arguments, credentials) as session:
+        leave: list[Callable[[], None]] = [lambda: os._exit(3)]  # nothing to hand in yet
+        with LauncherWatch(session, run, arguments.patience, lambda: leave[0]()):
+            folder, client = Path(own), FileClient(session, run, name)
+            without = client.fetch(folder, arguments.patience)
+            os.chdir(folder)
+            resolved = Resolved.read(folder)
+            if resolved.mode == "lockstep":
+                hosting.compute_in_peace()
+            built = hosting.build(resolved, name)
+            signatures = hosting.signatures(run, credentials)
+            hosted = hosting.host(resolved, run, name, built, session, without, signatures)
+            hosted.of_host = {"versions": version.versions(), "clock": client.clock}
+
+            def orphaned() -> None:
+                hosted.inbox.put(("stop", "orphaned"))
+                threading.Event().wait(_GRACE_S)
+                os._exit(3)
+
+            leave[0] = orphaned
+            with HandIn(client, folder, written_by(resolved, name, built)):
+                hosted.run_until_stopped()
+
+
+def _join(arguments: argparse.Namespace, credentials: Credentials | None) -> zenoh.Session:
+    """A session on the mesh; ends the process when there is no router for too long."""
+    seconds = max(JOIN_S, arguments.patience)
+
+    def give_up() -> None:
+        log.error("the router at %s cannot be reached within %.0f s: leaving", arguments.endpoint, seconds)
+        os._exit(StartError.exit_code)
+
+    deadline = threading.Timer(seconds, give_up)
+    deadline.daemon = True
+    deadline.start()
+    try:
+        return hosting.join(arguments.endpoint, credentials)
+    finally:
+        deadline.cancel()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Which ports of which nodes an entry of a key-expression map means. Pure functions."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from mast_zenoh.errors import WiringError, nearest
+from mast_zenoh.wiring.model import Endpoint
+
+#: Roles that a map may name even where a scenario has no such node.
+ROLES = (
+    *("simulator", "agent", "broker", "command_center", "adversary", "coordinator", "link"),
+    *("evaluator", "recorder", "visualizer"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class NodeOptions:
+    """The part of a node that the wiring depends on: its role, its ports, and the options that bind it to a wire."""
+
+    role: str
+    options: Mapping[str, str]
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+
+
+def members(
+    role: str,
+    nodes: Mapping[str, NodeOptions],
+    place: str,
+    *,
+    placeholder: str = "",
+    subject: str = "",
+    node: str | None = None,
+) -> dict[str, NodeOptions]:
+    """The nodes of a role that belong to one subject of a placeholder; without a placeholder, all of them.
+
+    A node belongs to the subject that it is itself, or that its option of the placeholder's name names. If no node of
+    the role has that option, all of them belong to every subject.
+
+    node: leave out all but the node of this name
+
+    Raises WiringError for an unknown role, and for a name that no node of the role has.
+    """
+    roles = {*ROLES, *(other.role for other in nodes.values())}
+    if role not in roles:
+        raise WiringError(f"{place}: no role {role!r}{nearest(role, roles)}")
+    of_role = {name: other for name, other in nodes.items() if other.role == role}
+    if node is not None and node not in of_role:
+        raise WiringError(f"{place}: node: no {role} is called {node!r}{nearest(node, of_role)}")
+    if role == placeholder:
+        of_role = {subject: of_role[subject]}
+    elif placeholder and any(placeholder in other.options for other in of_role.values()):
+        of_role = {name: other for name, other in of_role.items() if other.options.get(placeholder) == subject}
+    return {name: other for name, other in of_role.items() if node in (None, name)}
+
+
+def ports(
+    nodes: Mapping[str, NodeOptions],
+    port: str,
+    message: str,
+    place: str,
+    *,
+    output: bool = False,
+    optional: Collection[str] = (),
+) -> list[Endpoint]:
+    """The port of each node; `optional` ports are left out where a node has none of that name.
+
+    Raises WiringError where a node has no such port, or one for another message type.
+    """
+    ends = []
+    for name, node in nodes.items():
+        known = node.outputs if output else node.inputs
+        side = "output" if output else "input"
+        if port not in known and port in optional:
+            continue
+        if port not in known:
+            raise WiringError(f"{place}: {name} has no {side} port {port!r}{nearest(port, known)}")
+        if known[port] != message:
+            raise WiringError(f"{place}: {name}.{port} carries {known[port]!r} messages, the wire {message!r}")
+        ends.append(Endpoint(name, port))
+    return ends

@@ -1,0 +1,273 @@
+"""Key-expression maps: who talks to whom on which key, and how nodes are put into wires. Pure functions.
+
+A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inserts nodes, or adds subscribers.
+
+    [[wire]]
+    key = "agent/{agent}/detections"      # at most one placeholder, named after a role
+    message = "detections"
+    from = "simulator.detections"         # role.port
+    to = ["agent.detections"]
+
+    [[insert]]
+    wire = "agent/{agent}/detections"     # or one agent's wire: "agent/ego/detections"
+    role = "adversary"                    # every node of the role whose option `agent` is the wire's agent
+    input = "detections"
+    output = "detections_out"
+    node = "adversary_1"                  # optional: this node alone
+
+    [[listen]]
+    wire = "agent/*/pose"                 # every agent's; "agent/ego/pose": one; "agent/{agent}/pose": that of its own
+    role = "adversary"
+    input = "poses"
+    leg = "source"                        # optional: what the publisher sends, before any interposer
+    node = "adversary_1"                  # optional: this node alone
+
+`{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means: the node that the
+placeholder names, if it is of that role; else the nodes of the role whose option of the placeholder's name has its
+value (`adversary` with `agent="infra_1"`); else, if none has such an option, all nodes of the role.
+
+A chain on a wire K turns `publisher -> K -> subscribers` into `publisher -> K/@tap/0 -> node -> K/@tap/1 -> node -> K`:
+the subscribers' key stays as it is, and wildcards do not match the tap legs' verbatim chunk.
+
+With `to`, a rewrite stands before the subscribers of one role alone, and the others hear K as before:
+
+    [[insert]]
+    wire = "cc/picture"
+    role = "link"
+    input = "picture"
+    output = "picture_out"
+    to = "agent"                          # each link before the agent that its option `agent` names
+
+That makes a branch, `K -> node -> K/@tap/{subscriber}/0 -> node -> K/@tap/{subscriber}/1 -> subscriber`, on which nodes
+stand in the order of the rewrites; only the key of that one subscriber is another. A branch begins where the trunk
+ends: nodes on the trunk come before all branches.
+
+All wires are resolved first, then the inserts in order, then the listeners. A listener hears K, behind the trunk's
+interposers and before the branches, unless it asks for the source.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from mast_zenoh.errors import WiringError, nearest
+from mast_zenoh.messages.schemas import SCHEMAS
+from mast_zenoh.wiring import rewrites
+from mast_zenoh.wiring.endpoints import NodeOptions, members, ports
+from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Listener, Wire, Wiring
+
+_CHUNK = re.compile(r"[A-Za-z0-9_.\-]+")
+_PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
+_ENDPOINT = re.compile(r"([a-z_]+)\.([a-z_]+)")
+
+#: The keys of an entry of each kind: required, optional.
+_KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "wire": (("key", "message", "from", "to"), ()),
+    "insert": (("wire", "role", "input", "output"), ("to", "node")),
+    "listen": (("wire", "role", "input"), ("leg", "node")),
+}
+
+#: Rewrites of earlier versions, and those that do the same now.
+RENAMED = {
+    "uncoordinated.toml": ("on_detections.toml",),
+    "coordinated.toml": ("on_tracks.toml", "coordination.toml"),
+    "passthrough.toml": ("on_detections.toml", "on_tracks.toml"),
+}
+
+#: (name of a file, content) of a map and its rewrites.
+Sources = Sequence[tuple[str, Mapping[str, Any]]]
+
+
+def load(path: Path) -> dict[str, Any]:
+    """A map or rewrite file as a dict; raises WiringError where it is missing or no TOML."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        if path.name in RENAMED:
+            successors = " and ".join(repr(name) for name in RENAMED[path.name])
+            raise WiringError(
+                f"{path.name}: rewrites are named after the wires that they take: name {successors} instead"
+            ) from None
+        beside = [other.name for other in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+        raise WiringError(f"{path}: no such key-expression map{nearest(path.name, beside)}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise WiringError(f"{path}: not TOML: {error}") from None
+
+
+def resolve(
+    sources: Sources,
+    nodes: Mapping[str, NodeOptions],
+    optional: Mapping[str, Collection[str]] = MappingProxyType({}),
+) -> Wiring:
+    """The wiring of `nodes` under a map followed by rewrites, each given as (its file's name, its content).
+
+    optional: by role, ports that a node of that role may do without: wires pass it by. (A user's adversary need not
+    take the pose that ours takes.)
+
+    A node with an input port of the type `ANY` hears every key without being named in a map.
+
+    Raises WiringError, naming the file and the entry, for unknown keys, roles, nodes, ports or messages, invalid key
+    expressions, a wire with more than one publisher, a node twice on one wire, a rewrite of no wire, one before a role
+    that does not hear the wire, a node that would hear itself, and an entry that names a wire and affects no node.
+    """
+    for name in nodes:
+        if not _CHUNK.fullmatch(name):
+            raise WiringError(f"node {name!r}: a node's name is one chunk of a key expression: letters, digits, _ . -")
+    for file, content in sources:
+        _check_keys(content, _KEYS, file)
+    wires: dict[str, Wire] = {}
+    templates: dict[str, list[str]] = {}
+    hearing: dict[str, set[str]] = {}  # the roles that a template names as subscribers
+    for place, entry in _entries(sources, "wire"):
+        if entry["key"] in templates:
+            raise WiringError(f"{place}: the wire {entry['key']!r} has a publisher already")
+        templates[entry["key"]] = []
+        hearing[entry["key"]] = {str(reference).partition(".")[0] for reference in _listed(entry["to"])}
+        for wire in _instances(entry, nodes, optional, place):
+            if wire.key in wires:
+                raise WiringError(f"{place}: the key {wire.key!r} has a publisher already")
+            wires[wire.key] = wire
+            templates[entry["key"]].append(wire.key)
+    for place, entry in _entries(sources, "insert"):
+        template = _matching(entry["wire"], templates, place)
+        keys = templates[template] if entry["wire"] == template else [entry["wire"]]
+        if "to" in entry and entry["to"] not in list(hearing[template]):
+            hint = nearest(str(entry["to"]), hearing[template])
+            raise WiringError(f"{place}: to: no role {entry['to']!r} hears the wire {template!r}{hint}")
+        if entry["wire"] != template:
+            _check_affected(entry, _placeholder(template), [wires[key] for key in keys], nodes, place)
+        for key in keys:
+            wires[key] = rewrites.insert(wires[key], entry, _placeholder(template), nodes, place)
+    for place, entry in _entries(sources, "listen"):
+        template = _matching(entry["wire"], templates, place, every=True)
+        keys = [entry["wire"]] if entry["wire"] in wires else templates[template]
+        _check_affected(entry, _placeholder(entry["wire"]), [wires[key] for key in keys], nodes, place)
+        for key in keys:
+            wires[key] = _listen(wires[key], entry, nodes, place)
+    return Wiring(tuple(wires.values()), _overhearers(nodes))
+
+
+def _instances(
+    entry: Mapping[str, Any],
+    nodes: Mapping[str, NodeOptions],
+    optional: Mapping[str, Collection[str]],
+    place: str,
+) -> Iterator[Wire]:
+    """The wires that one entry stands for: one for each value of its placeholder."""
+    template, message = entry["key"], entry["message"]
+    if message not in SCHEMAS:
+        raise WiringError(f"{place}: no message type {message!r}{nearest(message, SCHEMAS)}")
+    placeholders = _PLACEHOLDER.findall(template)
+    if len(placeholders) > 1:
+        raise WiringError(f"{place}: {template!r} has {len(placeholders)} placeholders, at most one is allowed")
+    placeholder = _placeholder(template)
+    for subject in [name for name, node in nodes.items() if node.role == placeholder] if placeholder else [""]:
+
+        def endpoints(reference: object, output: bool = False, subject: str = subject) -> list[Endpoint]:
+            match = _ENDPOINT.fullmatch(str(reference))
+            if not match:
+                raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port")
+            role, port = match.groups()
+            meant = members(role, nodes, place, placeholder=placeholder, subject=subject)
+            return ports(meant, port, message, place, output=output, optional=optional.get(role, ()))
+
+        key = template.replace(f"{{{placeholder}}}", subject)
+        for chunk in key.split("/"):
+            if not _CHUNK.fullmatch(chunk):
+                raise WiringError(f"{place}: {key!r} is not a valid key expression: chunk {chunk!r}")
+        publishers = endpoints(entry["from"], output=True)
+        if not publishers:
+            continue
+        if len(publishers) > 1:
+            names = ", ".join(end.node for end in publishers)
+            raise WiringError(f"{place}: the key {key!r} has {len(publishers)} publishers ({names}), expected one")
+        subscribers = [end for reference in _listed(entry["to"]) for end in endpoints(reference)]
+        if any(end.node == publishers[0].node for end in subscribers):
+            raise WiringError(f"{place}: {publishers[0].node} would hear itself on {key!r}")
+        yield Wire(key, subject, message, (Leg(key, publishers[0], tuple(subscribers)),))
+
+
+def _matching(wire: object, templates: Mapping[str, list[str]], place: str, *, every: bool = False) -> str:
+    """The template that a rewrite's `wire` names: by itself, by a key that it stands for, or by `*` if `every`."""
+    for template, keys in templates.items():
+        if wire in (template, *keys) or (every and wire == _PLACEHOLDER.sub("*", template)):
+            return template
+    known = {*templates, *(key for keys in templates.values() for key in keys)}
+    raise WiringError(f"{place}: no wire {wire!r}{nearest(str(wire), known)}")
+
+
+def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOptions], place: str) -> Wire:
+    """The wire with the listeners of one entry."""
+    if entry.get("leg", "source") != "source":
+        raise WiringError(f"{place}: leg: found {entry['leg']!r}, expected 'source', or no `leg`")
+    placeholder, node = _placeholder(entry["wire"]), entry.get("node")
+    listening = members(entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject, node=node)
+    ends = ports(listening, entry["input"], wire.message, place)
+    return rewrites.listen(wire, [Listener(end, "leg" in entry) for end in ends], place, every="*" in entry["wire"])
+
+
+def _check_affected(
+    entry: Mapping[str, Any], placeholder: str, wires: Sequence[Wire], nodes: Mapping[str, NodeOptions], place: str
+) -> None:
+    """Raise WiringError where nodes of the entry's role exist, but none of them belongs to any of these wires."""
+    role, node = entry["role"], entry.get("node")
+    candidates = members(role, nodes, place, node=node)
+    for wire in wires:
+        if members(role, nodes, place, placeholder=placeholder, subject=wire.subject, node=node):
+            return
+    if wires and candidates:
+        names = ", ".join(f"{name} ({options.options.get(placeholder)})" for name, options in candidates.items())
+        raise WiringError(
+            f"{place}: no {role} belongs to {entry['wire']!r}: expected one with {placeholder}={wires[0].subject!r}, "
+            f"found {names}"
+        )
+
+
+def _overhearers(nodes: Mapping[str, NodeOptions]) -> tuple[Endpoint, ...]:
+    """The ports that hear every key."""
+    ends = tuple(
+        Endpoint(name, port) for name, node in nodes.items() for port, message in node.inputs.items() if message == ANY
+    )
+    for end in ends:
+        if len(nodes[end.node].inputs) > 1 or nodes[end.node].outputs:
+            raise WiringError(f"node {end.node!r}: who hears every key on one port ({end.port!r}) has no other port")
+    return ends
+
+
+def _placeholder(template: str) -> str:
+    """The role in the braces of a template; "" where it has none."""
+    return "".join(_PLACEHOLDER.findall(template))
+
+
+def _listed(to: object) -> list[object]:
+    return list(to) if isinstance(to, (list, tuple)) else [to]
+
+
+def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """(place, entry) of all entries of one kind, in order; raises WiringError for one with wrong keys or values."""
+    required, optional = _KEYS[kind]
+    for file, content in sources:
+        for index, entry in enumerate(content.get(kind, ())):
+            place = f"{file}: {kind} {index + 1}"
+            _check_keys(entry, (*required, *optional), place, required=required)
+            for key in ("key", "message", "from", "wire", "role", "input", "output", "leg", "node"):
+                if not isinstance(entry.get(key, ""), str):
+                    raise WiringError(f"{place}: {key}: found {entry[key]!r}, expected a string")
+            yield place, entry
+
+
+def _check_keys(
+    entry: Mapping[str, Any], known: Collection[str], place: str, *, required: Collection[str] = ()
+) -> None:
+    if not isinstance(entry, Mapping):
+        raise WiringError(f"{place}: found {type(entry).__name__}, expected a table")
+    for key in entry:
+        if key not in known:
+            raise WiringError(f"{place}: unknown key {key!r}{nearest(key, known)}")
+    if missing := sorted(set(required) - entry.keys()):
+        raise WiringError(f"{place}: missing {', '.join(missing)}")

@@ -1,0 +1,156 @@
+"""Messages as a node gets them: decoded, to be passed on as they are, or overheard on any key of the run."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body, Header, Message, same_columns
+from mast_zenoh.messages.timespan import Timespan
+from mast_zenoh.wiring.model import Input
+
+
+class Received(NamedTuple):
+    """A message as a node gets it.
+
+    message: header and columns (read-only arrays)
+    subject: the name in the wire's key: "infra_1" on agent/infra_1/tracks, "" on cc/picture
+    payload: the bytes as they came; None where they were never bytes (one process)
+    step:    the frame that the run was at when it was sent; later than the message's own frame if it was held up
+    """
+
+    message: Message
+    subject: str
+    payload: bytes | None = None
+    step: int = -1
+
+    @property
+    def frame(self) -> int:
+        """The frame that the message is about."""
+        return self.message.header.frame
+
+    @property
+    def time_ns(self) -> int:
+        """The time of that frame, ns since the scene began."""
+        return self.message.header.time_ns
+
+    @property
+    def body(self) -> Body:
+        """The columns."""
+        return self.message.body
+
+    @property
+    def schema(self) -> str:
+        """Its message type."""
+        return self.message.header.schema
+
+    @property
+    def encoded(self) -> bytes:
+        """Its bytes: as they came, or as they would have been sent."""
+        return codec.encode(self.message) if self.payload is None else self.payload
+
+
+class Unopened(Received):
+    """A message that a node only passes on, not decoded yet: accessing its content may raise MessageError.
+
+    Made of (message type, subject, payload, step).
+    """
+
+    __slots__ = ()
+
+    @property
+    def message(self) -> Message:
+        """Decoded now: its header, and its body when somebody looks at that."""
+        assert self.payload is not None
+        return codec.decode_unopened(self.payload, self.schema)
+
+    @property
+    def schema(self) -> str:
+        """That of its wire; what is in it may be anything."""
+        return str(self[0])
+
+
+class Overheard:
+    """A message as a node gets it that hears every key (an input port of the type `wiring.ANY`).
+
+    Nothing is decoded before it is asked for, so that a node may pass over what it does not need.
+
+    key:     on which it came, tap legs included
+    wire:    what is known of that key: subject, message type, the node that publishes the wire
+    step:    frame that the run was at when the message was sent; -1: unknown
+    """
+
+    __slots__ = ("_content", "_flaw", "_header", "_now", "_timespan", "key", "step", "wire")
+
+    def __init__(
+        self,
+        key: str,
+        wire: Input,
+        content: bytes | Message,
+        step: int,
+        flaw: str = "",
+        timespan: Timespan | None = None,
+        now: int = -1,
+    ) -> None:
+        """content: the bytes as sent, in one process the message itself; flaw: why a receiver refuses the latter.
+
+        timespan: what frames and times it can have, None: any; now: frame that the run is at, where `step` is unknown
+        """
+        self.key, self.wire, self.step = key, wire, step
+        self._timespan, self._now = timespan, now
+        self._content, self._flaw = content, flaw
+        self._header: Header | None = None
+
+    @property
+    def payload(self) -> bytes:
+        """The bytes as they were sent, or as they would have been."""
+        return self._content if isinstance(self._content, bytes) else codec.encode(self._content)
+
+    @property
+    def header(self) -> Header:
+        """The header; raises MessageError where there is none, or it names another node than the wire's publisher."""
+        header = self._header
+        if header is None:
+            content, wire = self._content, self.wire
+            header = content.header if isinstance(content, Message) else codec.decode_header_only(content, wire.message)
+            if header.source != wire.source:
+                raise MessageError(f"{wire.message}: source {header.source[:40]!r}, expected {wire.source!r}")
+            self._header = header
+        return header
+
+    @property
+    def body(self) -> Body:
+        """The columns, decoded at each call; raises MessageError wherever a subscriber of the key would refuse them."""
+        if isinstance(self._content, Message):
+            if self._flaw:
+                raise MessageError(self._flaw)
+            return self._content.body
+        return codec.decode(self._content, self.wire.message).body
+
+    def check(self) -> None:
+        """Raise MessageError wherever a subscriber of the key would refuse the message."""
+        _ = self.header, self.body
+        self.check_time()
+
+    def check_time(self) -> None:
+        """Raise MessageError where a subscriber would refuse the header, or its frame and time."""
+        header = self.header
+        if self._timespan is not None:
+            refusal = self._timespan.refusal(header, self.step if self.step >= 0 else self._now)
+            if refusal:
+                raise MessageError(refusal)
+
+    @property
+    def encoded(self) -> bool:
+        """Whether it came as bytes, so that its columns are views that keep all of it alive."""
+        return isinstance(self._content, bytes)
+
+    def same_bytes(self, other: Overheard) -> bool:
+        """Whether both are the same bytes, or would be if they were sent."""
+        mine, others = self._content, other._content
+        if mine is others:
+            return True
+        if isinstance(mine, Message) and isinstance(others, Message):
+            return mine.header == others.header and same_columns(mine.body, others.body)
+        return self.payload == other.payload

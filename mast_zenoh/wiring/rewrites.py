@@ -1,0 +1,93 @@
+"""What the entries of a rewrite do to a wire: `[[insert]]` puts nodes into it, `[[listen]]` adds subscribers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from mast_zenoh.errors import WiringError
+from mast_zenoh.wiring.endpoints import NodeOptions, members, ports
+from mast_zenoh.wiring.model import TAP, Branch, Endpoint, Leg, Listener, Wire
+
+
+def insert(
+    wire: Wire, entry: Mapping[str, Any], placeholder: str, nodes: Mapping[str, NodeOptions], place: str
+) -> Wire:
+    """The wire with the nodes of an `[[insert]]` before its subscribers, or before the subscriber of the role `to`.
+
+    Raises WiringError for a node without the ports, a node that is on the wire already, and an ambiguous `to`.
+    """
+    inserted = members(
+        entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject, node=entry.get("node")
+    )
+    into = ports(inserted, entry["input"], wire.message, place)
+    out = ports(inserted, entry["output"], wire.message, place, output=True)
+    for entrance, exit_ in zip(into, out, strict=True):
+        subscriber = _subscriber(wire, entrance.node, entry["to"], nodes, place) if "to" in entry else None
+        if "to" in entry and subscriber is None:
+            continue
+        on_wire = {wire.legs[0].publisher.node, *wire.interposers, *(end.node for end in wire.subscribers)}
+        if entrance.node in on_wire:
+            raise WiringError(f"{place}: {entrance.node} is on the wire {wire.key!r} already: that would be a loop")
+        if subscriber is not None:
+            wire = _on_branch(wire, entrance, exit_, subscriber)
+        else:
+            *before, last = wire.legs
+            tap = f"{wire.key}/{TAP}/{len(before)}"
+            legs = (*before, Leg(tap, last.publisher, (entrance,)), Leg(wire.key, exit_, last.subscribers))
+            wire = replace(wire, legs=legs)
+    return wire
+
+
+def listen(wire: Wire, listeners: list[Listener], place: str, *, every: bool) -> Wire:
+    """The wire with more listeners. A node hears a wire once, and never what it publishes or passes on itself.
+
+    every: the entry means every wire of its kind: a node that cannot listen to this one is left out. Otherwise
+           WiringError is raised, unless the node hears the wire already as the entry asks.
+    """
+    for new in listeners:
+        node = new.end.node
+        heard = {known.end.node: known for known in (*map(Listener, wire.subscribers), *wire.listeners)}
+        if node in (wire.legs[0].publisher.node, *wire.interposers):
+            if not every:
+                raise WiringError(f"{place}: {node} publishes or passes on {wire.key!r}: it would hear itself")
+        elif node not in heard:
+            wire = replace(wire, listeners=(*wire.listeners, new))
+        elif not every and heard[node] != new:
+            where = f"its port {heard[node].end.port!r}{' at the source' if heard[node].source else ''}"
+            raise WiringError(f"{place}: {node} hears {wire.key!r} already, on {where}: a node hears a wire once")
+    return wire
+
+
+def _subscriber(wire: Wire, node: str, role: str, nodes: Mapping[str, NodeOptions], place: str) -> Endpoint | None:
+    """The subscriber of `role` that a node is to stand before: the one that its option of the role's name names,
+
+    else the only one. None: it stands before none of this wire.
+    """
+    ends = [end for end in wire.subscribers if nodes[end.node].role == role]
+    named = nodes[node].options.get(role)
+    if named is not None:
+        ends = [end for end in ends if end.node == named]
+    if len(ends) > 1:
+        names = ", ".join(end.node for end in ends)
+        raise WiringError(
+            f"{place}: {wire.key!r} is for {names}: an option `{role}` must say before which {node} stands"
+        )
+    return ends[0] if ends else None
+
+
+def _on_branch(wire: Wire, entrance: Endpoint, exit_: Endpoint, subscriber: Endpoint) -> Wire:
+    """The wire with a node at the end of the branch to `subscriber`, which begins with it if there is none."""
+    branches = {branch.subscriber: branch for branch in wire.branches}
+    branch = branches.get(subscriber)
+    legs = branch.legs if branch else ()
+    last = Leg(f"{wire.key}/{TAP}/{subscriber.node}/{len(legs)}", exit_, (subscriber,))
+    if branch:
+        legs = (*legs[:-1], replace(legs[-1], subscribers=(entrance,)), last)
+        branches[subscriber] = replace(branch, legs=legs)
+        return replace(wire, branches=tuple(branches.values()))
+    *before, end = wire.legs
+    heard_by = tuple(entrance if other == subscriber else other for other in end.subscribers)
+    branches[subscriber] = Branch(entrance, subscriber, (last,))
+    return replace(wire, legs=(*before, replace(end, subscribers=heard_by)), branches=tuple(branches.values()))
