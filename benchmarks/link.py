@@ -130,7 +130,7 @@ def link(endpoint: str, way: str) -> None:
         more = {"signatures": Signatures(way), "period_ns": PERIOD_NS, "lockstep": False}
         hosted = MeshNode(way, "link_ego", node, wiring(), 0, session, **more)
         hosted.note_arrivals()
-        gc.freeze()  # as runtime/process.py does
+        gc.freeze()  # as runtime/mesh/main.py does
         gc.set_threshold(50_000, 20, 20)
         hosted.run_until_stopped()
 

@@ -19,7 +19,7 @@ _SUFFIXES = (".py", ".pyx", ".pxd")
 
 @cache
 def fingerprint() -> str:
-    """A digest of the sources that decide what nodes do, twelve hexadecimal digits: checkouts of a version may differ."""
+    """A digest of the sources that decide what nodes do: twelve hexadecimal digits."""
     digest = hashlib.blake2b(digest_size=6)
     for path in sorted(path for path in _PACKAGE.rglob("*") if path.suffix in _SUFFIXES):
         name = path.relative_to(_PACKAGE)

@@ -33,7 +33,7 @@ _HOST_FIGURES = ("delay_ms", "jitter_ms", "loss", "bits_per_s")
 _MAX_HOSTS = 200
 _LEAST_BITS_PER_S = 8_000.0
 
-#: A link of which nothing is acknowledged for 1.5 s ends (runtime/session.py): there and back must take less.
+#: A link of which nothing is acknowledged for 1.5 s ends (runtime/mesh/session.py): there and back must take less.
 _MOST_MS = 500.0
 
 

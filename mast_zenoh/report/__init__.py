@@ -1,19 +1,13 @@
 """Tables, figures and pages of a run, or of several compared. See docs/report.md and docs/studies.md.
 
-runfolder, files     what a run left behind
-comparison           the run that another one is compared with
-changes              what changed, of all kinds, and what it is due to
-words, phrases       the result in words;  terminal: on the terminal
-table                the table of scores
-interposers          what each interposer did, and its verdict
-achievement, explanations   what attacks achieved, and why something had limited effect
-driving              what estimates would mean for driving
-faulted, causes      what runs with links, faults or a wall clock have more
-view                 what pictures show of a frame, and of which frame
-birdseye, camera, figures, charts, bands, timeaxis, style   drawing
-wiring, diagram      the wires and the nodes on them
-illustrations        which figures a page has;  html, page: the pages themselves
-study_*              tables, figures and pages of studies with trials;  attempts_table: of outsiders
+runfolder, files   what a run left behind
+comparison         the run that another one is compared with
+figures/           the pictures and charts of runs and of studies
+tables/            rows and cells, for every output
+narrative/         results in words
+html, study_page   the pages, made by page of templates/;  faulted: parts for runs with links, faults or a wall clock
+terminal           results on the terminal
+study_facts        what a study consisted of
 """
 
 from mast_zenoh.report.figures import backend  # noqa: F401  # first: imports Matplotlib

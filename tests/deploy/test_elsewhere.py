@@ -68,8 +68,8 @@ def scenario(n_infrastructure=1):
     return loaded
 """
 NODE = """
-from mast_zenoh.bundle import ROOT
-from mast_zenoh.loading import node_class
+from mast_zenoh.config.bundle import ROOT
+from mast_zenoh.config.loading import node_class
 from numbers_of_mine import RADIUS
 
 

@@ -20,7 +20,7 @@ FILES = {
     "hider": """
 import numpy as np
 
-from mast_zenoh.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.node import Node
 
 

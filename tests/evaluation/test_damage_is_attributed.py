@@ -13,7 +13,7 @@ ADVERSARY = """
 import numpy as np
 
 from mast_zenoh.messages import codec
-from mast_zenoh.messages import Message
+from mast_zenoh.messages.schemas import Message
 from mast_zenoh.node import Node
 
 
