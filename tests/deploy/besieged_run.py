@@ -116,7 +116,8 @@ def play(
     places = {name: folder / name for name in ("home", "work", "tmp")}
     for place in places.values():
         place.mkdir(parents=True)
-    beside = [str(Path(__file__).parent), str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    own = [str(Path(__file__).parent), str(Path(failing.__file__).parent)]
+    beside = [*own, *filter(None, [os.environ.get("PYTHONPATH")])]
     paths = {"HOME": places["home"], "TMPDIR": places["tmp"], **{f"XDG_{x}_HOME": folder / x for x in _XDG}}
     with (folder / "console").open("wb") as console:
         process = subprocess.Popen(

@@ -9,12 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from containers import base
 
 from mast_zenoh import scenario
 from mast_zenoh.deploy.ssh import hostsfile
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "deploy"))
-from containers import base
 
 PAGE = Path(__file__).parents[2] / "docs" / "deploy.md"
 

@@ -27,7 +27,7 @@ class Ended:
 
     def __init__(self, out: Path, command: Sequence[str], **options: object) -> None:
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        beside = {"env": {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}}
+        beside = {"env": {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "support")}}
         done = subprocess.run(
             [*command, str(out)], text=True, cwd=out.parent, timeout=120, **(pipes | beside | options)
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 import threading
 import time
@@ -13,8 +12,6 @@ from pathlib import Path
 import psutil
 import pytest
 from launched import MAST, Launched
-
-sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("control", "deploy", "runtime")]
 
 
 @pytest.fixture

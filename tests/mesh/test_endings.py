@@ -198,7 +198,7 @@ def test_a_launcher_that_was_suspended_for_long_fails_a_run_whose_nodes_live_els
 def test_a_launcher_killed_at_any_stage_takes_its_nodes_with_it(
     start: Callable[..., Launched], stage: str, tmp_path: Path
 ) -> None:
-    mast = (sys.executable, str(Path(__file__).parents[1] / "launch" / "at_stage.py"), stage, "SIGKILL", "--")
+    mast = (sys.executable, str(Path(__file__).parents[1] / "support" / "at_stage.py"), stage, "SIGKILL", "--")
     run = start(*mast, "run", "baseline", "--frames", "30", "--no-report", "--out")
     code, output = run.end()
     assert code == -signal.SIGKILL

@@ -121,7 +121,7 @@ def scenario(folder=""):
 
 def test_nodes_that_listen_hear_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(LISTENING)
-    what = (str(tmp_path / "mine.py"), f"folder={Path(__file__).parents[1] / 'runtime'}")
+    what = (str(tmp_path / "mine.py"), f"folder={Path(__file__).parents[1] / 'support'}")
     run = on_mesh(launch, *what)
     assert not any(node.get("failures") for node in json.loads((run / "run.json").read_text())["nodes"].values())
     assert_equal(run, in_process(tmp_path / "inproc", *what))

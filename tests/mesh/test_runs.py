@@ -175,7 +175,7 @@ def test_a_users_own_node_beside_the_scenario_takes_part(launch, tmp_path: Path)
 def test_a_node_that_dies_after_the_last_recorded_frame_of_a_longer_simulator_is_named_with_its_frame(
     launch, tmp_path: Path
 ) -> None:
-    shutil.copy(Path(__file__).parent / "live" / "simulator.py", tmp_path)
+    shutil.copy(Path(__file__).parents[1] / "support" / "live" / "simulator.py", tmp_path)
     (tmp_path / "mortal.py").write_text(
         "import os\n"
         "from mast_zenoh.node import Node\n"

@@ -8,21 +8,21 @@ from typing import Any
 
 from tiny_world import Run, tiny
 
-HERE = Path(__file__).parent
+SUPPORT = Path(__file__).parents[1] / "support"
 ATTACK = dict(type="UncoordinatedAttack", start_s=0.2)
 
 
 def shadowed(scenario: dict[str, Any]) -> None:
     """An adversary on infra_1's detections that hears the poses of all agents."""
     heard = ["ego", "infra_1", "infra_2"]
-    scenario["adversaries"] = {"shadow": dict(file=str(HERE / "shadow.py"), agent="infra_1", heard=heard)}
+    scenario["adversaries"] = {"shadow": dict(file=str(SUPPORT / "shadow.py"), agent="infra_1", heard=heard)}
     listen = dict(wire="agent/*/pose", role="adversary", input="poses")
     scenario["keyexpr"] = dict(rewrites=["on_detections.toml", {"listen": [listen]}])
 
 
 def guarded(scenario: dict[str, Any]) -> None:
     """An adversary on infra_1's tracks, and two defences: one hears all tracks, one what the agents sent."""
-    guard = dict(role="defence", file=str(HERE / "guard.py"))
+    guard = dict(role="defence", file=str(SUPPORT / "guard.py"))
     scenario["nodes"] = {"guard": guard, "source_guard": guard}
     scenario["adversaries"] = {"eve": dict(agent="infra_1", attack=ATTACK)}
     every = dict(wire="agent/*/tracks", role="defence", input="tracks")

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw, rotation_from_yaw_pitch
@@ -282,12 +280,3 @@ def tracks(*places: tuple[float, float], **more: Any) -> dict[str, np.ndarray]:
 def picture(*places: tuple[float, float], **more: Any) -> dict[str, np.ndarray]:
     """Columns of a picture."""
     return states(*places, **more).columns() | {"support": np.ones(len(places), np.int64)}
-
-
-@pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Scenes prepared by tests do not touch the user's cache, nor come from it."""
-    folder = tmp_path_factory.mktemp("cache")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(folder))
-        yield folder

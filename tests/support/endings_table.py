@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-PAGE = Path(__file__).parents[1] / "docs" / "endings.md"
+PAGE = Path(__file__).parents[2] / "docs" / "endings.md"
 
 
 class Ending(NamedTuple):

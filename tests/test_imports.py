@@ -7,7 +7,7 @@ import pytest
 
 from mast_zenoh.layers import LAYERS
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "mast_zenoh"
 
 RANK = {name: rank for rank, name in enumerate(LAYERS)}

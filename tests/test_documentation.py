@@ -7,7 +7,7 @@ import pytest
 
 from mast_zenoh import errors
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[1] / "docs"
 
 
 @pytest.mark.parametrize("name", sorted(generate_docs.PAGES))

@@ -1,1 +1,0 @@
-"""Nodes that live elsewhere; see launched_apart.py for an elsewhere that is here."""
