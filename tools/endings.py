@@ -28,8 +28,9 @@ from disturbing import Tried, left_behind, numbers, parser, tell
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.liveness import seen_now
+from mast_zenoh.messagelog.completeness import first_gap
 from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.reader import first_gap, read
+from mast_zenoh.messagelog.reader import read
 
 WAYS = (
     *("SIGINT", "SIGTERM", "SIGHUP", "SIGINT SIGINT", "SIGTERM SIGINT", "SIGINT SIGINT SIGINT"),

@@ -24,7 +24,7 @@ _PACKAGE = Path(mast_zenoh.__file__).parent
 _PYTHON = sysconfig.get_path("stdlib")
 _INSTALLED = {"site-packages", "dist-packages"}
 #: Parts of the package that only carry a node's calls: an error raised there is the caller's.
-_PLUMBING = {"runtime", "kernels", "node.py", "wiring", "messages"}
+_PLUMBING = {"runtime", "control", "kernels", "node.py", "wiring", "messages"}
 
 
 class Failure:

@@ -131,6 +131,13 @@ def text(value: object, what: str, most: int = 4096) -> str:
     return value
 
 
+def line(value: object, what: str, most: int = 4096) -> str:
+    """A text of one line, of at most so many characters."""
+    if len(text(value, what, most).splitlines()) > 1:
+        raise MessageError(f"{what}: found text of several lines, expected one")
+    return value  # type: ignore[return-value]
+
+
 def name(value: object, what: str) -> str:
     """The name of a node, or of a role."""
     if type(value) is not str or len(value) > MAX_NAME or not _NAME.fullmatch(value):

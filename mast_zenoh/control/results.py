@@ -91,8 +91,10 @@ def late(collations: Sequence[Mapping[str, Any]]) -> dict[str, int]:
 
 
 def counts_of(value: object) -> dict[str, int]:
-    """The whole numbers in what a node has returned, by name; nothing of anything else."""
-    return {str(name): n for name, n in value.items() if type(n) is int} if isinstance(value, Mapping) else {}
+    """The counts in what a node has returned, by name: whole numbers from 0, and names of one line. Nothing else."""
+    if not isinstance(value, Mapping):
+        return {}
+    return {str(name): n for name, n in value.items() if type(n) is int and n >= 0 and str(name).isprintable()}
 
 
 #: Where a value stands: the place that holds it, and its name or number in it; None at the top.

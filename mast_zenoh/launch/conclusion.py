@@ -32,4 +32,4 @@ def write(
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused)
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
     if isinstance(metrics, Mapping):
-        record["notices"] += notices.of_scores(metrics)
+        record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))

@@ -24,7 +24,7 @@ from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import churn
-from mast_zenoh.messagelog.reader import first_gap
+from mast_zenoh.messagelog.completeness import first_gap, first_missing
 
 #: Takes up room until the final run.json is written: a run that filled the disk can still say so.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
@@ -42,18 +42,20 @@ def create(out: Path | None, name: str) -> Path:
     Raises RunFolderError when it holds something already, or cannot be made, and DiskFull.
     """
     wanted = out or Path("runs") / f"{name}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}"
+    occupied = RunFolderError(f"{wanted}: is not empty; name a new folder with --out, or remove what is there")
     try:
         if out is None:
             out = _unused(wanted)
         out.mkdir(parents=True, exist_ok=True)
-        occupied = any(out.iterdir())
+        if any(out.iterdir()):
+            raise occupied
+        for part in ("logs", "figures"):
+            (out / part).mkdir()
     except OSError as error:
+        if out is not None and (out / "logs").is_dir():
+            raise occupied from None  # by a run that began at the same moment
         what = f"{wanted}: cannot be made a run folder: {error.strerror or error}"
         raise DiskFull(what) if is_disk_full(error) else RunFolderError(what) from None
-    if occupied:
-        raise RunFolderError(f"{out}: is not empty; name a new folder with --out, or remove what is there")
-    for part in ("logs", "figures"):
-        (out / part).mkdir()
     return out.resolve()
 
 
@@ -205,12 +207,15 @@ def note_recording(
 ) -> None:
     """How many messages were recorded goes to run.json, and whether they are all; a note if some could not be.
 
-    Recorders alone tell how many. From which frame on some are missing is measured from the recording in `folder`.
+    Recorders alone tell how many. From which frame on some are missing is measured from the recording in `folder`: in
+    real time always, because the router drops messages for a recorder that does not read; in lock-step everyone waits.
     """
     recorder = next((name for name, spec in nodes.items() if spec.role == "recorder"), None)
     if recorder is not None:
         missed = churn.first_frames(record.get("churn", ()), recorder)
         lost = counts_of(handed_in.get(recorder, {}).get("recorded")).get("lost")
+        if record.get("mode") == "realtime" and (gap := _gap(folder, nodes)) is not None:
+            missed.append(gap)
         complete = recorder in handed_in and not lost and not missed
         more = {} if complete else {"from_frame": min([first_gap(folder), *missed])}
         record["recording"] = {"complete": complete} | more
@@ -220,6 +225,12 @@ def note_recording(
             if lost := recorded.get("lost", 0):
                 said = [record["message"]] if record["message"] else []
                 record["message"] = "; ".join([*said, f"{lost} messages could not be recorded"])
+
+
+def _gap(folder: Path, nodes: Mapping[str, NodeSpec]) -> int | None:
+    """The first frame of which a message of the node that drives the scene was not recorded."""
+    driver = next((name for name, spec in nodes.items() if spec.role == "simulator"), None)
+    return None if driver is None else first_missing(folder, driver)
 
 
 def _trouble(recorded: Mapping[str, Any]) -> dict[str, Any]:
@@ -232,4 +243,8 @@ def _trouble(recorded: Mapping[str, Any]) -> dict[str, Any]:
 
 def rates(frames: int, wall_s: float) -> dict[str, Any]:
     """How fast a run went, for its `timings`."""
-    return {"run_s": round(wall_s, 4), "frames_per_second": round(frames / wall_s, 2) if wall_s else None}
+    return {
+        "frames": frames,
+        "run_s": round(wall_s, 4),
+        "frames_per_second": round(frames / wall_s, 2) if wall_s else None,
+    }

@@ -34,12 +34,12 @@ def of_run(
     measured:   late messages by agent, and in real time the latencies
     refused:    a sentence for each result that was refused
     """
-    nodes = list(record["nodes"].values())
+    nodes = record["nodes"]
     parts = [
         _late(measured["late"]),
         *(_left_out(name, collations) for name in _LEFT_OUT),
         _rejected(nodes),
-        _foreign(nodes),
+        _foreign(list(nodes.values())),
         _control(record),
         _behind(resolved, record, measured),
         _churned(record),
@@ -52,14 +52,23 @@ def of_run(
     ]
 
 
-def of_scores(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The notice of a run that is too short to leave out the frames in which tracks begin; metrics: of metrics.json."""
+def of_scores(metrics: Mapping[str, Any], played: int | None = None) -> list[dict[str, Any]]:
+    """The notices of a run that was not measured whole, or is too short to leave out the frames in which tracks begin.
+
+    metrics: of metrics.json;  played: frames, None where that is not known
+    """
     count = metrics.get("frames")
-    if metrics.get("settled") is not False or not isinstance(count, int) or not count:
+    if not isinstance(count, int) or not count:
         return []
+    found = []
+    if played is not None and count < played:
+        text = f"{_number(played - count, 'frame')} of {played} were played and not measured: the evaluator missed them"
+        found.append({"kind": "unmeasured", "count": played - count, "text": text})
+    if metrics.get("settled") is not False:
+        return found
     frames = "the only frame is" if count == 1 else f"all {count} frames are"
     text = f"too short to score settled frames alone: {frames} scored, those in which tracks begin included"
-    return [{"kind": "unsettled", "count": count, "text": text}]
+    return [*found, {"kind": "unsettled", "count": count, "text": text}]
 
 
 def _late(late: Mapping[str, int]) -> tuple[int, str]:
@@ -77,22 +86,25 @@ def _left_out(name: str, collations: Sequence[Mapping[str, Any]]) -> tuple[int, 
     return count, f"{count} {_LEFT_OUT[name]}"
 
 
-def _rejected(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
-    """Of each key the node that rejected most counts: its other subscribers rejected the same messages."""
+def _rejected(nodes: Mapping[str, Mapping[str, Any]]) -> tuple[int, str]:
+    """Of each key the node that rejected most counts: its other subscribers rejected the same messages.
+
+    Which messages came first is one node's word, so that node is named.
+    """
     by_key: Counter[str] = Counter()
-    first: list[tuple[int, str, str]] = []
-    for node in nodes:
+    first: list[tuple[int, str, str, str]] = []
+    for name, node in nodes.items():
         own: Counter[str] = Counter()
         for place, count in (node.get("rejected") or {}).items():
             own[place.rpartition(": ")[0]] += count
         by_key |= own
-        first += [(frame, key, reason) for key, (frame, reason) in (node.get("first_rejected") or {}).items()]
+        first += [(frame, key, name, reason) for key, (frame, reason) in (node.get("first_rejected") or {}).items()]
     if not by_key:
         return 0, ""
     what = f"{_number(by_key.total(), 'message')} on {_number(len(by_key), 'key')}"
     if first:
-        _, key, reason = min(first)
-        what = f"{what} (first: {key}: {reason})"
+        _, key, name, reason = min(first)
+        what = f"{what} (first, by {name}: {key}: {reason})"
     return by_key.total(), what
 
 
@@ -104,7 +116,7 @@ def _foreign(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
     keys = sorted(by_key)
     more = f" and {len(keys) - _KEYS_NAMED} more" if len(keys) > _KEYS_NAMED else ""
     where = f"{', '.join(keys[:_KEYS_NAMED])}{more}"
-    return by_key.total(), f"{_number(by_key.total(), 'message')} that no node of this run sent, on {where}"
+    return by_key.total(), f"{_number(by_key.total(), 'message')} without the mark of this run's nodes, on {where}"
 
 
 def _control(record: Mapping[str, Any]) -> tuple[int, str]:

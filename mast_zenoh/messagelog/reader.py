@@ -161,18 +161,6 @@ def extent(path: Path) -> Extent:
         return Extent(last, any(isinstance(record, _End) for record in _records(file, path)))
 
 
-def first_gap(path: Path) -> int:
-    """The first frame of which a recording may lack something: the one before the first that it has no truth of.
-
-    0 for a recording that cannot be read.
-    """
-    try:
-        frames = {message.frame for message in read(file_of(path)) if message.message == "truth"}
-    except RunFolderError:
-        return 0
-    return max(0, next(frame for frame in range(len(frames) + 1) if frame not in frames) - 1)
-
-
 def _opened(path: Path) -> IO[bytes]:
     try:
         return path.open("rb")

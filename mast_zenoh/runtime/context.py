@@ -263,6 +263,6 @@ class NodeContext:
     def _count_rejected(self, key: str, reason: str, count: int = 1) -> None:
         """Count messages that were not taken, by key and by what precedes the colon of the reason."""
         if key not in self.first_rejected:
-            self.first_rejected[key] = self.frame, reason[:_MAX_REASON]
+            self.first_rejected[key] = self.frame, " ".join(reason.split())[:_MAX_REASON]
             self.log.warning("rejected a message on %s: %s (further ones on this key are only counted)", key, reason)
         self.rejected[key, reason.split(":", 1)[0]] += count

@@ -13,6 +13,8 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.control import results
+from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import run
 from mast_zenoh.launch.tables import read_arrow, read_table
@@ -189,3 +191,30 @@ def test_one_long_text_takes_no_room_for_all_the_others(tmp_path: Path) -> None:
         tracemalloc.stop()
     assert peak < 64 << 20
     assert read_arrow(tmp_path / "run/results/node/t.parquet").num_rows == len(texts)
+
+
+def test_in_real_time_completeness_is_measured_from_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("sim", "simulator"))}
+    handed_in = {"rec": {"recorded": {"messages": 7, "lost": 0}}}
+    for mode, gap, expected in (("realtime", 185, False), ("realtime", None, True), ("lockstep", 185, True)):
+        monkeypatch.setattr(run_folder, "first_missing", lambda folder, publisher, gap=gap: gap)
+        record: dict[str, Any] = {"message": "", "mode": mode}
+        run_folder.note_recording(tmp_path, record, handed_in, specs)
+        assert record["recording"]["complete"] is expected
+
+
+def test_two_runs_that_begin_in_one_folder_at_once_are_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other run has made its folders between our look at the place and ours."""
+    (tmp_path / "logs").mkdir()
+    monkeypatch.setattr(Path, "iterdir", lambda self: iter(()))
+    with pytest.raises(RunFolderError, match="is not empty"):
+        run_folder.create(tmp_path, "run")
+
+
+@pytest.mark.parametrize("value", [{"a": -1}, {"a\nb": 1}, {"a": True}, {"a": 1.5}, [1], None])
+def test_what_is_no_count_is_not_taken(value: Any) -> None:
+    assert results.counts_of(value) == {}

@@ -73,7 +73,7 @@ def test_a_message_that_several_nodes_rejected_counts_once_and_the_first_is_quot
         "evaluator": node(rejected=heard, first_rejected=first),
     }
     said = texts(world, nodes)["rejected"]
-    assert said == "17 messages on 2 keys (first: cc/picture: picture: truncated)"
+    assert said == "17 messages on 2 keys (first, by evaluator: cc/picture: picture: truncated)"
 
 
 def test_foreign_messages_name_their_keys(world: Resolved) -> None:
@@ -81,7 +81,7 @@ def test_foreign_messages_name_their_keys(world: Resolved) -> None:
     nodes = {"broker": node(foreign=heard), "evaluator": node(foreign={"agent/a/tracks": 3})}
     said = texts(world, nodes)["foreign"]
     where = "agent/a/tracks, agent/b/tracks, agent/c/tracks and 2 more"
-    assert said == f"11 messages that no node of this run sent, on {where}"
+    assert said == f"11 messages without the mark of this run's nodes, on {where}"
 
 
 def test_refused_control_messages_name_the_key_with_most_and_why(world: Resolved) -> None:
@@ -158,3 +158,10 @@ def test_a_stall_tells_of_the_messages_that_were_refused() -> None:
     stall = StallError("stall: evaluator has handled 4 of 5 messages")
     assert str(ending.of_stall(stall, [refused])) == f"{stall}; refused: {refused['text']}"
     assert str(ending.of_stall(stall, [refused | {"kind": "foreign"}])) == str(stall)
+
+
+def test_frames_that_the_evaluator_missed_are_told() -> None:
+    (notice,) = notices.of_scores({"frames": 936}, 1000)
+    assert notice["text"] == "64 frames of 1000 were played and not measured: the evaluator missed them"
+    assert notices.of_scores({"frames": 1000}, 1000) == []
+    assert notices.of_scores({"frames": 1000}) == []

@@ -94,5 +94,5 @@ def test_what_strangers_send_is_written_down_as_it_is_and_marked(launch) -> None
     marked = [message for message in read(run.out) if message.malformed]
     assert [message.payload for message in marked] == sent
     assert {message.wire for message in marked} == {"cc/picture"}
-    assert f"rejected: {len(sent)} messages on 1 key (first: cc/picture: " in output
-    assert f"foreign: {len(sent)} messages that no node of this run sent, on cc/picture" in output
+    assert f"rejected: {len(sent)} messages on 1 key (first, by " in output
+    assert f"foreign: {len(sent)} messages without the mark of this run's nodes, on cc/picture" in output

@@ -1,0 +1,41 @@
+"""A recording says itself from which frame on messages are missing in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from recordings import TAP, small_run, write
+
+from mast_zenoh.messagelog.completeness import first_missing
+from mast_zenoh.messagelog.reader import read
+
+
+def without(path: Path, *missing: tuple[str, int]) -> Path:
+    """A recording of the small run without some messages, each as (key, frame)."""
+    keys = [(key, number // 5) for number, (key, _) in enumerate(small_run())]
+    return write(path, [sent for at, sent in zip(keys, small_run(), strict=True) if at not in missing])
+
+
+@pytest.mark.parametrize(
+    ("missing", "first"),
+    [
+        ((), None),
+        ((("clock", 3),), 3),
+        ((("clock", 0),), 0),
+        ((("clock", 4), ("agent/b/detections", 2), (TAP, 2)), 2),
+        ((("agent/b/detections", 2),), None),  # an interposer has dropped it: it was heard in front of that
+        ((("clock", 5),), None),  # nothing says that there was one more
+        ((("agent/a/status", 3),), None),  # another publisher's
+    ],
+)
+def test_a_gap_in_the_numbers_of_a_publisher_is_found(
+    tmp_path: Path, missing: tuple[tuple[str, int], ...], first: int | None
+) -> None:
+    assert first_missing(without(tmp_path / "run.mcap", *missing), "simulator") == first
+
+
+def test_what_cannot_be_read_may_lack_everything(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(b"no recording")
+    assert first_missing(tmp_path / "run.mcap", "simulator") == 0
+    assert len(list(read(without(tmp_path / "whole.mcap")))) == len(small_run())
