@@ -15,7 +15,7 @@ from mast_zenoh.attacks import PassThrough
 from mast_zenoh.config import bundle, loading, settings
 from mast_zenoh.config.resolved import RECORDING, Resolved, build_node
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, WiringError
-from mast_zenoh.fusion import CommandCenterPipeline
+from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.scenario import load, resolve
 from mast_zenoh.wiring.model import Wiring
 
@@ -275,7 +275,7 @@ def test_a_users_own_algorithms_can_be_named_by_their_type(tmp_path: Path) -> No
 OWN_PIPELINE = """
 import numpy as np
 
-from mast_zenoh.fusion import Pipeline
+from mast_zenoh.pipelines import Pipeline
 
 class OneAgent(Pipeline):
     def __init__(self, *, believed: str) -> None:
