@@ -67,7 +67,7 @@ def manipulations(
 
 def _lasts(passage: Passage, is_link: bool, limits: Attribution, period_s: float) -> int:
     """Frames after its own for which a manipulation counts. What a link does to tracks counts at once or, by what the
-    picture lacks, in `metrics.severed`."""
+    picture lacks, in `metrics.cut_off`."""
     if not is_link or passage.port in ("detections", "pose"):
         return round(limits.coast_s / period_s)
     return round(limits.late_picture_s / period_s) if passage.port == "picture" else 0

@@ -1,7 +1,6 @@
 """What the columns of a message must be, by their schema: dtype, shape, and the limits of their values.
 
-Nearly all messages are as they must be, and that is found out here in one go. What is odd about the others, `flaws`
-says.
+Nearly all messages are valid, which is found out here in one go. `validation` explains what is wrong with the others.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@
     scores      tables, and the summary in metrics.json
     manipulations    what interposers did to objects, and which estimates it can influence
     attribution, histories, causes, blame   the cause of every false and every missed object of every estimate
-    severed     which objects only agents that were cut off or down could have reported
+    cut_off     which objects only agents that were cut off or down could have reported
     achievement what each adversary achieved
     driving, braking, consequences   what errors would have meant for driving
     user_metrics  user-defined metrics

@@ -17,7 +17,7 @@ from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUA
 
 
 class Scorer:
-    """Compares what agents believe with the truth (docs/metrics.md; DESIGN, "Metrics per agent").
+    """Compares what agents believe with the truth (docs/metrics.md).
 
     For each agent and frame the truth is what lies within `range_m` of the agent (bird's-eye view) and is hit by at
     least `min_points` lidar points of at least one agent; tracks beyond the same range are left out. A pair of the
