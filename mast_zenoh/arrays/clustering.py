@@ -8,7 +8,6 @@ import numpy as np
 
 from mast_zenoh.arrays.neighbours import TABLE, neighbours
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.kernels import kernel
 
 
 def pairs_near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
@@ -36,7 +35,6 @@ def merged(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, rad
     return np.asarray(label[root])
 
 
-@kernel
 def plain_clusters(agent: Ints, i: Ints, j: Ints) -> tuple[Ints, Ints]:
     """(n,) the first row of each row's cluster, by the pairs i < j; and which pairs are not so easily told."""
     n = len(agent)
@@ -52,7 +50,6 @@ def plain_clusters(agent: Ints, i: Ints, j: Ints) -> tuple[Ints, Ints]:
     return root, (~plain[own]).nonzero()[0]
 
 
-@kernel
 def joined_in_turn(root: Ints, position: Floats, agent: Ints, i: Ints, j: Ints, radius: float) -> Ints:
     """(n,) the first row of the cluster that each row ends up in, when the pairs i < j are joined in this order.
 

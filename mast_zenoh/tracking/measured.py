@@ -8,7 +8,6 @@ import numpy as np
 
 from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import Detections, Floats, Ints, ObjectStates
-from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.soundness import LEAST, MOST
 from mast_zenoh.tracking.tracks import known_class
 
@@ -44,7 +43,6 @@ class Measured(NamedTuple):
         return cls(order, state, s.covariance.take(order, 0), s.yaw.take(order), known_class(s.class_id.take(order)))
 
 
-@kernel
 def box_noise(covariance: Floats, order: Ints, variance: Floats, least: float, most: float) -> Floats:
     """(m, 6, 6) of boxes in `order`: of the position what the detector says (m, 3, 3), if it does.
 
