@@ -54,7 +54,7 @@ dist: .venv/ready .venv/tools/ready
 
 # Kernels are compiled when the package is installed: again when their sources have changed. Third parties' packages are those of
 # the lock file, to the byte; --no-build-isolation, or the build would take others.
-.venv/ready: pyproject.toml requirements-dev.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd)
+.venv/ready: pyproject.toml requirements-dev.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed, this is " + sys.version'
 	$(PYTHON) -m venv .venv
 	$(BIN)/$(PIP) --require-hashes --requirement requirements-dev.txt

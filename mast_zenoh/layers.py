@@ -26,6 +26,7 @@ LAYERS: dict[str, str] = {
     "messagelog": "every message of a run as a file: written, read, compared",
     "security": "certificates of a run, rights derived from the wiring, signing keys",
     "wiring": "key-expression maps, rewrites, and the key of every port",
+    "pipelines": "the stages of an agent and of the command centre, put together",
     "fusion": "tracks of many agents to one picture",
     "scenes": "where the truth comes from",
     "messages": "schemas, codec, memory layout, validation",

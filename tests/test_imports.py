@@ -35,7 +35,7 @@ def test_imports_run_down(path: Path) -> None:
             assert RANK[parts[1]] >= RANK[own], f"imports {name}, which stands above it"
 
 
-ALGORITHMS = {"tracking", "fusion", "attacks", "effects", "evaluation", "metrics", "links", "faults"}
+ALGORITHMS = {"tracking", "fusion", "pipelines", "attacks", "effects", "evaluation", "metrics", "links", "faults"}
 PURE = [path for path in FILES if path.relative_to(PACKAGE).parts[0] in ALGORITHMS]
 FORBIDDEN = {"zenoh", "socket", "time", "random", "os", "subprocess", "threading", "asyncio"}
 

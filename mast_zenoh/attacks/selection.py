@@ -7,10 +7,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import CLASS_INDEX, Ints, ObjectStates
 from mast_zenoh.attacks.clusters import cluster_centres
 from mast_zenoh.attacks.coverage import Coverage
-from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.regions import REGIONS, Shape
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.errors import nearest

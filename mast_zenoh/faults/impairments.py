@@ -9,6 +9,8 @@ from typing import Any
 
 from mast_zenoh.errors import nearest
 from mast_zenoh.faults.base import DIRECTIONS, Fault, Rule, check_after
+from mast_zenoh.links.copies import FLOOD_COPIES
+from mast_zenoh.links.timing import QUEUE_S
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +121,7 @@ class BandwidthLimit(LinkFault):
     """At most bits_per_s get through; what waits longer than queue_s is lost."""
 
     bits_per_s: float
-    queue_s: float = 0.5
+    queue_s: float = QUEUE_S
 
     def as_rule(self) -> Rule:
         """See LinkFault."""
@@ -154,7 +156,7 @@ class Duplicate(LinkFault):
 class Flood(LinkFault):
     """Every message comes `copies` times more."""
 
-    copies: int = 5
+    copies: int = FLOOD_COPIES
 
     def as_rule(self) -> Rule:
         """See LinkFault."""

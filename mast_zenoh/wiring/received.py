@@ -72,7 +72,7 @@ class Unopened(Received):
 
 
 class Overheard:
-    """A message as a node gets it that hears every key (an input port of the type `wiring.ANY`).
+    """A message as a node gets it that hears every key (an input port of the type `model.ANY`).
 
     Nothing is decoded before it is asked for, so that a node may pass over what it does not need.
 

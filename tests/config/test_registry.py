@@ -80,7 +80,7 @@ def test_what_is_wrong_is_refused_with_its_path(spec: object, reason: str) -> No
         build(spec)
 
 
-ALGORITHMS = ("attacks", "faults", "fusion", "links", "metrics", "scenes", "sensing", "tracking")
+ALGORITHMS = ("attacks", "faults", "fusion", "links", "metrics", "pipelines", "scenes", "sensing", "tracking")
 
 
 @pytest.mark.parametrize("package", ALGORITHMS)

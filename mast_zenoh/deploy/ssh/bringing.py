@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import posixpath
-import socket
 import tempfile
 import threading
 import time
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from mast_zenoh.deploy import numeric_environment
+from mast_zenoh.deploy.addresses import bracketed, free_port, is_local
 from mast_zenoh.deploy.joining import join
 from mast_zenoh.deploy.ssh import connection, hostsfile, installation
 from mast_zenoh.deploy.ssh.attachment import Attachment, attaching
@@ -192,8 +192,8 @@ class Bringing:
             addresses = {n: self.told.address or self.reached_from[n] for n in self.hosts}
         else:
             addresses = dict.fromkeys(self.hosts, self.told.address or self.hosts[on].address)
-        port = self.told.port or _free_port()
-        self.endpoints = {n: levels.endpoint(launch.secure, f"tcp/{_spelt(a)}:{port}") for n, a in addresses.items()}
+        port = self.told.port or free_port()
+        self.endpoints = {n: levels.endpoint(launch.secure, f"tcp/{bracketed(a)}:{port}") for n, a in addresses.items()}
         endpoints = list(dict.fromkeys(self.endpoints.values()))
         launch.record["endpoint"] = endpoints[0]
         nodes = launch.resolved.nodes
@@ -205,7 +205,7 @@ class Bringing:
         )
         if on != LAUNCHER:
             return self.stack.enter_context(self._router_on(self.hosts[on], port, deployment, endpoints[0]))
-        if self.told.address and not _is_ours(self.told.address):  # such as that of a gateway which passes it on
+        if self.told.address and not is_local(self.told.address):  # such as that of a gateway which passes it on
             endpoints = [levels.endpoint(launch.secure, f"tcp/0.0.0.0:{port}")]
         try:
             session, _ = open_router(*endpoints, security=deployment.router)
@@ -275,26 +275,3 @@ class Bringing:
                 if time.monotonic() > deadline:
                     raise EngineError(f"not ready within {seconds:.0f} s: {who()}")
                 self.changed.wait(0.1)
-
-
-def _spelt(address: str) -> str:
-    return f"[{address}]" if ":" in address else address
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-def _is_ours(address: str) -> bool:
-    """Whether this machine can listen there."""
-    try:
-        found = socket.getaddrinfo(address, 0, type=socket.SOCK_STREAM)
-        family, kind, protocol, _, where = found[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.bind(where)
-    except OSError:
-        return False
-    return True

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy import credentials, numeric_environment
 from mast_zenoh.deploy import docker as dockerd
 from mast_zenoh.deploy import image as images
+from mast_zenoh.deploy.addresses import free_port
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.deploy.joining import join
 from mast_zenoh.deploy.swarm import document, placement, tasks
@@ -74,7 +74,7 @@ class Swarm(Engine):
         deployment = launch.deployment = stack.enter_context(credentials.deployment(launch))
         if deployment.folder is not None:
             check_size(credentials.write_settings(deployment.folder, deployment.router))
-        here, port = placement.machines()[0], _free_port()
+        here, port = placement.machines()[0], free_port()
         content = document.text(
             resolved,
             run,
@@ -182,13 +182,6 @@ def check_size(settings: Path) -> None:
             f"the router's settings, with the rights of all nodes, are {found} bytes: a secret of a swarm is at most "
             f"{document.LARGEST_SECRET}; the security level mtls needs no rights, fewer nodes need fewer"
         )
-
-
-def _free_port() -> int:
-    """A port of this machine that nobody listens at."""
-    with socket.socket() as found:
-        found.bind(("", 0))
-        return int(found.getsockname()[1])
 
 
 def _at_once() -> list[str]:

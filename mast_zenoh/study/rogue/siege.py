@@ -50,7 +50,7 @@ class Siege:
 
     resolved: the run; level: of its mesh; folder: of its results
     detoured: nodes whose way to the router leads past the outsider
-    engine, console: as for `local.run`
+    engine, console: as for `launch.run`
     """
 
     def __init__(

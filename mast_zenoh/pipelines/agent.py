@@ -1,4 +1,7 @@
-"""What an agent makes of its detections and of the picture: two estimators, one of which nobody else can touch."""
+"""An agent's pipeline: from detections to its own tracks, and from these and the picture to its best estimate.
+
+No message of another node reaches the first of the two estimators.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,7 @@ class OwnAndPicture(MissionEstimator):
         self.fusion = fusion
 
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
-        """See MissionEstimator."""
+        """The objects of both, world frame; see `MissionEstimator.estimate`."""
         both = concatenate([picture.with_(id=2 * picture.id), own.with_(id=2 * own.id + 1)])
         if len(picture) == 0 or len(own) == 0:
             return both
@@ -63,7 +66,7 @@ class PictureFirst(MissionEstimator):
         self.radius = radius
 
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
-        """See MissionEstimator."""
+        """The objects of both, world frame; see `MissionEstimator.estimate`."""
         near, _, _, _ = neighbours(own.position, picture.position, np.full(len(own), self.radius))
         seen = np.zeros(len(own), bool)
         seen[near] = True
