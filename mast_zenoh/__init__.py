@@ -1,3 +1,1 @@
 """mast-zenoh: the Multi-Agent Security Testbed as real processes on an Eclipse Zenoh mesh."""
-
-__version__ = "0.1.0"
