@@ -15,6 +15,7 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HOST_FAULTS
+from mast_zenoh.fusion.agent_pipeline import AgentPipeline, MissionEstimator
 from mast_zenoh.report.tables.scores import MEASURES
 
 #: By kind, what is listed: a heading for each base class of those that `type=…` can name.
@@ -27,10 +28,12 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "imitations: how false objects look": attacks.Imitation,
     },
     "trackers": {
+        "pipelines of agents": AgentPipeline,
         "trackers": tracking.Tracker,
         "assignments: which measurement goes to which track": tracking.Assignment,
     },
     "fusion": {
+        "mission estimators: what an agent makes of its tracks and the picture": MissionEstimator,
         "pipelines of the command centre": fusion.Pipeline,
         "clusterers: which tracks are one object": fusion.Clusterer,
         "fusions: one state of a cluster": fusion.Fusion,
@@ -81,7 +84,10 @@ _FIGURES = {
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Something that a scenario can name. group: what it is used as; description: a line"""
+    """Something that a scenario can name.
+
+    group: what it is used as;  description: a line;  parameters: in the order of its signature
+    """
 
     name: str
     group: str
@@ -165,6 +171,7 @@ def list_kind(kind: str) -> Listing:
     """What a scenario can name of a kind, with parameters, defaults and units; your own classes are among it.
 
     kind: attacks, trackers, fusion, scenes, links, faults, metrics, scenarios or studies
+
     Raises ConfigurationError for any other.
     """
     if kind not in KINDS:

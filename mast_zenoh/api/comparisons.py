@@ -6,7 +6,7 @@ import html
 import io
 
 import pyarrow
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from mast_zenoh.api.plots import Plots, labelled
 from mast_zenoh.api.runs import Run
@@ -72,15 +72,20 @@ class Comparison:
         return as_markdown(self._scores)
 
     def __str__(self) -> str:
-        page = io.StringIO()
-        Console(file=page, width=100, color_system=None).print(as_rich(self._scores))
-        return "\n".join(line.rstrip() for line in [*page.getvalue().splitlines(), *self.headline.splitlines()])
+        return f"{as_text(as_rich(self._scores))}\n{self.headline}"
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(self._folders)}; print it, or see .table, .headline, .plot>"
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(str(self))}</pre>"
+
+
+def as_text(tables: RenderableType) -> str:
+    """Tables for the terminal as plain text."""
+    page = io.StringIO()
+    Console(file=page, width=100, color_system=None).print(tables)
+    return "\n".join(line.rstrip() for line in page.getvalue().splitlines())
 
 
 def compare(*runs: Run) -> Comparison:

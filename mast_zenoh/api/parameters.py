@@ -33,8 +33,9 @@ _LEADING = re.compile(r"(?:\([^)]*\) )?(m/s²|m/s|rad|m|s)(?=,| of scene time| u
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter. default: as text, "" where it must be given; unit: "" where it has none; choices: its only values
+    """One parameter of something that a scenario can name.
 
+    default: as text, "" where it must be given;  unit: "" where it has none;  choices: the only values, if it has such
     meaning: from the docstring, "" where that says nothing
     """
 

@@ -25,6 +25,7 @@ class Run:
     """A run folder as an object, of a run that has ended or still goes on: every access reads what is there now.
 
     path: of the folder
+
     Raises RunFolderError where there is no run folder, and from a property whose file is missing.
     """
 
@@ -53,6 +54,11 @@ class Run:
     def status(self) -> str:
         """`running`, `ok`, or how else it ended (docs/endings.md)."""
         return str(self.record["status"])
+
+    @property
+    def seed(self) -> int:
+        """The seed of all its random draws."""
+        return int(self.record["seed"])
 
     @property
     def running(self) -> bool:
@@ -107,8 +113,8 @@ class Run:
     def truth(self) -> pyarrow.Table:
         """A row per frame and object of the scene, world frame.
 
-        frame, time_s (s), id, class, x y z (m, centre), vx vy vz (m/s), l w h (m), yaw (rad), points: lidar returns at
-        the agent that has the most
+        Columns: frame, time_s (s), id, class, x y z (m, centre), vx vy vz (m/s), l w h (m), yaw (rad), and points, the
+        lidar returns at the agent that has the most.
         """
         return recorded.table_of(self.path, "scene/truth", recorded.truth)
 

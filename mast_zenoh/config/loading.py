@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from mast_zenoh.config import bundle, registry
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
@@ -18,7 +19,9 @@ from mast_zenoh.node import Node, handler_names
 
 
 def module(path: Path) -> ModuleType:
-    """The module in a file, run once. Files beside it can be imported by name; what it imports that way is not kept.
+    """The module in a file, run once, and again after a change of it or of files beside it that it has imported.
+
+    Files beside it can be imported by name; what it imports that way is not kept.
 
     Raises ConfigurationError, with file and line, when it fails.
     """
@@ -26,7 +29,7 @@ def module(path: Path) -> ModuleType:
     # Dataclasses look their module up in sys.modules; there it has a name of its own, so that a user's file called
     # `types.py` stands in for no other module.
     name = f"{path.stem.replace('.', '_')}_{hashlib.blake2b(os.fsencode(path), digest_size=6).hexdigest()}"
-    if name in sys.modules:
+    if name in sys.modules and _unchanged(sys.modules[name]):
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
@@ -43,10 +46,30 @@ def module(path: Path) -> ModuleType:
         raise ConfigurationError(f"{path}:{line}: {type(error).__name__}: {error}") from error
     finally:
         sys.path.remove(str(path.parent))
-        for beside in set(sys.modules) - before:
+        files = [path]
+        for beside in set(sys.modules) - before - {name}:
             if _folder(sys.modules[beside]) == path.parent:
+                files.append(Path(sys.modules[beside].__file__ or path))
                 del sys.modules[beside]
+        _SOURCES[loaded] = {file: _changed_at(file) for file in files}
     return loaded
+
+
+#: Of a loaded module, the files that it is made of, and when each was changed last.
+_SOURCES: WeakKeyDictionary[ModuleType, dict[Path, tuple[int, int] | None]] = WeakKeyDictionary()
+
+
+def _unchanged(loaded: ModuleType) -> bool:
+    return all(_changed_at(file) == changed for file, changed in _SOURCES.get(loaded, {}).items())
+
+
+def _changed_at(file: Path) -> tuple[int, int] | None:
+    """Time of change in ns and size; None where there is no such file."""
+    try:
+        stat = file.stat()
+    except OSError:
+        return None
+    return stat.st_mtime_ns, stat.st_size
 
 
 def function(kind: str, name: str, what: str) -> tuple[Path, Callable[..., Any]]:
@@ -139,9 +162,12 @@ def node_class(file: Path, name: str | None = None) -> type[Node]:
     """The node class in a file: the one called `name`, or the only one that the file defines."""
     if name is not None and not isinstance(name, str):
         raise NodeFileError(f"{file}: type is {name!r}, expected the name of a node")
-    if (str(file), name) in _nodes:
-        return _nodes[str(file), name]
+    known = _nodes.get((str(file), name))
+    if file == SESSION and known is not None:
+        return known
     loaded = module(file)
+    if known is not None and known.__module__ == loaded.__name__ and getattr(loaded, known.__name__, None) is known:
+        return known
     classes = {
         key: value
         for key, value in vars(loaded).items()

@@ -123,7 +123,8 @@ def _code() -> str:
 def _of_session(scene: Scene) -> bool:
     """Whether a class of the scene or of its parts has no file: it is defined in a notebook or at a prompt."""
     parts = [scene, *vars(scene).values()]
-    return not hasattr(sys.modules["__main__"], "__file__") and any(type(p).__module__ == "__main__" for p in parts)
+    file = getattr(sys.modules["__main__"], "__file__", None)  # <stdin>, where a session reads its code from there
+    return not (file and Path(file).is_file()) and any(type(part).__module__ == "__main__" for part in parts)
 
 
 def _own_code(scene: Scene) -> str:

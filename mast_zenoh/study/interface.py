@@ -11,10 +11,14 @@ from typing import Any
 import pyarrow
 from pyarrow import csv
 
-from mast_zenoh.api.comparisons import Comparison
+from mast_zenoh.api.comparisons import Comparison, as_text
 from mast_zenoh.api.runs import Run
 from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError
 from mast_zenoh.launch.tables import read_arrow
+from mast_zenoh.report.html import write_study_report
+from mast_zenoh.report.tables import study as study_table
+from mast_zenoh.study import comparison, definition, execution
+from mast_zenoh.study import trials as many
 
 
 class FinishedStudy:
@@ -25,10 +29,11 @@ class FinishedStudy:
     runs:   the run of each configuration, by label, where each was carried out once; {} of many trials
     """
 
-    def __init__(self, path: Path, report: Path, runs: Mapping[str, Run]) -> None:
+    def __init__(self, path: Path, report: Path, runs: Mapping[str, Run], text: str = "") -> None:
         self.path = path
         self.report = report
         self.runs = dict(runs)
+        self._text = text
 
     def table(self) -> pyarrow.Table:
         """The estimates.
@@ -65,8 +70,8 @@ class FinishedStudy:
         return read_arrow(self.path / name)
 
     def __str__(self) -> str:
-        """The tables as Markdown."""
-        return self.comparison.markdown() if self.runs else (self.path / "table.md").read_text(encoding="utf-8")
+        """The main results, as on the terminal."""
+        return str(self.comparison) if self.runs else self._text
 
     def __repr__(self) -> str:
         return f"<FinishedStudy {self.path.name}: .table(), .report; {self.path}>"
@@ -103,31 +108,24 @@ def carry_out(
     Raises ConfigurationError before anything starts. Raises TrialsFailed or HandlerFailed where trials or runs have
     failed: what the others gave is kept in the folder that the error names.
     """
-    from mast_zenoh.study import (  # many packages, which `mast_zenoh.run` does not need
-        comparison,
-        definition,
-        execution,
-    )
-    from mast_zenoh.study import trials as many
-
     options = [name for name in inspect.signature(carry_out).parameters if name not in ("study", "parameters")]
     loaded = definition.load_values(str(study), parameters, options)
     if loaded.security:
         raise ConfigurationError(f"{loaded.path}: a study of security runs by the command line: mast study {study}")
+    if runtime not in definition.RUNTIMES:
+        raise ConfigurationError(f"runtime: found {runtime!r}, expected inproc or mesh")
     folder = None if out is None else Path(out)
     chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime, "allow_failures": allow_failures}
     count = trials or loaded.trials
     if count is None and not (jobs or cluster or resume):
         compared = comparison.run(loaded, folder, **chosen)
-        from mast_zenoh.report.html import write_study_report
-
         page = write_study_report(compared.out, compared.folders)
         _raise(compared, compared.out)
         return FinishedStudy(compared.out, page, {label: Run(path) for label, path in compared.folders.items()})
     jobs = jobs or execution.default_jobs()
     ended = many.run(loaded, folder, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **chosen)
     _raise(ended, ended.out)
-    return FinishedStudy(ended.out, ended.report, {})
+    return FinishedStudy(ended.out, ended.report, {}, as_text(study_table.as_rich(ended.rows, ended.facts)))
 
 
 def _raise(ended: Any, folder: Path) -> None:
