@@ -167,7 +167,7 @@ def node_class(file: Path, name: str | None = None) -> type[Node]:
         return known
     loaded = module(file)
     if known is not None and known.__module__ == loaded.__name__ and getattr(loaded, known.__name__, None) is known:
-        return known
+        return _nodes[str(file), name]
     classes = {
         key: value
         for key, value in vars(loaded).items()
