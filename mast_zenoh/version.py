@@ -8,8 +8,10 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from mast_zenoh import __version__, kernels
+from mast_zenoh import kernels
 from mast_zenoh.layers import run_by_nodes
+
+__version__ = "0.1.0"
 
 _PACKAGE = Path(__file__).resolve().parent
 

@@ -17,7 +17,9 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """chaos_seed: of the faults; settle_s: at the end, without any; most_faults: at most; servers: hit like agents;
+    """chaos_seed: of the faults; duration_s: of the run; settle_s: at its end, without any fault;
+
+    most_faults: at most; servers: nodes that are hit like agents;
 
     n_infrastructure: None: two on a generated junction, else all that the scene has.
 

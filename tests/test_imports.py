@@ -35,6 +35,23 @@ def test_imports_run_down(path: Path) -> None:
             assert RANK[parts[1]] >= RANK[own], f"imports {name}, which stands above it"
 
 
+@pytest.mark.parametrize(
+    "path",
+    [*FILES[1:], *sorted((ROOT / "nodes").glob("*.py"))],
+    ids=lambda path: path.relative_to(ROOT).as_posix(),
+)
+def test_no_module_imports_from_the_public_api(path: Path) -> None:
+    """`import mast_zenoh` and `from mast_zenoh import run` are for users: the API is the top layer."""
+    assert FILES[0] == PACKAGE / "__init__.py"
+    for name in imported(path):
+        parts = name.split(".")
+        if parts[0] == "mast_zenoh":
+            assert len(parts) > 2 or name == "mast_zenoh" or parts[1] in RANK, f"imports {name} from the API"
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            assert "mast_zenoh" not in {alias.name for alias in node.names}, "imports the API"
+
+
 ALGORITHMS = {"tracking", "fusion", "pipelines", "attacks", "effects", "evaluation", "metrics", "links", "faults"}
 PURE = [path for path in FILES if path.relative_to(PACKAGE).parts[0] in ALGORITHMS]
 FORBIDDEN = {"zenoh", "socket", "time", "random", "os", "subprocess", "threading", "asyncio"}

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mast_zenoh
 from mast_zenoh import errors
+from mast_zenoh.api.catalogue import Entry
+from mast_zenoh.api.messages import WireMessage
+from mast_zenoh.api.parameters import Parameter
+from mast_zenoh.api.plots import Plots
+from mast_zenoh.api.runs import Agent
+from mast_zenoh.api.surface import BASE_CLASSES, base_class
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.deploy.compose.examples import EXAMPLES, example
 from mast_zenoh.layers import LAYERS
 from mast_zenoh.messages.schemas import SCHEMAS
+from mast_zenoh.study.interface import carry_out
 
 _PACKAGE = Path(mast_zenoh.__file__).parent
 
@@ -81,8 +91,8 @@ def error_types(base: type[errors.MastError] = errors.MastError) -> list[type[er
     return [base, *(found for child in base.__subclasses__() for found in error_types(child))]
 
 
-def _first_line(error: type[errors.MastError]) -> str:
-    return (error.__doc__ or "").strip().splitlines()[0].rstrip(".")
+def _first_line(of: type) -> str:
+    return (of.__doc__ or "").strip().splitlines()[0].rstrip(".")
 
 
 _LAYERS = re.compile(r"(<!-- Written by `make docs` from mast_zenoh/layers.py. -->\n).*?(<!-- end -->\n)", re.DOTALL)
@@ -97,7 +107,61 @@ def architecture_page() -> str:
     return _LAYERS.sub(lambda match: f"{match[1]}\n```text\n{listing}```\n\n{match[2]}", page)
 
 
-PAGES = {"architecture.md": architecture_page, "messages.md": messages_page, "exit_codes.md": exit_codes_page}
+def api_page() -> str:
+    """docs/api.md: the public names with signatures and docstrings, and the base classes."""
+    lines = [
+        "# API",
+        "",
+        _GENERATED.format(source="mast_zenoh/__init__.py and mast_zenoh/api/surface.py"),
+        "After reading this page you know every public name. [python.md](python.md) shows how they work together,",
+        "[stability.md](stability.md) says what stays.",
+        "",
+        "## import mast_zenoh as mast",
+        "",
+    ]
+    functions = [name for name in mast_zenoh.__all__ if name[0].islower()]
+    classes = [name for name in mast_zenoh.__all__ if name[0].isupper()]
+    for name in functions:
+        function = carry_out if name == "study" else getattr(mast_zenoh, name)
+        lines += [f"### `mast.{name}{_signature(function)}`", "", *_text(function), ""]
+    lines += ["### `mast.__version__`", "", "Version of the package, as text.", ""]
+    for cls in [getattr(mast_zenoh, name) for name in classes] + [Agent, Plots, WireMessage, Entry, Parameter]:
+        lines += [f"## `{cls.__name__}`", "", *_text(cls), ""]
+        for name, member in vars(cls).items():
+            if not name.startswith("_") and (callable(member) or isinstance(member, property)):
+                shown = name if isinstance(member, property) else f"{name}{_signature(member)}"
+                lines += [f"### `{cls.__name__}.{shown}`", "", *_text(member), ""]
+    lines += ["## Base classes", "", "| to write a | derive from | which is |", "|---|---|---|"]
+    for purpose, places in BASE_CLASSES.items():
+        for place in places:
+            lines.append(f"| {purpose} | `{place}` | {_first_line(base_class(place))} |")
+    return "\n".join([*lines, ""])
+
+
+def _signature(function: Callable[..., Any]) -> str:
+    """The parameters of a function and their defaults, without annotations."""
+    found = inspect.signature(function)
+    plain = [each.replace(annotation=inspect.Parameter.empty) for name, each in found.parameters.items()]
+    plain = plain[1:] if plain and plain[0].name == "self" else plain
+    return str(found.replace(parameters=plain, return_annotation=inspect.Signature.empty))
+
+
+def _text(of: object) -> list[str]:
+    """A docstring: paragraphs as they are, descriptions of parameters as a block."""
+    first, *others = (inspect.getdoc(of) or "").split("\n\n")
+    lines = [*first.split("\n"), ""]
+    for paragraph in others:
+        block = re.match(r"[a-z_]\w*(, [a-z_]\w*)*:\s", paragraph)
+        lines += ["```text", *paragraph.split("\n"), "```", ""] if block else [*paragraph.split("\n"), ""]
+    return lines[:-1]
+
+
+PAGES = {
+    "api.md": api_page,
+    "architecture.md": architecture_page,
+    "messages.md": messages_page,
+    "exit_codes.md": exit_codes_page,
+}
 
 
 def main(folder: Path) -> None:

@@ -137,6 +137,8 @@ class CoordinatedSelection(UncoordinatedSelection):
     What the adversaries see is joined into clusters of at most one object of each, nearest first and no farther
     apart than `cluster_radius_m`; a target is then hidden (moved) for every adversary. The other parameters are
     those of UncoordinatedSelection, counted for all adversaries together.
+
+    cluster_radius_m: within which objects seen by different adversaries are one
     """
 
     def __init__(

@@ -6,7 +6,7 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -61,6 +61,7 @@ def run(
     allow_churn: bool = False,
     prepare: Callable[[Launch], None] = lambda launch: None,
     console: Console | None = None,
+    command: Sequence[str] | str | None = None,
 ) -> Run:
     """Run a scenario and write its run folder; what goes wrong is in the result and in run.json.
 
@@ -70,6 +71,7 @@ def run(
     allow_failures: whether a run in which a handler failed is "ok" all the same; otherwise its error is HandlerFailed
     allow_churn: whether a lock-step run in which a node was lost is "ok" all the same; otherwise its error is NodeLost
     prepare:  called with what will launch the run on its mesh, before it does
+    command:  what started the run, for run.json; None: this process's command line
     Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
     """
     console = console or Console(quiet=True)
@@ -91,7 +93,7 @@ def run(
             "seed": resolved.seed,
             "frames": resolved.frames,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "command": [os.path.basename(sys.argv[0]), *sys.argv[1:]],
+            "command": command or [os.path.basename(sys.argv[0]), *sys.argv[1:]],
             "launcher": liveness.identity(),
             "versions": run_folder.versions(),
             "timings": {},

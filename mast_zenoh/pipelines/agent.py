@@ -40,6 +40,8 @@ class MissionEstimator(ABC):
 class OwnAndPicture(MissionEstimator):
     """Clusters and fuses own tracks with the picture's objects.
 
+    clustering: which of them are one object;  fusion: makes one state of a cluster
+
     The picture holds this agent's own tracks already, in an unknown share: fuse by covariance intersection, which is
     consistent whatever the correlation (Julier and Uhlmann, ACC 1997).
     """
@@ -60,7 +62,10 @@ class OwnAndPicture(MissionEstimator):
 
 
 class PictureFirst(MissionEstimator):
-    """The picture as it is, and own tracks only where the picture has nothing within `radius` m."""
+    """The picture as it is, and own tracks only where the picture has nothing near.
+
+    radius: m, in the bird's-eye view, within which an own track is left out
+    """
 
     def __init__(self, *, radius: float = 2.0) -> None:
         self.radius = radius
@@ -86,6 +91,7 @@ class Pose:
 class AgentPipeline:
     """The stages of an agent, from detections to tracks.
 
+    tracker: turns detections into tracks;  mission: makes the mission-critical estimate of them and the picture
     frame: "world": detections are brought to the world frame before they are tracked, so that the agent's own
            motion is taken out. "body": they are tracked in the agent's moving frame, as the original MAST did, and the
            tracks say so; only there to show what that costs.

@@ -113,7 +113,8 @@ def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> No
     if not isinstance(config, Mapping):
         raise ConfigurationError(f"{place}: found {config!r}, expected a dict")
     file_name = str(config.get("file", f"{role}.py"))
-    file = bundle.find("nodes", file_name, path.parent)
+    in_session = None if "file" in config else loading.node_file(config.get("type"))
+    file = in_session or bundle.find("nodes", file_name, path.parent)
     if file is None:
         hint = nearest(file_name, bundle.names("nodes", path.parent))
         raise NodeFileError(f"{place}: no node file {file_name!r}{hint}")
