@@ -19,6 +19,7 @@ from mast_zenoh.control import CONTROLS, flow
 from mast_zenoh.control.files import encode
 from mast_zenoh.control.invalid import MAX_KEYS, OTHERS, InvalidMessages
 from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.control.stop_reasons import StopKind, StopReason, encode_reason
 from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, ServiceDied
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.file_server import FileServer
@@ -134,7 +135,7 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
         stall_timeout_s=2.0,
     )
     monkeypatch.setattr("mast_zenoh.runtime.mesh.driver.SUSPECT_S", 0.01)
-    made.alive |= {"ego", "watch"}
+    made.membership.alive |= {"ego", "watch"}
     made._begin_epoch()
     return made
 
@@ -149,22 +150,22 @@ def context(tmp_path: Path) -> RunContext:
 
 @pytest.mark.parametrize("payload", RUBBISH)
 def test_a_malformed_epoch_costs_a_node_one_message(ego: MeshNode, payload: bytes) -> None:
-    ego.control_came("epoch", payload)
+    ego._on_control("epoch", sample("epoch", payload))
     assert (ego.epoch, ego.invalid.counts) == (0, {"epoch": 1})
     with pytest.raises(queue.Empty):
         ego.inbox.get_nowait()
-    ego.control_came("epoch", flow.encode_epoch(1, {"ego": "agent"}, None))
+    ego._on_control("epoch", sample("epoch", flow.encode_epoch(1, {"ego": "agent"}, None)))
     ego.handle(ego.inbox.get_nowait())
     assert (ego.epoch, ego.stop_reason) == (1, None)
 
 
 @pytest.mark.parametrize("key", ["stop", "leave/ego"])
 def test_a_stop_that_is_no_text_costs_a_node_one_message(ego: MeshNode, key: str) -> None:
-    ego.control_came(key, b"\xff\xfe")
+    ego._on_control(key, sample(key, b"\xff\xfe"))
     assert (ego.stop_reason, ego.invalid.counts) == (None, {key: 1})
     with pytest.raises(queue.Empty):
         ego.inbox.get_nowait()
-    ego.control_came(key, b"end")
+    ego._on_control(key, sample(key, b"end"))
     ego.handle(ego.inbox.get_nowait())
     assert ego.stop_reason == "end"
 
@@ -185,7 +186,7 @@ def eve() -> MeshNode:
 def told_to_leave(node: MeshNode) -> None:
     """A change of the wiring has begun, after which the node is not there any more."""
     update = flow.WiringUpdate(WIRING, False, (node.name,))
-    node.control_came("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update))
+    node._on_control("epoch", sample("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update)))
     node.handle(node.inbox.get_nowait())
 
 
@@ -193,19 +194,19 @@ def told_to_leave(node: MeshNode) -> None:
 def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
     told_to_leave(eve)
     query = Query("drain/eve", payload)
-    eve.rewiring.take_question(query)  # type: ignore[arg-type]
+    eve.drains.take(query)  # type: ignore[arg-type]
     assert query.dropped
     assert query.answers == []
-    assert not eve.rewiring.asked
+    assert not eve.drains.waiting
     assert eve.invalid.counts == {"drain/eve": 1}
 
 
 def test_a_drain_is_answered_by_a_node_that_is_to_leave_and_by_no_other(eve: MeshNode) -> None:
     early, due = Query("drain/eve", TAP.encode()), Query("drain/eve", TAP.encode())
-    eve.rewiring.take_question(early)  # type: ignore[arg-type]
+    eve.drains.take(early)  # type: ignore[arg-type]
     assert (early.answers, early.dropped, eve.invalid.counts) == ([], True, {"drain/eve": 1})
     told_to_leave(eve)
-    eve.rewiring.take_question(due)  # type: ignore[arg-type]
+    eve.drains.take(due)  # type: ignore[arg-type]
     eve.handle(eve.inbox.get_nowait())
     assert due.answers == [("ok", b"")]
 
@@ -225,71 +226,78 @@ def test_malformed_counts_cost_the_driver_one_message(driver: Driver, node: str,
 @pytest.mark.parametrize("payload", [*RUBBISH, msgpack.packb({"wiring": {"wires": [[]]}, "join": {}, "leave": []})])
 def test_a_malformed_change_of_the_wiring_costs_the_driver_one_message(driver: Driver, payload: bytes) -> None:
     query = Query("rewire", payload)
-    driver.rewirer.ask(query)  # type: ignore[arg-type]
+    driver._on_rewire(query)  # type: ignore[arg-type]
     assert query.dropped
     assert driver.invalid.counts == {"rewire": 1}
 
 
 def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_named(driver: Driver) -> None:
-    driver._sent["clock"] = 3
+    driver.scene.sent["clock"] = 3
     driver._report_self()
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
     driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": 10**9})))
     begun = time.monotonic()
     reason = driver._await_quiet(everyone=True)
-    assert reason == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
+    assert reason is not None
+    assert (
+        encode_reason(reason)
+        == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
+    )
     assert time.monotonic() - begun < driver.stall_timeout_s, "at once, and not when the run is found to stall"
 
 
 def test_a_node_that_reports_a_key_that_is_not_its_own_ends_the_run_and_is_named(driver: Driver) -> None:
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {"clock": 1}, {})))
     reason = driver._await_quiet(everyone=True)
-    assert reason == "implausible: watch reports messages sent on 'clock', on which it does not speak"
+    assert reason is not None
+    assert encode_reason(reason) == "implausible: watch reports messages sent on 'clock', on which it does not speak"
 
 
 def test_a_node_that_reports_too_little_is_a_stall_as_before(driver: Driver) -> None:
     driver.stall_timeout_s = 0.05
-    driver._sent["clock"] = 3
+    driver.scene.sent["clock"] = 3
     driver._report_self()
     for name in ("ego", "watch"):
         driver._on_counts(sample(f"counts/{name}", flow.encode_counts(1, {}, {})))
-    assert driver._await_quiet(everyone=True) == "stall: ego has handled 0 of 3 messages of sim on clock"
+    expected = StopReason(StopKind.STALL, "ego has handled 0 of 3 messages of sim on clock")
+    assert driver._await_quiet(everyone=True) == expected
 
 
 def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
-    def told(there: bool) -> None:
-        driver._note_presence("ego", there)
+    def note(there: bool) -> None:
+        driver.membership.note("ego", there, 0, driver.members)
 
-    told(False)
-    told(True)
-    driver._leaving.add("ego")  # the scenario kills it, and starts it again
-    told(False)
-    told(True)
-    assert [each["what"] for each in driver.churn] == ["lost", "back"]
+    note(False)
+    note(True)
+    driver.membership.leaving.add("ego")  # the scenario kills it, and starts it again
+    note(False)
+    note(True)
+    assert [each["what"] for each in driver.membership.churn] == ["lost", "back"]
 
 
 def presence(driver: Driver, *there: bool) -> None:
     """Ego's token comes and goes like this, before the driver looks."""
     for each in there:
         kind = zenoh.SampleKind.PUT if each else zenoh.SampleKind.DELETE
-        driver._on_presence(MagicMock(key_expr="mast/x/alive/ego", kind=kind))
+        driver.membership.on_token(MagicMock(key_expr="mast/x/alive/ego", kind=kind))
 
 
 def test_of_a_node_that_comes_and_goes_waits_only_that_it_was_gone_and_where_it_is(driver: Driver) -> None:
     presence(driver, *[False, True] * 1000)
     assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" not in driver.alive, "first it has gone, so that a new epoch begins"
+    assert "ego" not in driver.membership.alive, "first it has gone, so that a new epoch begins"
     assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" in driver.alive
-    assert [each["what"] for each in driver.churn] == ["lost", "back"]
+    assert "ego" in driver.membership.alive
+    assert [each["what"] for each in driver.membership.churn] == ["lost", "back"]
     with pytest.raises(queue.Empty):
         driver.inbox.get_nowait()
 
 
 def test_a_node_that_comes_and_goes_all_the_time_ends_the_run_and_is_named(driver: Driver) -> None:
     for there in [False, True] * 60:
-        driver._note_presence("ego", there)
-    assert driver._over == "implausible: ego has gone and come back more than 50 times"
+        presence(driver, there)
+        driver._wait(time.monotonic() + 1.0)
+    assert driver._over == StopReason(StopKind.IMPLAUSIBLE, "ego has gone and come back more than 50 times")
 
 
 # -- the launcher ----------------------------------------------------------------------------------------------------
