@@ -9,23 +9,12 @@ from typing import Any
 
 from mast_zenoh.deploy.compose.document import CREDENTIALS, ROUTER, ROUTER_SETTINGS
 from mast_zenoh.launch.context import RunContext
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring.model import Wiring
 
 
 def deployment(context: RunContext) -> Deployment:
     """Certificates for all nodes of a run, in its folder; nodes reach the router by its name, the launcher here."""
-    return Deployment(
-        context.secure,
-        context.run_id,
-        Wiring.from_json(context.resolved.wiring),
-        context.resolved.nodes,
-        prefix=prefix(context.run_id),
-        driver=context.driver,
-        hosts=[ROUTER, "127.0.0.1"],
-        folder=context.folder / CREDENTIALS,
-    )
+    return context.make_deployment([ROUTER, "127.0.0.1"], context.folder / CREDENTIALS)
 
 
 def write_settings(folder: Path, router: dict[str, Any]) -> Path:

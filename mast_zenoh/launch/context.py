@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +18,9 @@ from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import RunError
 from mast_zenoh.launch.supervisor import Supervisor
+from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.wiring.model import Wiring
 
 
 class Mesh(NamedTuple):
@@ -107,10 +109,22 @@ class RunContext:
         """The id of the run."""
         return str(self.record["id"])
 
-    @property
-    def driver(self) -> str:
-        """The name of the node that drives the scene; "" if there is none."""
-        return next((name for name, spec in self.resolved.nodes.items() if spec.role == "simulator"), "")
+    def make_deployment(self, hosts: Iterable[str], folder: Path | None = None) -> Deployment:
+        """The credentials of all nodes of the run.
+
+        hosts: names and addresses under which the router is reached; folder: see Deployment
+        """
+        nodes = self.resolved.nodes
+        return Deployment(
+            self.secure,
+            self.run_id,
+            Wiring.from_json(self.resolved.wiring),
+            nodes,
+            prefix=prefix(self.run_id),
+            driver=next((name for name, spec in nodes.items() if spec.role == "simulator"), ""),
+            hosts=hosts,
+            folder=folder,
+        )
 
     def joined(self, mesh: Mesh) -> None:
         """The launcher has joined the mesh: control messages are signed from now on, if the run has keys."""

@@ -8,11 +8,8 @@ from mast_zenoh.errors import BackendError
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.processes import Processes
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from mast_zenoh.security import levels
-from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring.model import Wiring
 
 
 def join(context: RunContext, stack: ExitStack, endpoint: str | None, listen: str) -> tuple[Mesh, Hosts | None]:
@@ -51,17 +48,7 @@ def _open_router(context: RunContext, stack: ExitStack, listen: str) -> Mesh:
     """A router in this process, with credentials for all nodes above the level "open"."""
     resolved, run = context.resolved, context.run_id
     listen = levels.endpoint(context.secure, listen)
-    deployment = stack.enter_context(
-        Deployment(
-            context.secure,
-            run,
-            Wiring.from_json(resolved.wiring),
-            resolved.nodes,
-            prefix=prefix(run),
-            driver=context.driver,
-            hosts=levels.hosts([listen]),
-        )
-    )
+    deployment = stack.enter_context(context.make_deployment(levels.hosts([listen])))
 
     def extra_arguments(name: str) -> list[str]:
         """Where its credentials are, and its own way to the router if it has one."""

@@ -12,11 +12,8 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.processes import Processes
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import levels
-from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring.model import Wiring
 
 
 class BesideProcesses(Processes):
@@ -46,17 +43,7 @@ class Beside(Engine):
         pass
 
     def join(self, context: RunContext, stack: ExitStack) -> Mesh:
-        deployment = stack.enter_context(
-            Deployment(
-                context.secure,
-                context.run_id,
-                Wiring.from_json(context.resolved.wiring),
-                context.resolved.nodes,
-                prefix=prefix(context.run_id),
-                driver=context.driver,
-                hosts=["127.0.0.1"],
-            )
-        )
+        deployment = stack.enter_context(context.make_deployment(["127.0.0.1"]))
         listen = levels.endpoint(context.secure, "tcp/127.0.0.1:0")
         session, endpoint = open_router(listen, security=deployment.router)
         context.record |= {"endpoint": endpoint, "deployment": {"engine": self.name}}

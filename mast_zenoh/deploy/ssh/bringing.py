@@ -28,12 +28,10 @@ from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.processes import ENVIRONMENT
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import ROUTER
 from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring.model import Wiring
 
 if TYPE_CHECKING:
     import asyncssh
@@ -197,19 +195,7 @@ class Bringing:
         self.endpoints = {n: levels.endpoint(context.secure, f"tcp/{_spelt(a)}:{port}") for n, a in addresses.items()}
         endpoints = list(dict.fromkeys(self.endpoints.values()))
         context.record["endpoint"] = endpoints[0]
-        wiring = Wiring.from_json(context.resolved.wiring)
-        reached_by = levels.hosts(endpoints)
-        deployment = self.deployment = self.stack.enter_context(
-            Deployment(
-                context.secure,
-                self.run,
-                wiring,
-                context.resolved.nodes,
-                prefix=prefix(self.run),
-                driver=context.driver,
-                hosts=reached_by,
-            )
-        )
+        deployment = self.deployment = self.stack.enter_context(context.make_deployment(levels.hosts(endpoints)))
         if on != LAUNCHER:
             return self.stack.enter_context(self._router_on(self.hosts[on], port, deployment, endpoints[0]))
         if self.told.address and not _is_ours(self.told.address):  # such as that of a gateway which passes it on
