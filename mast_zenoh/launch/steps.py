@@ -1,4 +1,4 @@
-"""Does to the processes of a run what its scenario says, when the driver asks for it."""
+"""Carries out the process steps of a scenario when the driver requests them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def check(resolved: Resolved, where: str, *, unplugs: bool) -> None:
 
 
 class Steps:
-    """Carries out process steps. Who runs already is not started, who does not run is not killed.
+    """Carries out process steps. A running node is not started, and a stopped one is not killed.
 
     planned: the steps of the scenario: nothing else is carried out, and each only once
     leave: asks a node to leave; done: what has been done so far: frame, action, node;
@@ -58,12 +58,12 @@ class Steps:
         self.cut = False
 
     def start_all(self) -> None:
-        """Start those who are there from the beginning."""
+        """Start the nodes that are there from the beginning."""
         there = {name: spec for name, spec in self._nodes.items() if name not in self._absent}
         self._supervisor.start_all(there, self._absent)
 
     def carry_out(self, frame: int, group: Sequence[tuple[str, str]]) -> None:
-        """What the driver asks for before a frame: (action, node) of each step.
+        """Carry out what the driver requests before a frame: (action, node) of each step.
 
         Raises MessageError for what the scenario does not say.
         """

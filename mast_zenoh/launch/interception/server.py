@@ -1,7 +1,7 @@
-"""Puts nodes on wires of a run that goes on, and takes them off: the launcher's part.
+"""Inserts nodes into wires of a running run, and releases them: the launcher's part.
 
-The client asks for it, by a query on @control/intercept that is sealed with a secret known only to those who may read
-the run folder: the launcher starts processes for nobody else. Requests are served one after the other, a step at each
+The client requests it, by a query on @control/intercept that is sealed with a secret in the run folder: the launcher
+starts processes only for users who may read that folder. Requests are served one after the other, a step at each
 turn of the launcher's loop.
 """
 
@@ -40,18 +40,18 @@ _DRIVER_TIMEOUT_S = 60.0
 _START_TIMEOUT_S = 60.0
 _LEAVE_GRACE_S = 5.0
 
-#: A piece of work in steps: it yields whenever it has to wait, and returns what is answered.
+#: Work in steps: it yields whenever it has to wait, and returns the answer.
 Work = Generator[None, None, dict[str, Any]]
 
 
 def seal(request: dict[str, Any], secret: bytes) -> bytes:
-    """A request as it is sent; a number drawn at random makes it one of its kind."""
-    body: bytes = msgpack.packb(request | {"number": secrets.token_hex(8)})  # of one who may read the secret
+    """A request as it is sent; a random number makes it unique."""
+    body: bytes = msgpack.packb(request | {"number": secrets.token_hex(8)})
     return bytes(msgpack.packb([body, hmac.digest(secret, body, hashlib.sha256)]))
 
 
 def unseal(payload: bytes, secret: bytes) -> dict[str, Any]:
-    """The request in what was sent; raises MessageError for one of somebody who does not know the secret."""
+    """The request in what was sent; raises MessageError for one that was not sealed with the secret."""
     body, digest = control.sealed_parts(payload)
     if hmac.compare_digest(digest, hmac.digest(secret, body, hashlib.sha256)):
         return fields.mapping(fields.unpack(body, "intercept"), "intercept")
@@ -85,7 +85,7 @@ class Interceptions:
         ]
 
     def turn(self) -> None:
-        """Do the next step of what is to be done, if anything is."""
+        """Do the next step of the request that is being served, or of healing a wire; nothing if there is none."""
         if self._work is None:
             self._work = self._next()
         if self._work is not None:
@@ -95,7 +95,7 @@ class Interceptions:
                 self._work = None
 
     def close(self) -> None:
-        """The run is over: refuse what has not been done."""
+        """The run is over: refuse the requests that have not been served."""
         while self._work is not None or not self._requests.empty():
             self.turn()
         for entity in self._declared:
@@ -103,7 +103,7 @@ class Interceptions:
         self._file.unlink(missing_ok=True)
 
     def _on_query(self, query: zenoh.Query) -> None:
-        """Take up a request, in Zenoh's thread: what is none takes nobody's room."""
+        """Take up a request, in Zenoh's thread; a malformed one takes no room in the queue."""
         try:
             request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
             number, what = fields.text(request.get("number"), "intercept: number", 64), control.request_of(request)
@@ -141,7 +141,7 @@ class Interceptions:
                 answer = yield from self._intercept(*what)
             else:
                 answer = yield from self._release(*what)
-        except Exception as error:  # whatever is asked, the run goes on
+        except Exception as error:  # one request never ends the run
             self._refuse(query, error)
         else:
             query.reply(query.key_expr, msgpack.packb(answer))
@@ -173,7 +173,7 @@ class Interceptions:
         return self._noted("intercept", name, [place.wire], answer)
 
     def _release(self, named: str | None, wire: str | None) -> Work:
-        """Take a node off its wires, and have it leave when all that it got is passed on."""
+        """Take a node off its wires, and have it leave when it has passed on all that it got."""
         wiring = Wiring.from_json(self._context.resolved.wiring)
         name = named or insertion.interposer_of(wiring, wire or "")
         yield from self._until(lambda: self._context.frame >= 0)
@@ -211,7 +211,7 @@ class Interceptions:
         return answer | {"wires": wires}
 
     def _ask_driver(self, wiring: Wiring, join: dict[str, str], leave: list[str]) -> Work:
-        """Have the driver lead everybody into the new wiring. Returns what it says of it."""
+        """Have the driver lead all nodes into the new wiring. Returns its answer."""
         replies: list[zenoh.Reply] = []
         over = threading.Event()
         handler: Any = zenoh.handlers.Callback(replies.append, over.set, indirect=False)
@@ -243,7 +243,7 @@ class Interceptions:
             self._supervisor.end_now(child)
         self._supervisor.dispose(child)
         while child.name in self._alive and time.monotonic() < deadline + _LEAVE_GRACE_S:
-            yield  # its name may be given again when all know that it has gone
+            yield  # its name may be used again when all nodes know that it has gone
 
     def _until(self, condition: Callable[[], object], seconds: float = float("inf")) -> Generator[None]:
         """Wait; raises NotRunning when the run stops meanwhile, StartError after so many seconds."""
@@ -261,7 +261,7 @@ class Interceptions:
             raise NotRunning("the run is over")
 
     def _adopt(self, resolved: Resolved) -> None:
-        """From now on this is the truth: for who is started from now on, and for who reads the run folder."""
+        """Make this the scenario of the run: for nodes that start from now on, and for readers of the run folder."""
         self._context.resolved = resolved
         run_folder.write_json(self._context.folder / "wiring.json", resolved.wiring)
         run_folder.write_json(self._context.folder / "scenario.json", resolved.to_json())

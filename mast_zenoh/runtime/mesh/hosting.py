@@ -63,7 +63,7 @@ def _own(credentials: Path | Credentials) -> Credentials:
 
 
 def use_batch_scheduling() -> None:
-    """Let this process compute without being preempted by others: in lock-step no node gains by running sooner.
+    """Have processes that wake up preempt this one less often: in lock-step no node gains by running sooner.
 
     For all threads that there are, and those that they will start.
     """
