@@ -15,7 +15,7 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HOST_FAULTS
-from mast_zenoh.fusion.agent_pipeline import AgentPipeline, MissionEstimator
+from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline
 from mast_zenoh.report.tables.scores import MEASURES
 
 #: By kind, what is listed: a heading for each base class of those that `type=…` can name.
@@ -34,7 +34,7 @@ _BASES: Mapping[str, Mapping[str, type]] = {
     },
     "fusion": {
         "mission estimators: what an agent makes of its tracks and the picture": MissionEstimator,
-        "pipelines of the command centre": fusion.Pipeline,
+        "pipelines of the command centre": Pipeline,
         "clusterers: which tracks are one object": fusion.Clusterer,
         "fusions: one state of a cluster": fusion.Fusion,
         "group trackers: clusters over time": fusion.GroupTracker,

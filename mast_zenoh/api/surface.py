@@ -16,7 +16,7 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
     ),
     "tracker": ("mast_zenoh.tracking.Tracker", "mast_zenoh.tracking.Assignment"),
     "fusion": (
-        "mast_zenoh.fusion.Pipeline",
+        "mast_zenoh.pipelines.Pipeline",
         "mast_zenoh.fusion.Clusterer",
         "mast_zenoh.fusion.Fusion",
         "mast_zenoh.fusion.GroupTracker",

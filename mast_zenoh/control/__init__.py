@@ -9,6 +9,7 @@ files          fetch, file: what a node on another host gets from the launcher a
 interception   intercept, release: what a user asks of a run
 reports        failed, result: what a node tells the launcher of itself
 results        the results themselves, packed;  failures: of handlers, counted, merged, in words
+stop_reasons   why a run stops
 invalid        counts what was refused
 signatures     who a message is from: those of the driver and the launcher are signed above the level "open"
 

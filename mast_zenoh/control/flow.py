@@ -26,10 +26,10 @@ class Counts(NamedTuple):
 
 
 class WiringUpdate(NamedTuple):
-    """What an epoch says of the wiring: as it will be or is (`speak`), and which nodes are about to leave it."""
+    """What an epoch says of the wiring: as it will be, or is when it is active, and which nodes are about to leave."""
 
     wiring: Wiring
-    speak: bool
+    active: bool
     leaving: tuple[str, ...] = ()
 
 
@@ -71,21 +71,21 @@ def decode_counts(payload: bytes) -> Counts:
 
 def encode_epoch(number: int, members: Mapping[str, str], update: WiringUpdate | None) -> bytes:
     """See Epoch."""
-    told = None if update is None else [update.wiring.to_json(), update.speak, list(update.leaving)]
-    packed: bytes = msgpack.packb([number, dict(members), told])
+    change = None if update is None else [update.wiring.to_json(), update.active, list(update.leaving)]
+    packed: bytes = msgpack.packb([number, dict(members), change])
     return packed
 
 
 def decode_epoch(payload: bytes) -> Epoch:
     """See Epoch; raises MessageError."""
-    number, members, told = fields.items(fields.unpack(payload, "epoch"), 3, "epoch")
+    number, members, change = fields.items(fields.unpack(payload, "epoch"), 3, "epoch")
     fields.whole(number, "epoch: number", 1, MAX_EPOCH)
     update = None
-    if told is not None:
-        wiring, speak, leaving = fields.items(told, 3, "epoch: wiring update")
+    if change is not None:
+        wiring, active, leaving = fields.items(change, 3, "epoch: wiring update")
         update = WiringUpdate(
             wiring_of(wiring, "epoch: wiring"),
-            fields.flag(speak, "epoch: speak"),
+            fields.flag(active, "epoch: speak"),
             fields.names(leaving, "epoch: leaving"),
         )
     return Epoch(number, fields.roles(members, "epoch: members"), update)

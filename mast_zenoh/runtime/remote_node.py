@@ -93,7 +93,7 @@ def _host(arguments: argparse.Namespace) -> None:
             os.chdir(folder)
             resolved = Resolved.read(folder)
             if resolved.mode == "lockstep":
-                hosting.compute_in_peace()
+                hosting.use_batch_scheduling()
             built = hosting.build(resolved, name)
             signatures = hosting.signatures(run, credentials)
             hosted = hosting.host(resolved, run, name, built, session, without, signatures)

@@ -10,7 +10,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from mast_zenoh import scenes, sensing, streams
+from mast_zenoh import sensing, streams
 from mast_zenoh.arrays import geometry, states
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.base import Scene
@@ -115,8 +115,8 @@ def _line(path: Path | str, stat: os.stat_result) -> str:
 def _code() -> str:
     """A hash of the code that makes scenes: a change of it makes every prepared scene stale."""
     files = [Path(module.__file__ or "") for module in (geometry, states, streams)]
-    for package in (scenes, sensing):
-        files += Path(package.__file__ or "").parent.glob("*.py")
+    for file in (__file__, sensing.__file__):
+        files += Path(file or "").parent.glob("*.py")
     return _hash_of(files)
 
 

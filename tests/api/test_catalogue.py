@@ -24,7 +24,7 @@ BASES: dict[str, list[type]] = {
         *(attacks.Selection, attacks.Propagation, attacks.Imitation),
     ],
     "trackers": [tracking.Tracker, tracking.Assignment],
-    "fusion": [fusion.Pipeline, fusion.Clusterer, fusion.Fusion, fusion.GroupTracker],
+    "fusion": [pipelines.Pipeline, fusion.Clusterer, fusion.Fusion, fusion.GroupTracker],
     "scenes": [scenes.Scene, sensing.Detector],
     "links": [links.Rule],
     "faults": [faults.Fault],

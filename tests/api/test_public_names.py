@@ -25,7 +25,7 @@ BASES = {
     *("mast_zenoh.attacks.Attack", "mast_zenoh.attacks.Coordination", "mast_zenoh.attacks.Selection"),
     *("mast_zenoh.attacks.Propagation", "mast_zenoh.attacks.Imitation"),
     *("mast_zenoh.tracking.Tracker", "mast_zenoh.tracking.Assignment"),
-    *("mast_zenoh.fusion.Pipeline", "mast_zenoh.fusion.Clusterer", "mast_zenoh.fusion.Fusion"),
+    *("mast_zenoh.pipelines.Pipeline", "mast_zenoh.fusion.Clusterer", "mast_zenoh.fusion.Fusion"),
     *("mast_zenoh.fusion.GroupTracker", "mast_zenoh.scenes.Scene", "mast_zenoh.sensing.Detector"),
     *("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
     *("mast_zenoh.links.Rule", "mast_zenoh.faults.Fault"),

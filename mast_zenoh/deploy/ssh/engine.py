@@ -13,9 +13,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import zenoh
+from typing import Any
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.ssh import connection, hostsfile, installation
@@ -25,13 +23,9 @@ from mast_zenoh.deploy.ssh.connection import Loop, connected, heard, together
 from mast_zenoh.deploy.ssh.hostsfile import Host
 from mast_zenoh.deploy.ssh.installation import Cargo
 from mast_zenoh.errors import EngineError
+from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.mesh_run import Launch
-from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.security import levels
-
-if TYPE_CHECKING:
-    pass
 
 _LEAVE_S = 20.0  # for a host to end what it still runs and to remove its folder
 
@@ -62,9 +56,9 @@ class Ssh(Engine):
             cargo = Cargo(Path(folder))
             loop.run(together(*(probed(host, cargo) for host in used.values())))
 
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
+    def join(self, context: RunContext, stack: ExitStack) -> Mesh:
         """See Engine."""
-        return Bringing(self.hosts, self._used(launch.resolved), launch, stack).bring()
+        return Bringing(self.hosts, self._used(context.resolved), context, stack).bring()
 
     def _used(self, resolved: Resolved) -> dict[str, Host]:
         names = {*self.hosts.placed(resolved.nodes).values(), self.hosts.router_on}

@@ -94,10 +94,10 @@ class RemoteNodes(Supervisor[RemoteNode]):
         if not self.wait(child, _ANSWER_S):
             raise EngineError(f"{child.name} does not end")
 
-    def _stand_still(self, child: RemoteNode) -> None:
+    def _suspend(self, child: RemoteNode) -> None:
         self._signal([child], signal.SIGSTOP)
 
-    def _go_on(self, children: Iterable[RemoteNode]) -> None:
+    def _resume(self, children: Iterable[RemoteNode]) -> None:
         self._signal(children, signal.SIGCONT)
 
     def wait(self, child: RemoteNode, seconds: float) -> bool:
@@ -105,7 +105,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
         with self._changed:
             return self._changed.wait_for(lambda: child.exit is not None, seconds)
 
-    def let_go(self, child: RemoteNode) -> None:
+    def dispose(self, child: RemoteNode) -> None:
         """See Supervisor. Its host keeps nothing of it but its log."""
 
     def running(self) -> list[RemoteNode]:
