@@ -29,20 +29,19 @@ LOCKS = {
 UNBOUNDED = {"cryptography", "rich", "pyarrow", "pillow", "dask", "setuptools"}
 
 
-def locked(name: str) -> list[Requirement]:
-    """The entries of a lock file."""
-    lines = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
-    return [Requirement(line.partition(" --hash")[0]) for line in lines if line and not line.lstrip().startswith("#")]
-
-
-def entries(name: str) -> dict[str, tuple[str, frozenset[str]]]:
-    """Requirement by package and marker, with its hashes."""
+def hashes_by_entry(name: str) -> dict[str, tuple[str, frozenset[str]]]:
+    """The hashes of every entry of a lock file; an entry is `name==version ; marker`."""
     lines = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
     return {
         line.partition(" --hash")[0].strip(): frozenset(re.findall(r"--hash=(\S+)", line))
         for line in lines
         if line and not line.lstrip().startswith("#")
     }
+
+
+def locked(name: str) -> list[Requirement]:
+    """The entries of a lock file."""
+    return [Requirement(entry) for entry in hashes_by_entry(name)]
 
 
 def pins(name: str, python: str) -> dict[str, str]:
@@ -94,8 +93,8 @@ def test_running_and_development_use_the_same_versions(python: str) -> None:
 
 
 def test_running_and_development_accept_the_same_hashes() -> None:
-    hashes = {entry.partition(" ;")[0]: of for entry, of in entries("requirements-dev.txt").items()}
-    for entry, of in entries("requirements.txt").items():
+    hashes = {entry.partition(" ;")[0]: of for entry, of in hashes_by_entry("requirements-dev.txt").items()}
+    for entry, of in hashes_by_entry("requirements.txt").items():
         assert of == hashes[entry.partition(" ;")[0]], entry
 
 
