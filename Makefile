@@ -4,11 +4,14 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run test fuzz insiders lint bench docs lock dist clean
+.PHONY: run dev test fuzz insiders lint bench docs lock dist clean
 
 # Installs what running needs; the other targets add the tools for tests and development.
 run: .venv/installed
 	$(BIN)/mast study case_study
+
+# All optional packages and the tools for tests and development.
+dev: .venv/ready
 
 # Three at a time, also on two cores: tests that start processes wait for most of their time. Those of a file share what is
 # slow to make, so they stay together.
