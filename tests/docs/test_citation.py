@@ -13,7 +13,17 @@ CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
 
 #: Of the format's keys, those that it requires, and those of its optional ones that a package can fill in.
 REQUIRED = {"cff-version", "message", "title", "authors"}
-OPTIONAL = {"type", "abstract", "version", "license", "keywords", "date-released", "repository-code", "url", "references"}
+OPTIONAL = {
+    "type",
+    "abstract",
+    "version",
+    "license",
+    "keywords",
+    "date-released",
+    "repository-code",
+    "url",
+    "references",
+}
 
 
 def test_the_citation_has_what_the_format_requires_and_nothing_that_it_does_not_know() -> None:
