@@ -34,18 +34,26 @@ def messages_page() -> str:
         "# Messages",
         "",
         _GENERATED.format(source="mast_zenoh/messages/schemas.py"),
+        "Look up here what each message contains, and which messages a node refuses.",
+        "",
         "A message is a MessagePack map: a header (`schema`, `version`, `source`, `frame`, `time_ns`, `seq`) and a",
         "`body` that maps each column to `[dtype, shape, data]`, the data being raw little-endian bytes in C order.",
-        "In a shape, `n`, `m` and `k` are numbers of objects and `a` is a number of agents; equal letters in one",
-        "message are equal numbers. `time_ns` is nanoseconds since the scene began. Frames are right-handed, x forward",
-        "(world: east), y left (north), z up; quaternions are (w, x, y, z) of the active rotation into the world.",
+        "In a shape, `n`, `m` and `k` are numbers of objects and `a` is a number of agents. Equal letters in one",
+        "message are equal numbers. `time_ns` is nanoseconds since the scene began.",
+        "",
+        "Coordinate frames are right-handed: x forward (world: east), y left (north), z up. Quaternions are",
+        "(w, x, y, z) of the active rotation into the world.",
         "",
         f"Classes, by `class_id`: {', '.join(f'{i} {name}' for i, name in enumerate(CLASSES))}.",
         "",
-        "A receiver refuses, counts and drops a message that is truncated, oversized, of another schema or version,",
-        "has a missing or further column, another dtype or shape, a number that is not finite or absurdly large, a",
-        "class out of range, or (tracks and pictures) an id twice. A covariance may be anything finite: filters and",
-        "fusion make it sound.",
+        "A subscriber refuses, counts and drops a message if",
+        "",
+        "- it is truncated, oversized, or of another schema or version,",
+        "- it has a missing or an additional column, another dtype or another shape,",
+        "- a number is not finite or implausibly large, or a class is out of range,",
+        "- in tracks and pictures, an id occurs twice.",
+        "",
+        "A covariance may be any finite matrix. Filters and fusion make it usable.",
         "",
     ]
     for schema in SCHEMAS.values():
@@ -56,7 +64,7 @@ def messages_page() -> str:
             "",
         ]
         if not schema.columns:
-            lines += ["No columns: the header says it all.", ""]
+            lines += ["It has no columns, only a header.", ""]
             continue
         lines += ["| column | dtype | shape | unit | meaning |", "|---|---|---|---|---|"]
         for column in schema.columns:
@@ -72,6 +80,8 @@ def exit_codes_page() -> str:
         "# Exit codes",
         "",
         _GENERATED.format(source="mast_zenoh/errors.py"),
+        "Look up here what the exit code of a command means. [troubleshooting.md](troubleshooting.md) says what to do.",
+        "",
         "| code | error | meaning |",
         "|---:|---|---|",
     ]
@@ -79,11 +89,20 @@ def exit_codes_page() -> str:
     rows += [(0, "", "Success"), (2, "", "Usage error")]
     lines += [f"| {code} | {name} | {meaning} |" for code, name, meaning in sorted(rows)]
     return "\n".join(
-        [*lines, "", "`mast diff`: 0 two runs are equal, 1 they differ, 2 they cannot be compared.", "", _ENDINGS, ""]
+        [
+            *lines,
+            "",
+            "`mast diff` exits with 0 if two runs are equal, 1 if they differ, 2 if it cannot compare them.",
+            "",
+            _ENDINGS,
+            "",
+        ]
     )
 
 
-_ENDINGS = "[endings.md](endings.md): for each way in which a run can end, the status in `run.json` and what is left."
+_ENDINGS = (
+    "[endings.md](endings.md) lists, for each way in which a run can end, its status and what is left on the disk."
+)
 
 
 def error_types(base: type[errors.MastError] = errors.MastError) -> list[type[errors.MastError]]:
