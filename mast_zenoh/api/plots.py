@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Protocol
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.launch.tables import read_table
@@ -18,8 +19,16 @@ from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.driving import driving_over_time
 from mast_zenoh.report.tables.scores import ESTIMATES, score_table
 
-if TYPE_CHECKING:
-    from mast_zenoh.api.runs import Run
+
+class Run(Protocol):
+    """A run as figures need it; `mast_zenoh.api.runs.Run` is one."""
+
+    @property
+    def path(self) -> Path:
+        """The run folder."""
+
+    def _folder(self) -> RunFolder:
+        """Its content, as the report reads it."""
 
 
 class Plots:

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mast_zenoh as mast
-from mast_zenoh import attacks, faults, fusion, links, metrics, scenes, sensing, tracking
+from mast_zenoh import attacks, faults, fusion, links, metrics, pipelines, scenes, sensing, tracking
 from mast_zenoh.api.catalogue import KINDS, Entry
 from mast_zenoh.api.parameters import described, unit_of
 from mast_zenoh.cli.app import app
