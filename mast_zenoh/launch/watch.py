@@ -93,10 +93,10 @@ class Watch:
             text = self._reports.outcomes[report.node].get("stop_reason")
             if text is not None:
                 self._stop.request()
-                if (problem := self._problem(text)) is not None:
+                if (problem := self._problem(report.node, text)) is not None:
                     self._stop.note(problem)
 
-    def _problem(self, text: str) -> RunError | None:
+    def _problem(self, node: str, text: str) -> RunError | None:
         """The error that the driver's reason to stop stands for; None for the end of the scene."""
         reason = decode_reason(text)
         if reason.kind is StopKind.END:
@@ -108,7 +108,7 @@ class Watch:
         if reason.kind is StopKind.IMPLAUSIBLE:
             return ImplausibleCounts(reason.detail)
         # If the launcher has told it to stop, there is a problem already, and this one is not noted.
-        return RunError(f"told to stop at frame {self._context.frame}, not by us: {text!r:.80}")
+        return RunError(f"{node} was told to stop at frame {self._context.frame}, not by the launcher: {text!r:.80}")
 
     def _ask_to_stop(self, since: float) -> bool:
         """Ask all nodes to stop; whether to wait no longer."""

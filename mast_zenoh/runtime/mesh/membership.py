@@ -73,15 +73,18 @@ class Membership:
 
     def note(self, name: str, there: bool, frame: int, members: dict[str, str]) -> str:
         """A node has come or gone; members: of the current epoch. Returns why the run cannot go on, or ""."""
+        events = [each["what"] for each in self.churn if each["node"] == name]
+        lost = events[-1:] == [LOST]
         if there or name == self.own:  # the driver's own token may come late
             self.alive.add(name)
             self.leaving.discard(name)
-            before = [each["what"] for each in self.churn if each["node"] == name]
-            if before and before[-1] == LOST:
+            if lost:
                 self.churn.append({"frame": frame, "node": name, "what": BACK})
             return ""
         self.alive.discard(name)
         if name in members and name in self.expected and name not in self.leaving:
+            if lost:  # it was back for less time than the driver took to look
+                self.churn.append({"frame": frame, "node": name, "what": BACK})
             self.churn.append({"frame": frame, "node": name, "what": LOST})
             if sum(each["node"] == name for each in self.churn) > 2 * MAX_LOSSES:
                 return f"{name} has gone and come back more than {MAX_LOSSES} times"
