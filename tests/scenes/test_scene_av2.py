@@ -131,7 +131,7 @@ def test_fewer_frames_are_the_beginning_of_more(log: Path) -> None:
     assert len(short) == 2
     np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
     np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
-    with pytest.raises(ConfigurationError, match="6 frames asked for, the log has 5"):
+    with pytest.raises(ConfigurationError, match="6 frames requested, the log has 5"):
         AV2Log(path=str(log)).record(0, 6)
 
 
@@ -166,15 +166,15 @@ def without(name: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
         (BOXES, without("track_uuid"), "no column track_uuid; found timestamp_ns"),
         (BOXES, with_value("tx_m", 7, float("nan")), "column tx_m, row 7 is nan"),
         (BOXES, with_value("tx_m", 7, None), "column tx_m has 1 empty values"),
-        (BOXES, with_value("length_m", 0, 0.0), "a size is not more than 0"),
+        (BOXES, with_value("length_m", 0, 0.0), "a size is 0 or less"),
         (BOXES, with_value("num_interior_pts", 0, -3), "num_interior_pts is negative"),
-        (BOXES, with_value("qw", 0, 3.0), "quaternion .* has not the length 1"),
-        (BOXES, with_value("track_uuid", 2, "bus-1"), "track bus-1 is there twice at timestamp_ns 1000000000000000000"),
+        (BOXES, with_value("qw", 0, 3.0), "quaternion .* does not have length 1"),
+        (BOXES, with_value("track_uuid", 2, "bus-1"), "track bus-1 occurs twice at timestamp_ns 1000000000000000000"),
         (BOXES, lambda columns: {name: values[:0] for name, values in columns.items()}, "no row"),
         (BOXES, lambda columns: columns | {"tx_m": ["x"] * 4 * FRAMES}, "column tx_m: "),
         (POSES, without("qz"), "no column qz"),
         (POSES, with_value("timestamp_ns", 2, 5), "no pose at timestamp_ns 1000000000100000000"),
-        (POSES, with_value("timestamp_ns", 1, 10**18), "timestamp_ns 1000000000000000000 is there twice"),
+        (POSES, with_value("timestamp_ns", 1, 10**18), "timestamp_ns 1000000000000000000 occurs twice"),
         (POSES, with_value("tz_m", 4, float("inf")), "column tz_m, row 4 is inf"),
     ],
 )

@@ -157,16 +157,16 @@ def test_agents_and_frames_can_be_left_out(run: Path) -> None:
     assert recording.agent_names == ("ego",)
     assert len(recording) == 2
     assert read(run).agent_names == read(run, n_infrastructure=1, n_mobile=0).agent_names == ("ego", "infra_1")
-    with pytest.raises(ConfigurationError, match="5 frames asked for, the scene has 4"):
+    with pytest.raises(ConfigurationError, match="5 frames requested, the scene has 4"):
         AVstackScene(path=str(run)).record(0, 5)
 
 
 @pytest.mark.parametrize(
     ("parameters", "reason"),
     [
-        (dict(n_infrastructure=9), "n_infrastructure is 9, expected 0 to 1: so many static agents are in the scene"),
+        (dict(n_infrastructure=9), "n_infrastructure is 9, expected 0 to 1: the scene has 1 static agents"),
         (dict(n_infrastructure=-1), "n_infrastructure is -1, expected 0 to 1"),
-        (dict(n_mobile=1), "n_mobile is 1, expected 0 to 0: so many mobile agents besides the ego are in the scene"),
+        (dict(n_mobile=1), "n_mobile is 1, expected 0 to 0: the scene has 0 mobile agents besides the ego"),
         (dict(n_mobile=-1), "n_mobile is -1, expected 0 to 0"),
     ],
 )
@@ -274,11 +274,11 @@ def damaged(run: Path, what: str) -> None:
     [
         ("truncated actors", r"objectstate-actors-0000000005-.*\.txt: .*char"),
         ("empty npcs", r"objectstate-npcs-0000000005-.*\.txt"),
-        ("no npcs of a frame", r"objects: no npcs file of frame 5 \(1 of 4"),
+        ("no npcs of a frame", r"objects: no npcs file for frame 5 \(missing for 1 of 4"),
         ("no frame in the middle", r"objects: frame 5 is followed by 7, expected 6"),
-        ("no sensor file", r"lidar-0-1: no objects file of frame 6"),
-        ("no calibration of a frame", r"data/lidar-0-0: no calib file of frame 5"),
-        ("no lidar", r"data: no folder lidar-<k>-0 of agent 0"),
+        ("no sensor file", r"lidar-0-1: no objects file for frame 6"),
+        ("no calibration of a frame", r"data/lidar-0-0: no calib file for frame 5"),
+        ("no lidar", r"data: no folder lidar-<k>-0 for agent 0"),
         ("truncated calibration", r"calib-.*000005\.txt: "),
         (
             "lidar elsewhere",
@@ -287,7 +287,7 @@ def damaged(run: Path, what: str) -> None:
         ("not a number", r"npcs-0000000005-.*data\[1\]: NaN is not a finite number"),
         ("overflow", r"npcs-0000000005-.*data\[1\]: .*not finite"),
         ("no attitude", r"npcs-0000000005-.*data\[0\]: 'attitude' is missing"),
-        ("bad quaternion", r"npcs-0000000005-.*data\[1\]: quaternion .* has not the length 1"),
+        ("bad quaternion", r"npcs-0000000005-.*data\[1\]: quaternion .* does not have length 1"),
         ("bad where", r"data\[0\]: where_is_t is 'top'"),
         ("no size", r"data\[0\]: hwl is"),
         ("same id", r"two objects have the same ID"),
@@ -324,11 +324,11 @@ def test_what_is_no_scene_is_refused_by_name(tmp_path: Path, content: bytes | No
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda lines: lines[:-1], "no line of frame 7, agent 1"),
-        (lambda lines: [*lines, lines[2]], "line 9: frame 5 of agent 0 is in line 3 already"),
+        (lambda lines: lines[:-1], "no line for frame 7, agent 1"),
+        (lambda lines: [*lines, lines[2]], "line 9: frame 5 of agent 0 is already in line 3"),
         (lambda lines: [{"frame": 4}, *lines], "line 1: 'agent' is missing"),
         (lambda lines: [lines[0] | {"detections": [{"x": 1.0}]}, *lines[1:]], "line 1: 'y' is missing"),
-        (lambda lines: [lines[0] | {"detections": None}, *lines[1:]], "line 1: detections is no list"),
+        (lambda lines: [lines[0] | {"detections": None}, *lines[1:]], "line 1: detections is not a list"),
         (lambda lines: [lines[0] | {"detections": [{"x": float("nan")}]}, *lines[1:]], "line 1: NaN is not a finite"),
         (
             lambda lines: [

@@ -23,8 +23,8 @@ def test_a_short_name_stands_for_a_configuration(text: str, spec: dict) -> None:
     ("text", "reason"),
     [
         ("sumo:net.xml", "known: intersection"),
-        ("avstack", "names no path, expected avstack:PATH"),
-        ("av2:", "names no path"),
+        ("avstack", "no path, expected avstack:PATH"),
+        ("av2:", "no path"),
         ("intersection:x", "not an index"),
         ("intersecton", "did you mean 'intersection'"),
         ("carla:x", "unknown name 'carla'.*known: intersection"),

@@ -76,7 +76,7 @@ def test_an_unsound_recording_is_refused_with_the_reason(recording: Recording, c
 
 
 def test_two_rows_of_one_object_in_a_frame_are_refused(recording: Recording) -> None:
-    with pytest.raises(SceneError, match="frame 0 has two truth rows of one id"):
+    with pytest.raises(SceneError, match="frame 0 has two truth rows with the same id"):
         replace(recording, truth=recording.truth.with_(id=np.array([7, 7, 7]))).validate()
 
 
