@@ -1,4 +1,4 @@
-"""Which measurement may belong to which track, and how likely."""
+"""Gating: candidate pairs of tracks and measurements, and their likelihoods."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.tracks import ODDS, XX, XY, YY, classes_of, planar
 
-#: Squared Mahalanobis distance in the plane beyond which steady motion does not explain a pair: probability 3e-4 of a
-#: true one; and what a sudden displacement may explain.
+#: Limits of the squared Mahalanobis distance in the plane: for steady motion, exceeded by a true pair with probability
+#: 3e-4; and with a sudden displacement.
 GATE, SUDDEN_GATE = 16.0, 8.0
 
 LOG_2_PI = math.log(2.0 * math.pi)
 
-#: m, difference in height beyond which two things are on different levels of a road.
+#: m, difference in height beyond which two objects are on different levels of a road.
 LEVEL_M = 3.0
 
-#: Share of a sudden displacement's variance that what stands has, and what each (m/s)^2 adds: all of it from 5 m/s on.
+#: Fraction of the displacement variance for an object at rest, and its increase per (m/s)^2; it reaches 1 at 5 m/s.
 STANDING, MOVING = 0.1, 0.9 / 5.0**2
 
 _HORIZONTAL = np.array([XX, XY, YY])
@@ -29,11 +29,11 @@ _NONE = np.zeros(0, np.int64)
 
 
 class Pairs(NamedTuple):
-    """p pairs of a track and a measurement that lie near each other.
+    """p gated pairs of a track and a measurement.
 
     track, measurement: (p,) rows
-    log_density: (p,) ln of the density, per m^2, of the measurement's horizontal position if it is of the track
-    jump: (p,) m^2, variance that a sudden displacement adds per axis, 0 where steady motion explains the pair
+    log_density: (p,) ln of the density, per m^2, of the measurement's horizontal position given the track
+    jump: (p,) m^2, variance per axis added by a sudden displacement, 0 if steady motion explains the pair
     """
 
     track: Ints
@@ -46,12 +46,12 @@ def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Float
     """The pairs of n tracks and m measurements within the gate, in the order of tracks, then measurements.
 
     position: (m, >= 3) m; covariance: (m, k, k), the first two rows and columns are x and y, m^2
-    jump: (n,) m^2, variance per axis of a sudden displacement of a moving object, which has `jump_probability` in a
-        frame
+    jump: (n,) m^2, variance per axis of a sudden displacement of a moving object, which occurs in a frame with
+        `jump_probability`
 
     Boxes do jump: their centre shifts as more of an object comes into view, and simulated traffic changes lanes within
-    a step. That is considered for tracks and measurements that steady motion leaves alone. What stands does not change
-    lanes.
+    a step. Jumps are considered only for tracks and measurements without a pair under steady motion. Objects at rest
+    do not change lanes.
     """
     if len(tracks) == 0 or len(position) == 0:
         return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
@@ -63,7 +63,7 @@ def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Float
 @kernel
 def reach(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floats:
     """(n,) m beyond which no measurement can be within the gate of a track."""
-    # The trace bounds the largest eigenvalue: a cheap circle round both ellipses, for all pairs.
+    # The trace bounds the largest eigenvalue, which gives a cheap circle around both ellipses for all pairs.
     widest = (covariance[:, 0, 0] + covariance[:, 1, 1]).max()
     return np.asarray(np.sqrt(gate * (tracks[:, XX] + tracks[:, YY] + 0.5 * jump + widest)))
 
@@ -83,31 +83,31 @@ def gated(
     moving: tuple[float, float],
     log_jump: float,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """The fields of `Pairs`, of those of the p pairs (i, j) that are within the gate; the measurement is at (dx, dy).
+    """The fields of `Pairs` for those of p pairs (i, j) within the gate; (dx, dy): measurement relative to track.
 
     gates: GATE, SUDDEN_GATE; moving: STANDING, MOVING; log_jump: ln of the probability of a sudden displacement
     """
     gate, sudden_gate = gates
-    own = tracks.take(_HORIZONTAL, 1)
+    track_variance = tracks.take(_HORIZONTAL, 1)
     k = covariance.shape[1]
-    measured = covariance.reshape(len(position), k * k).take((0, 1, k + 1), 1)
+    measured_variance = covariance.reshape(len(position), k * k).take((0, 1, k + 1), 1)
     level = np.abs(position[:, 2].take(j) - tracks[:, 2].take(i)) <= level_m
-    total = own.take(i, 0) + measured.take(j, 0)
+    total = track_variance.take(i, 0) + measured_variance.take(j, 0)
     a, b, c = total[:, 0], total[:, 1], total[:, 2]
     log_density, distance = _gaussian(dx, dy, a, b, c)
-    near = (distance <= gate) & level
+    selected = (distance <= gate) & level
     added = np.zeros(len(i))
     alone, unexplained = np.ones(len(tracks), bool), np.ones(len(position), bool)
-    alone[i[near]] = unexplained[j[near]] = False
+    alone[i[selected]] = unexplained[j[selected]] = False
     far = (level & alone[i] & unexplained[j]).nonzero()[0]
     if len(far):
         speed = np.abs(planar(tracks[i[far], 6:8]))
-        more = jump[i[far]] * np.minimum(moving[0] + moving[1] * speed * speed, 1.0)
-        density, distance = _gaussian(dx[far], dy[far], a[far] + more, b[far], c[far] + more)
+        jump_variance = jump[i[far]] * np.minimum(moving[0] + moving[1] * speed * speed, 1.0)
+        density, distance = _gaussian(dx[far], dy[far], a[far] + jump_variance, b[far], c[far] + jump_variance)
         log_density[far] = density + log_jump
-        added[far] = more
-        near[far] = distance <= sudden_gate
-    return i[near], j[near], log_density[near], added[near]
+        added[far] = jump_variance
+        selected[far] = distance <= sudden_gate
+    return i[selected], j[selected], log_density[selected], added[selected]
 
 
 @kernel
@@ -121,9 +121,9 @@ def gains(
     log_density: Floats,
     log_clutter: float,
 ) -> tuple[Floats, Floats]:
-    """(p,) of the pairs (i, j): ln of the likelihood over that of clutter; and what choosing the pair gains.
+    """(p,) for pairs (i, j): log likelihood ratio to clutter; and the gain of choosing the pair.
 
-    That is against leaving both alone: the object was missed, or is not there, and the measurement is clutter.
+    The gain is relative to leaving both unassigned: the object was missed or is absent, the measurement is clutter.
     detected: (n,) probability of detection; class_id: (m,) measured; confusion: see `classes`
     """
     ratio = log_density - log_clutter + confusion[classes_of(tracks)[i], class_id[j]]
@@ -132,9 +132,9 @@ def gains(
 
 
 def _gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
-    """ln of the densities at (dx, dy) of normal distributions of covariance [[a, b], [b, c]]; squared distances."""
+    """Log densities at (dx, dy) of normal distributions of covariance [[a, b], [b, c]]; squared distances."""
     slope = b / a
-    rest = c - b * slope
+    conditional = c - b * slope
     dy = dy - slope * dx
-    distance = dx * dx / a + dy * dy / rest
-    return -0.5 * (distance + np.log(a * rest)) - LOG_2_PI, distance
+    distance = dx * dx / a + dy * dy / conditional
+    return -0.5 * (distance + np.log(a * conditional)) - LOG_2_PI, distance

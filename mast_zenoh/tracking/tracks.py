@@ -1,5 +1,6 @@
-"""The table of a tracker's tracks: one row of numbers per track, so that choosing, appending and copying are single
-operations on one array. Whole numbers (ids, classes, rows) are exact in it.
+"""The table of a tracker's tracks: one row of numbers per track.
+
+Selecting, appending and copying are single operations on one array. Whole numbers (ids, classes, rows) are exact.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ from mast_zenoh.kernels import kernel
 #: Columns: the state (9) and its covariance (81, by rows).
 MEAN = slice(0, 9)
 COVARIANCE = slice(9, 90)
-#: Of the horizontal position: variances and covariance.
+#: Variances and covariance of the horizontal position.
 XX, XY, YY = 9, 10, 19
-#: rad, rad^2; and the evidence, >= 0, for this heading against the opposite one.
+#: rad, rad^2; and votes, >= 0, for this heading against the opposite one.
 YAW, YAW_VARIANCE, TURN = 90, 91, 92
-#: m, running mean of how far measured positions are to the left of predicted ones.
+#: m, running mean of the lateral residual: measured to the left of predicted position.
 ASIDE = 93
 #: Odds of existence, p / (1 - p).
 ODDS = 94
-#: Fading counts of hits, of misses, and of the classes seen.
+#: Decaying counts of hits, misses and votes for each class.
 HITS, MISSES, VOTES = 95, 96, slice(97, 97 + len(CLASSES))
 RECORD = slice(HITS, VOTES.stop)
 CLASS = VOTES.stop
@@ -33,7 +34,7 @@ CONFIRMED = CLASS + 1
 #: s since the last measurement.
 AGE = CLASS + 2
 ID = CLASS + 3
-#: Of the last input, -1 where the track coasts.
+#: Row of the last input, -1 if the track coasts.
 ROW = CLASS + 4
 WIDTH = CLASS + 5
 
@@ -48,17 +49,17 @@ def empty(n: int) -> Floats:
 
 
 def covariances(tracks: Floats) -> Floats:
-    """(n, 9, 9), a view."""
+    """Covariances (n, 9, 9), a view."""
     return tracks[:, COVARIANCE].reshape(len(tracks), 9, 9)
 
 
 def classes_of(tracks: Floats) -> Ints:
-    """(n,) int64."""
+    """Classes (n,) int64."""
     return tracks[:, CLASS].astype(np.int64)
 
 
 def planar(vectors: Floats) -> NDArray[np.complex128]:
-    """(n,) x + i y of (n, 2), a view: in the plane, one operation on complex numbers does the work of several."""
+    """Planar vectors (n, 2) as complex numbers x + i y (n,), a view."""
     return np.asarray(vectors.view(np.complex128)[:, 0])
 
 
@@ -84,13 +85,13 @@ def to_columns(tracks: Floats) -> tuple[Any, ...]:
 
 
 def known_class(class_id: NDArray[np.uint8]) -> Ints:
-    """(n,) int64: what is no class is of an unknown one."""
+    """(n,) int64: class indices, with invalid ones replaced by unknown."""
     return np.asarray(_KNOWN.take(class_id))
 
 
 @kernel
 def vote(tracks: Floats, class_id: Ints) -> None:
-    """Count the class (n,) seen of each track; the majority is its class, the lower index in a tie."""
+    """Count a vote for a class (n,) of each track; the majority is its class, the lower index in a tie."""
     votes = tracks[:, VOTES]
     votes += _ONE_VOTE.take(class_id, 0)
     tracks[:, CLASS] = votes.argmax(axis=1)
