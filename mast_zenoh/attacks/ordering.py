@@ -1,4 +1,4 @@
-"""One order for the rows of object states that does not depend on how they arrived."""
+"""A canonical order of object states, independent of their arrival."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from mast_zenoh.arrays.states import Ints, ObjectStates
 
 
 def canonical_order(objects: ObjectStates, source: Ints | None = None) -> Ints:
-    """(n,) row indices that sort the objects by what they are: position, velocity, size, yaw, score, class, id.
+    """(n,) row indices that sort the objects by position, velocity, size, yaw, score, class and id.
 
-    The id comes after everything physical because objects taken from detections only have row numbers for
-    ids. `source` (n,), if given, breaks the last ties. Draws and matches made in this order are the same for
-    every permutation of the rows.
+    The id comes last because objects from detections only have row numbers as ids. `source` (n,), if given, breaks
+    remaining ties. Random draws and matches in this order are the same for every permutation of the rows.
     """
     o = objects
     by_x = o.position[:, 0].argsort(kind="stable")
     x = o.position[:, 0].take(by_x)
     if (x[1:] != x[:-1]).all():
-        return by_x  # mostly, and then the other keys decide nothing
+        return by_x  # the usual case, in which no other key matters
     keys = [*o.position.T, *o.velocity.T, *o.size.T, o.yaw, o.score, o.class_id, o.id]
     if source is not None:
         keys.append(source)

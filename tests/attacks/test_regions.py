@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.attacks import ConflictSelection, Coordinator, Coverage, Surroundings, UncoordinatedSelection
 from mast_zenoh.attacks.coverage import touching
 from mast_zenoh.attacks.propagation import TrajectoryPropagation
-from mast_zenoh.attacks.regions import fastest_within, path_ahead
+from mast_zenoh.attacks.regions import max_speed_within, path_ahead
 from mast_zenoh.streams import stream
 
 LEVEL = np.eye(3).ravel().tolist()
@@ -60,7 +60,7 @@ def false_objects(region: str, seed: int, where: Coverage, n: float = 6.0) -> Ob
 def test_false_objects_are_in_view_and_never_in_a_building_or_another_object(region, seed):
     where = coverage()
     false = false_objects(region, seed, where)
-    assert where.seen(false, TRAFFIC, where.victims[0]).all()
+    assert where.visible_outside_objects(false, TRAFFIC, where.victims[0]).all()
     assert not KNOWN.inside_buildings(false.position).any()
     assert not touching(false, TRAFFIC).any()
     for k in range(len(false)):
@@ -80,7 +80,7 @@ def test_their_way_ends_before_a_building(region, seed):
 def test_the_papers_distribution_knows_neither_views_nor_buildings():
     false = concatenate([false_objects("paper", seed, coverage()) for seed in range(60)])
     where = coverage()
-    assert where.seen(false, ObjectStates.empty(), where.victims[0]).mean() < 0.5
+    assert where.visible_outside_objects(false, ObjectStates.empty(), where.victims[0]).mean() < 0.5
     assert KNOWN.inside_buildings(false.position).any()
 
 
@@ -99,7 +99,7 @@ def test_what_only_the_victim_sees_no_other_known_sensor_covers():
     where = coverage(time_s=8.0)  # the ego has gone to x = 40
     false = concatenate([false_objects("victim_only", seed, where) for seed in range(40)])
     boxes = np.concatenate([false.position, false.size], axis=1)
-    for view in where.others():
+    for view in where.other_views():
         assert not where.visible(view, boxes).any()
 
 
@@ -114,7 +114,7 @@ def test_a_place_that_cannot_be_found_is_left_out():
 
 
 def test_the_speed_is_what_the_way_allows():
-    speed = fastest_within(np.array([0.0, 10.0, 100.0]))
+    speed = max_speed_within(np.array([0.0, 10.0, 100.0]))
     assert np.allclose(speed * 10.0 + speed**2 / 6.0, [0.0, 10.0, 100.0])
 
 
