@@ -12,7 +12,7 @@ from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import Fault, Plan, ProcessStep, plan
 from mast_zenoh.faults.plan import frame_at
-from mast_zenoh.faults.targets import drawn
+from mast_zenoh.faults.targets import draw_agents
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 ROLES = {
@@ -141,9 +141,9 @@ def test_words_draw_lots_from_the_runs_seed() -> None:
 def test_a_majority_outnumbers_the_rest_and_a_minority_does_not(n: int) -> None:
     agents = [f"a{i}" for i in range(n)]
     rng = np.random.default_rng(0)
-    assert len(drawn("one", agents, rng)) == 1
-    assert len(drawn("majority", agents, rng)) > n / 2
-    minority = len(drawn("minority", agents, rng))
+    assert len(draw_agents("one", agents, rng)) == 1
+    assert len(draw_agents("majority", agents, rng)) > n / 2
+    minority = len(draw_agents("minority", agents, rng))
     assert minority == 1 or minority < n / 2
 
 
@@ -329,7 +329,7 @@ KILL = dict(type="Kill", at=2.0, node="ego", restart_after=2.0)
         (dict(type="Join", at=3.0, node="ego"), "start of 'ego' at 4 s: it is up then"),
         (dict(type="Pause", at=1.0, until=3.0, node="ego"), r"faults\[0\]: kill of 'ego' at 2 s: it is paused"),
         (dict(type="Join", at=2.5, node="ego"), "kill of 'ego' at 2 s: it has not joined yet|start of 'ego'"),
-        (dict(type="Kill", at=4.0, node="ego"), "at 4 s: something else happens to it before the same frame"),
+        (dict(type="Kill", at=4.0, node="ego"), "at 4 s: another action applies before the same frame"),
         (dict(type="Kill", at=20.0, node="ego", restart_after=1.0), None),
         (dict(type="Kill", at=3.0, node="infra_1"), None),
         (dict(type="Partition", at=3.0, until=4.0, node="ego"), None),
