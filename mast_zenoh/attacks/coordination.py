@@ -59,7 +59,7 @@ class Coordination(ABC):
 class Coordinator(Coordination):
     """Directs every adversary to the same false objects and the same hidden objects.
 
-    All adversaries in range insert the same false objects, so that the command center sees each one confirmed by many;
+    All adversaries in range insert the same false objects, so that the command centre sees each one confirmed by many;
     the number of false objects therefore saturates with the number of adversaries.
 
     selection:        which objects to add, hide and move; None: CoordinatedSelection()

@@ -12,7 +12,7 @@ Event = tuple[float, str]
 #: a rule of a link as a plain dict(type=…), without `at` and `until`
 Rule = dict[str, Any]
 
-#: The two directions of an agent's link: to the command center and from it.
+#: The two directions of an agent's link: to the command centre and from it.
 DIRECTIONS = ("up", "down")
 
 LATEST_S = 1e9  #: upper limit of the duration of a run

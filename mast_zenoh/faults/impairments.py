@@ -1,4 +1,4 @@
-"""Faults of messages: temporary rules of the links between agents and command center."""
+"""Faults of messages: temporary rules of the links between agents and command centre."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class LinkFault(Fault):
     """A fault of the links of its targets, exact in lock-step, on the wall clock in real time.
 
     until:     s of scene time at which it ends; None: at the end of the run
-    direction: "up" (to the command center), "down" (from it) or "both"
+    direction: "up" (to the command centre), "down" (from it) or "both"
 
     Targets may also be keys of wires: agent/infra_1/tracks (published by infra_1), cc/picture (received by all agents).
     """
@@ -48,7 +48,7 @@ class LinkFault(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Partition(LinkFault):
-    """Cuts off its targets. For the command center, all agents are cut off."""
+    """Cuts off its targets. For the command centre, all agents are cut off."""
 
     def as_rule(self) -> Rule:
         return {"type": "Cut"}
@@ -93,7 +93,7 @@ class Delay(LinkFault):
 class SlowNode(LinkFault):
     """Delays the messages that a node publishes by delay_s, but not those that it receives.
 
-    For the broker and the command center, this is the picture.
+    For the broker and the command centre, this is the picture.
     """
 
     delay_s: float

@@ -1,6 +1,6 @@
-"""Hosts, their links to the center, and faults of these links.
+"""Hosts, their links to the centre, and faults of these links.
 
-Every host has one link, to the center, where the router is. A link's state combines its own settings with those of all
+Every host has one link, to the centre, where the router is. A link's state combines its own settings with those of all
 active faults: any partition cuts it, delays add up, losses are independent, the smallest bandwidth applies. When a
 fault ends, the state is computed without it.
 """
@@ -86,7 +86,7 @@ def resolve(
 
     hosts: a scenario's `hosts`: name → dict(nodes=[names or patterns], delay_ms, jitter_ms, loss, bits_per_s, delay_by)
     faults: (place in the scenario, fault) for faults of the types HOST_FAULTS
-    nodes: the names of all nodes of the run; those without a host run at the center
+    nodes: the names of all nodes of the run; those without a host run at the centre
     beside: node → the node whose host it shares unless a host claims it by name or pattern (links: their agent)
 
     Raises ConfigurationError.

@@ -76,7 +76,7 @@ def links(
 
     ways: the directions of the fault, by role of its target
 
-    The broker and the command center are at the other end of every agent's link. A key of a wire, or a glob, selects
+    The broker and the command centre are at the other end of every agent's link. A key of a wire, or a glob, selects
     the one direction of the links that it passes through.
     """
     agents = [name for name, role in roles.items() if role == "agent"]

@@ -1,4 +1,4 @@
-"""Boxes of many frames at once, and which of them are near each other."""
+"""Boxes of many frames, and search for nearby pairs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mast_zenoh.kernels import kernel
 
 @dataclass(frozen=True, slots=True)
 class Boxes:
-    """n upright boxes. Boxes of different groups (frames, estimators) never meet.
+    """n upright boxes. Boxes of different groups (frames, estimators) are never paired.
 
     group:    (n,) int64, 0 or more
     id:       (n,) int64, identity of the object or track
@@ -33,7 +33,7 @@ class Boxes:
         return len(self.id)
 
     def select(self, index: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Boxes:
-        """The rows that a mask, an index array or a slice picks; the rows of a slice are not copied."""
+        """The rows selected by a mask, an index array or a slice; slices are views."""
         if isinstance(index, slice):
             return Boxes(*[getattr(self, field.name)[index] for field in fields(self)])
         rows = index.nonzero()[0] if index.dtype == bool else index
@@ -50,9 +50,9 @@ class Boxes:
         return cls(*(np.concatenate([getattr(part, field.name) for part in (empty, *parts)]) for field in fields(cls)))
 
     def sorted(self) -> tuple[Boxes, Ints]:
-        """The boxes by group, id and position, which is how ties are broken; (n,) rows that they were in.
+        """The boxes sorted by group, id and position, and (n,) their original rows.
 
-        The boxes themselves where they are in order already.
+        Returns the same object if already sorted.
         """
         if ascending(self.id, self.group):
             return self, np.arange(len(self), dtype=np.int64)
@@ -61,14 +61,14 @@ class Boxes:
 
 
 def order_by(*keys: Ints, ties: tuple[Floats, ...] = ()) -> Ints:
-    """(n,) rows sorted by integer keys, the last one first, then by `ties`, the last one first.
+    """(n,) rows sorted by integer keys, last key first, then by `ties`, last one first.
 
-    The same as `np.lexsort((*ties, *keys))`, and quick where the rows are in order already or no two keys are equal.
+    Equivalent to `np.lexsort((*ties, *keys))`, but fast for sorted rows or distinct keys.
     """
     if ascending(*keys):
         return np.arange(len(keys[0]), dtype=np.int64)
     order = keys[-1].argsort(kind="stable")
-    if ascending(*[key.take(order) for key in keys]):  # the rows of an equal last key are in order already
+    if ascending(*[key.take(order) for key in keys]):  # rows with an equal last key are already in order
         return order.astype(np.int64)
     order = np.lexsort(keys)
     if ties and not ascending(*[key.take(order) for key in keys]):
@@ -77,7 +77,7 @@ def order_by(*keys: Ints, ties: tuple[Floats, ...] = ()) -> Ints:
 
 
 def ascending(*keys: Ints) -> bool:
-    """Whether each row of integer keys, the last one first, is after the one before it: in order, and no two equal."""
+    """Whether the rows of integer keys, last key first, are strictly ascending."""
     n = max(len(keys[0]) - 1, 0)
     later, equal = np.zeros(n, bool), np.ones(n, bool)
     for key in keys[::-1]:
@@ -87,9 +87,9 @@ def ascending(*keys: Ints) -> bool:
 
 
 def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
-    """Rows (i, j) of all pairs of one group whose centres are at most `radius` m apart in the bird's-eye view.
+    """Rows (i, j) of all pairs in a group with centres at most `radius` m apart in the bird's-eye view.
 
-    Sorted by i, then j. May hold pairs that are farther apart by rounding: callers apply their own limit.
+    Sorted by i, then j. Rounding may add slightly more distant pairs: callers apply their own limit.
     """
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -100,18 +100,18 @@ def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
 def pairs_in_groups(
     a_group: Ints, a_position: Floats, b_group: Ints, b_position: Floats, radius: float
 ) -> tuple[Ints, Ints]:
-    """See `pairs_within`; there is a box on either side."""
-    # Groups are laid out one after the other along x, farther apart than the radius: for each box of `a` the
-    # candidates are one stretch of the boxes of `b`, sorted by x.
+    """Nearby pairs, see `pairs_within`; neither side is empty."""
+    # Groups are placed side by side along x, farther apart than the radius: for each box of `a` the candidates are a
+    # range of the boxes of `b`, sorted by x.
     x = [a_position[:, 0], b_position[:, 0]]
-    least = min(x[0].min(), x[1].min())
-    span = max(x[0].max(), x[1].max()) - least + 2.0 * radius + 1.0
-    key = [(group * span) + (at - least) for group, at in zip((a_group, b_group), x, strict=True)]
+    x_min = min(x[0].min(), x[1].min())
+    span = max(x[0].max(), x[1].max()) - x_min + 2.0 * radius + 1.0
+    key = [(group * span) + (at - x_min) for group, at in zip((a_group, b_group), x, strict=True)]
     reach = radius * (1.0 + 1e-9) + 1e-9 + 1e-15 * span * float(max(a_group.max(), b_group.max()) + 1)
     by_x = np.argsort(key[1], kind="stable")
-    there = key[1][by_x]
-    first = np.searchsorted(there, key[0] - reach, side="left")
-    count = np.searchsorted(there, key[0] + reach, side="right") - first
+    sorted_key = key[1][by_x]
+    first = np.searchsorted(sorted_key, key[0] - reach, side="left")
+    count = np.searchsorted(sorted_key, key[0] + reach, side="right") - first
     i = np.repeat(np.arange(len(a_group)), count)
     j = by_x[np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)]
     near = np.abs(a_position[i, 1] - b_position[j, 1]) <= reach
@@ -123,5 +123,5 @@ def pairs_in_groups(
 
 
 def centre_distance(a: Floats, b: Floats) -> Floats:
-    """(n,) m: bird's-eye distance of (n, 3) positions."""
+    """Bird's-eye distance (n,) m between positions (n, 3)."""
     return np.hypot(a[:, 0] - b[:, 0], a[:, 1] - b[:, 1])

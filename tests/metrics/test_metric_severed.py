@@ -9,7 +9,7 @@ from metric_oracles import cars
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
-from mast_zenoh.evaluation.from_effects import stopped
+from mast_zenoh.evaluation.from_effects import stopped_by_links
 from mast_zenoh.metrics import Presence, Reach, Record, Scorer, Series, Severed
 from mast_zenoh.metrics.blame import split
 from mast_zenoh.metrics.record import Snapshot
@@ -313,9 +313,9 @@ def test_a_link_stops_tracks_that_it_drops_damages_or_delays_and_batches_of_all_
         ("centre", "collated", 10, "dropped"),
     )
     roles = {way.node: "link" for way in found.passages}
-    mask = stopped(found, roles, AGENTS, np.arange(12))
+    mask = stopped_by_links(found, roles, AGENTS, np.arange(12))
     assert [np.flatnonzero(column).tolist() for column in mask.T] == [[10], [1, 2, 3, 10], [8, 10]]
-    assert not stopped(found, {}, AGENTS, np.arange(12)).any(), "an adversary's doing is no fault"
+    assert not stopped_by_links(found, {}, AGENTS, np.arange(12)).any(), "an adversary's doing is no fault"
 
 
 def test_objects_are_looked_up_by_frame_and_id() -> None:
