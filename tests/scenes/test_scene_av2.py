@@ -89,7 +89,7 @@ def test_objects_are_in_the_world_whose_origin_is_below_the_first_pose(log: Path
     assert recording.times_ns.tolist() == [k * 100_000_000 for k in range(FRAMES)]
 
 
-def test_the_ego_sees_what_the_data_set_counts(log: Path) -> None:
+def test_the_ego_has_the_lidar_returns_of_the_data_set(log: Path) -> None:
     recording = read(log)
     assert recording.agents[0].name == "ego"
     assert recording.agents[0].object_id == 0
@@ -97,7 +97,7 @@ def test_the_ego_sees_what_the_data_set_counts(log: Path) -> None:
     np.testing.assert_allclose(recording.agent_velocity[2, 0], [0.0, 10.0, 0.0], atol=1e-6)
 
 
-def test_poles_stand_beside_the_path_and_see_by_ray_casting(log: Path) -> None:
+def test_poles_are_beside_the_path_and_see_by_ray_casting(log: Path) -> None:
     recording = read(log, n_infrastructure=6)
     assert recording.agent_names[1:] == tuple(f"infra_{k}" for k in range(1, 7))
     position = recording.agent_position[0, 1:]
@@ -126,7 +126,7 @@ def test_the_log_is_found_from_the_folder_above(log: Path) -> None:
     assert read(log.parent).name == "7fab"
 
 
-def test_fewer_frames_are_the_beginning_of_more(log: Path) -> None:
+def test_a_shorter_recording_is_the_start_of_a_longer_one(log: Path) -> None:
     short, whole = AV2Log(path=str(log)).record(0, 2), read(log)
     assert len(short) == 2
     np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
@@ -140,7 +140,7 @@ def test_too_many_poles_are_refused(log: Path) -> None:
         AV2Log(path=str(log), n_infrastructure=17)
 
 
-def test_a_log_has_four_poles_unless_asked_and_no_other_car_with_sensors(log: Path) -> None:
+def test_a_log_has_four_poles_by_default_and_no_other_mobile_agent(log: Path) -> None:
     assert read(log).agent_names == read(log, n_infrastructure=4, n_mobile=0).agent_names
     assert len(read(log).agents) == 5
     with pytest.raises(ConfigurationError, match="n_mobile is 1, expected 0: a log has no other car with sensors"):
