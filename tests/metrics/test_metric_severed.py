@@ -321,9 +321,9 @@ def test_a_link_stops_tracks_that_it_drops_damages_or_delays_and_batches_of_all_
 def test_objects_are_looked_up_by_frame_and_id() -> None:
     severed = Severed(np.array([1, 2]), np.array([5, 5]), np.array([True, False]))
     ids, frames = np.array([1, 2, 1, 3]), np.array([5, 5, 6, 5])
-    assert severed.has(ids, frames).tolist() == [True, True, False, False]
-    assert severed.has(ids, frames, tracked=np.array([True] * 4)).tolist() == [True, False, False, False]
-    assert not Severed.nothing().has(ids, frames, tracked=np.array([True] * 4)).any()
+    assert severed.contains(ids, frames).tolist() == [True, True, False, False]
+    assert severed.contains(ids, frames, tracked=np.array([True] * 4)).tolist() == [True, False, False, False]
+    assert not Severed.nothing().contains(ids, frames, tracked=np.array([True] * 4)).any()
 
 
 def test_no_frames_have_no_split() -> None:

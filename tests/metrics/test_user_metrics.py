@@ -144,7 +144,7 @@ def test_names_come_from_classes_or_are_given_and_are_unique() -> None:
         name = "rmse_m"
 
     assert FPNear30m().label == "fpnear30m"
-    with pytest.raises(ValueError, match="'rmse_m', like one that is always"):
+    with pytest.raises(ValueError, match="'rmse_m', which is the name of a built-in"):
         user_metrics.check([Named()], ("rmse_m",))
     with pytest.raises(ValueError, match="'longest_miss' twice"):
         user_metrics.check([LongestMiss(), LongestMiss()], ())
@@ -162,5 +162,5 @@ def test_a_metric_with_the_name_of_a_built_in_one_is_refused() -> None:
     class FN(Told):
         """A metric whose name in tables is `fn`."""
 
-    with pytest.raises(ValueError, match=r"FN is called 'fn', like one that is always computed: that one"):
+    with pytest.raises(ValueError, match=r"FN is called 'fn', which is the name of a built-in metric"):
         user_metrics.check([FN(0.0)], ["fn"])
