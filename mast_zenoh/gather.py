@@ -1,7 +1,7 @@
-"""Bringing messages of many publishers together by frame: the one structure that every node uses for that.
+"""Collects messages of many publishers by frame.
 
-What comes out is a function of the set of messages that came in, whatever their order. Deadlines are judged when
-the next clock arrives, never by a timer.
+The results depend on the set of messages, not on their order. Deadlines are checked when the next clock arrives, never
+by a timer.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ Item = TypeVar("Item")
 #: s, default: the newest message of a publisher counts for so long when no newer one arrives.
 MAX_AGE_S = 0.25
 
-_REMEMBERED = 64  #: frames of an agent's words by which a duplicate is known
+#: Frames for which the items of an agent are remembered to recognise duplicates.
+_REMEMBERED = 64
 
 
 class Gather(Generic[Member, Item]):
-    """Collects one item a frame from each expected member; a frame is ready when all of them are there.
+    """Collects one item per frame from each expected member; a frame is complete when all have arrived.
 
-    `patience` frames after its own, a frame that is not complete is given up as it is: `expired` returns it.
+    An incomplete frame expires after `patience` further frames: `expired` returns it as it is.
     """
 
     def __init__(self, expected: Iterable[Member] = (), patience: int = 0) -> None:
@@ -35,7 +36,7 @@ class Gather(Generic[Member, Item]):
         self._complete: set[int] = set()
 
     def add(self, frame: int, member: Member, item: Item) -> dict[Member, Item] | None:
-        """All items of `frame` if this one completes it, else None. Late and second items are left out."""
+        """All items of `frame` if this one completes it, else None. Late and duplicate items are dropped."""
         if frame <= self._done_through:
             return None
         if frame in self._complete:
@@ -52,7 +53,7 @@ class Gather(Generic[Member, Item]):
         return None
 
     def expired(self, clock_frame: int) -> Iterator[tuple[int, dict[Member, Item]]]:
-        """Frames that have waited beyond their patience when the clock of `clock_frame` arrives, oldest first."""
+        """Remove and yield the frames that have expired when the clock of `clock_frame` arrives, oldest first."""
         limit = clock_frame - self.patience - 1
         for frame in sorted(frame for frame in self._frames if frame <= limit):
             yield frame, self._frames.pop(frame)
@@ -61,9 +62,9 @@ class Gather(Generic[Member, Item]):
 
 
 class LatestBefore(Generic[Item]):
-    """Keeps items by the frame in which they came, and answers which was the newest before a given frame.
+    """Keeps items by their frame of arrival and returns the newest before a given frame.
 
-    Asking for an *earlier* frame makes the answer independent of whether this frame's item has come already.
+    Items of the frame itself never count, so the result does not depend on whether they have already arrived.
     """
 
     def __init__(self, keep: int = 8) -> None:
@@ -71,9 +72,9 @@ class LatestBefore(Generic[Item]):
         self._items: dict[int, tuple[int, Item]] = {}
 
     def add(self, frame: int, item: Item, about: int | None = None) -> None:
-        """Take an item that has come in a frame; of two the one about the later frame stays, of equals the first.
+        """Add an item that arrived in a frame; of two, the one about the later frame is kept, else the first.
 
-        about: the frame that it is about, if that is another: it may have been held up, or overtaken
+        about: the frame that it describes, if different because of a delay
         """
         about = frame if about is None else about
         if frame in self._items and self._items[frame][0] >= about:
@@ -83,21 +84,21 @@ class LatestBefore(Generic[Item]):
             del self._items[min(self._items)]
 
     def get(self, frame: int) -> tuple[int, Item] | None:
-        """(frame, item): of those that came before `frame` the one about the latest, and when it came; or None.
+        """The item about the latest frame among those that arrived before `frame`: (frame of arrival, item) or None.
 
-        Of several about one frame the first that came counts.
+        Of several about the same frame, the first to arrive counts.
         """
-        earlier = [(about, -came) for came, (about, _) in self._items.items() if came < frame]
+        earlier = [(about, -arrival) for arrival, (about, _) in self._items.items() if arrival < frame]
         if not earlier:
             return None
-        came = -max(earlier)[1]
-        return came, self._items[came][1]
+        arrival = -max(earlier)[1]
+        return arrival, self._items[arrival][1]
 
 
 class CollationBuffer(Generic[Item]):
-    """Per-agent min-heaps by frame, bounded: a full one drops its *oldest* item.
+    """Bounded per-agent min-heaps by frame; a full heap drops its *oldest* item.
 
-    An agent has one word a frame: the first. A second one is a duplicate, also when the first has been used already.
+    An agent has one item per frame: the first. A second one is a duplicate, even if the first has been emitted.
 
     capacity: items kept per agent
     """
@@ -108,37 +109,37 @@ class CollationBuffer(Generic[Item]):
         self.late: dict[str, int] = {}
         self.duplicates = 0
         self._heaps: dict[str, list[tuple[int, Item]]] = {}
-        self._spoken: dict[str, deque[int]] = {}  # the frames of the last words of each
+        self._recent_frames: dict[str, deque[int]] = {}  # recent frames of each agent
         self._emitted = -1
 
     def push(self, agent: str, frame: int, item: Item) -> bool:
-        """Take an item; False when it is a duplicate, or (counted as late) the batch of its frame has been emitted."""
-        spoken = self._spoken.setdefault(agent, deque(maxlen=_REMEMBERED))
+        """Add an item; False if it is a duplicate, or late (the batch of its frame has been emitted)."""
+        recent_frames = self._recent_frames.setdefault(agent, deque(maxlen=_REMEMBERED))
         heap = self._heaps.get(agent, [])
-        if frame in spoken or any(entry[0] == frame for entry in heap):
+        if frame in recent_frames or any(entry[0] == frame for entry in heap):
             self.duplicates += 1
             return False
-        spoken.append(frame)
+        recent_frames.append(frame)
         if frame <= self._emitted:
             self.late[agent] = self.late.get(agent, 0) + 1
             return False
         self._heaps[agent] = heap
-        heapq.heappush(heap, (frame, item))  # no two are of the same frame, so that items are never compared
+        heapq.heappush(heap, (frame, item))  # frames are unique, so items are never compared
         if len(heap) > self.capacity:
             heapq.heappop(heap)
             self.dropped += 1
         return True
 
     def present(self, frame: int) -> set[str]:
-        """The agents whose word of this very frame is there."""
+        """The agents with an item for exactly this frame."""
         return {agent for agent, heap in self._heaps.items() if any(entry[0] == frame for entry in heap)}
 
     def complete(self, frame: int, agents: Set[str]) -> bool:
-        """Whether the word of this very frame is there of all these agents."""
+        """Whether all these agents have an item for exactly this frame."""
         return agents <= self._heaps.keys() and agents <= self.present(frame)
 
     def pop(self, frame: int) -> dict[str, Item]:
-        """Every agent's newest item up to `frame`. They and older ones go; what comes of those frames now is late."""
+        """Remove and return every agent's newest item up to `frame`; older ones are dropped, new arrivals are late."""
         batch: dict[str, Item] = {}
         for agent in sorted(self._heaps):
             heap = self._heaps[agent]

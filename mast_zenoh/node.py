@@ -1,4 +1,4 @@
-"""What a node is: named ports and handlers, no I/O.
+"""Base class of nodes: named ports and handlers, no I/O.
 
     class Echo(Node):
         role = "adversary"
@@ -8,10 +8,10 @@
         def on_detections(self, message, context):
             context.relay("detections_out", message)
 
-A node acts only on messages, and publishes only through its context. It never sees Zenoh, a socket, a clock or a
-global random generator: the runtime (`mast_zenoh.runtime`) owns them, so the same node runs in one process, on a
-mesh of processes, and on many hosts. What it publishes for a frame must depend on the set of messages of that frame,
-never on their order: `mast_zenoh.gather.Gather` is there for that.
+A node reacts to messages and publishes through its context. It never uses Zenoh, a socket, a clock or a global random
+generator: the runtime (`mast_zenoh.runtime`) owns them, so the same node runs in one process, on a mesh of processes
+and on many hosts. The messages it publishes for a frame must depend on the set of messages of that frame, never on
+their order; use `mast_zenoh.gather.Gather` to collect them.
 """
 
 from __future__ import annotations
@@ -27,16 +27,15 @@ from mast_zenoh.messages.schemas import Body
 from mast_zenoh.wiring.model import Input, Wiring
 from mast_zenoh.wiring.received import Overheard, Received, Unopened
 
-#: All that the file of a node imports, and the runtime that hosts it.
+#: The names for files of nodes and for the runtime.
 __all__ = ["Context", "Node", "Overheard", "Received", "Source", "Unopened", "handler_names"]
 
 
 class Context(Protocol):
-    """What a node may do. `frame` and `time_ns` are those of the newest clock it has got; -1 and 0 before the first.
+    """A node's interface to the runtime. `frame` and `time_ns`: of the newest clock; -1 and 0 before the first.
 
-    now_ns: what time it is, ns since the scene began: `time_ns` in lock-step; in real time it goes on between clocks
-    hears:  what it hears, by key
-    wiring: every wire of the run with its legs, as it is now; for nodes that measure what happens on them
+    hears:  its subscriptions, by key
+    wiring: the current wiring of the run: every wire with its legs; for nodes that observe wires
     """
 
     name: str
@@ -49,17 +48,17 @@ class Context(Protocol):
 
     @property
     def now_ns(self) -> int:
-        """See the class."""
+        """Time since the start of the scene, ns: `time_ns` in lock-step; in real time it advances between clocks."""
         ...
 
     def publish(
         self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None
     ) -> None:
-        """Publish columns on an output port; about the current frame unless said.
+        """Publish columns on an output port; about the current frame by default.
 
-        subject: which wire, where the port has several (the simulator's `pose` has one per agent)
+        subject: the wire, for a port with several (the simulator's `pose` has one per agent)
 
-        A port that no wire is connected to swallows the message.
+        Messages to a port without a wire are discarded.
         """
         ...
 
@@ -73,32 +72,32 @@ class Context(Protocol):
         time_ns: int | None = None,
         after_s: float = 0.0,
     ) -> None:
-        """Pass a message on with its header as it was, and its body as it was or changed.
+        """Forward a message with its original header, and its original or a new body.
 
-        payload: send exactly these bytes instead, sound or not; excludes `body` and `time_ns`
-        time_ns: the time in its header, ns, 0 or more
-        after_s: it leaves that much later, s: in simulated time in lock-step, where what happens within a frame's
-                 interval is in that frame; on the wall clock in real time. Only for nodes that hear the clock.
+        payload: send exactly these bytes instead, valid or not; excludes `body` and `time_ns`
+        time_ns: replaces the time in its header, ns, 0 or more
+        after_s: delay, s: in simulated time in lock-step, where events within a frame's interval belong to that
+                 frame; on the wall clock in real time. Only for nodes that subscribe to the clock.
 
-        Passing it on again sends it twice, with the same number. Raises ConfigurationError for what cannot be sent.
+        Relaying a message twice sends it twice, with the same number. Raises ConfigurationError if it cannot be sent.
         """
         ...
 
     def ignore(self, keys: Collection[str]) -> None:
-        """For a node that hears every key: have nothing of these keys handed on, until it ignores others instead."""
+        """Stop receiving these keys, for a node that subscribes to every key; each call replaces the previous one."""
         ...
 
     def failed(self, part: str, error: BaseException) -> None:
-        """Count the failure of a part of a handler, which goes on: the run fails as if the handler had raised `error`.
+        """Count the failure of a part of a handler that continues: the run fails as if the handler had raised `error`.
 
-        part: its name, in place of the handler's
+        part: its name, reported instead of the handler's
         """
         ...
 
     def reject(self, reason: str) -> None:
-        """Count the message that is being handled as rejected: sound, but of no use here, such as one that is too old.
+        """Count the current message as rejected: valid but not usable, such as one that is too old.
 
-        reason: its first word, before a colon, says of what kind
+        reason: begins with its kind, one word before a colon
         """
         ...
 
@@ -114,23 +113,23 @@ class Context(Protocol):
 class Node:
     """Base of all nodes. A subclass names its role and ports, and has a handler `on_<port>` for each input.
 
-    Parameters of `__init__` come from the scenario, built by their annotations (`mast_zenoh.config.registry`).
+    Parameters of `__init__` come from the scenario, converted by their annotations (`mast_zenoh.config.registry`).
     """
 
     role: ClassVar[str] = ""
     #: input ports and output ports: name to message type
     inputs: ClassVar[Mapping[str, str]] = {}
     outputs: ClassVar[Mapping[str, str]] = {}
-    #: input ports whose messages it passes on without looking at them, malformed ones as well: whoever they are for
-    #: will refuse those. Looking at one is possible, and raises MessageError if it is malformed (see `Unopened`).
+    #: input ports whose messages are relayed undecoded, including malformed ones, which their receivers reject.
+    #: Accessing a malformed body raises MessageError (see `Unopened`).
     unopened: ClassVar[Collection[str]] = ()
-    #: whether its handlers do so little that in real time it is called by the thread that brings a message, at once
+    #: whether its handlers are so fast that, in real time, the receiving thread calls them directly
     prompt: ClassVar[bool] = False
 
     def restamps_s(self, duration_s: float) -> float:
-        """s, by how much it may put the time in a header wrong in a run of that length.
+        """Largest error, s, that the node may introduce into the time of a header in a run of that length.
 
-        Receivers reject what is off by more than all nodes of a run say, and `timespan.LEEWAY_S`.
+        Receivers reject messages whose time is off by more than the sum over all nodes plus `timespan.LEEWAY_S`.
         """
         return 0.0
 
@@ -138,21 +137,21 @@ class Node:
         """Called once, before the first frame."""
 
     def joined(self, node: str, role: str, context: Context) -> None:
-        """Another node has come up (called before the first frame for those that are there already)."""
+        """Called when another node has joined; for nodes already present, before the first frame."""
 
     def left(self, node: str, role: str, context: Context) -> None:
-        """Another node has gone."""
+        """Called when another node has left."""
 
     def rewired(self, context: Context) -> None:
-        """A node has been put on a wire of the running mesh, or taken off one: `context.wiring` is the new wiring."""
+        """Called when a node has been inserted into or removed from a wire; `context.wiring` is the new wiring."""
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Called once, after the last frame; what it returns is collected by the launcher. It can publish no more."""
+        """Called once, after the last frame; the launcher collects the result. Publishing is no longer possible."""
         return {}
 
 
 class Source(Node, ABC):
-    """A node that drives the scene: the runtime asks it for the next frame when it is time."""
+    """A node that drives the scene: the runtime requests each frame when it is due."""
 
     period_ns: int = 100_000_000
 
@@ -162,7 +161,7 @@ class Source(Node, ABC):
 
 
 def handler_names(node: type[Node]) -> dict[str, str]:
-    """The handler's name of every input port; raises TypeError where a port has none."""
+    """The handler's name for every input port; raises TypeError if a port has no handler."""
     names = {port: f"on_{port}" for port in node.inputs}
     missing = [name for name in names.values() if not callable(getattr(node, name, None))]
     if missing:

@@ -1,7 +1,7 @@
-"""Named random streams: every draw in a run comes from one, so that runs can share their chance.
+"""Named random streams, the source of every random number in a run.
 
-A stream is derived from (seed, names...) alone. Two scenarios with the same seed therefore see the same
-scene, detections and clutter, and adding an adversary changes nobody else's draws (common random numbers).
+A stream is derived from (seed, names...) alone. Two scenarios with the same seed therefore have the same scene,
+detections and clutter, and adding an adversary does not affect other draws (common random numbers).
 """
 
 from __future__ import annotations

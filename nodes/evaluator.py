@@ -144,13 +144,13 @@ class Evaluator(Node):
         """An agent's own tracks, where it sends them, where the broker receives them, or both."""
         header = message.header
         if route.series[0].estimator == LOCAL and message.step >= 0:
-            self.heard.spoken.setdefault((message.wire.subject, header.frame), message.step)
+            self.heard.tracks_sent.setdefault((message.wire.subject, header.frame), message.step)
         self.keep(message, route)
 
     def take_picture(self, message: Overheard, route: Route) -> None:
         """The common picture, where it is sent, where an agent receives it, or both."""
         if route.series[0].estimator == PICTURE:
-            self.heard.pictured.setdefault(message.header.frame, message.step)
+            self.heard.picture_sent.setdefault(message.header.frame, message.step)
         self.keep(message, route)
 
     def keep(self, message: Overheard, route: Route) -> None:

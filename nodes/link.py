@@ -97,14 +97,14 @@ class Link(Node):
         if not chain.rules:
             context.relay(f"{port}_out", received)
             return
-        place = self.places.get(context.frame) if chain.locates else None
+        place = self.places.get(context.frame) if chain.needs_position else None
         outcome = chain.carry(
             Passage(
                 time_ns=context.time_ns,
                 now_ns=context.now_ns,
-                size=len(received.encoded) if chain.weighs else 0,
+                size=len(received.encoded) if chain.needs_size else 0,
                 position=place[1] if place else None,
-                referenced=chain.displaces and "origin" in columns_of(received),
+                referenced=chain.needs_frame and "origin" in columns_of(received),
             )
         )
         for passage, after_s in outcome.leaving:

@@ -24,13 +24,13 @@ def test_a_gathered_frame_does_not_depend_on_the_order_of_its_items(items: list,
     assert outcome(items) == outcome(shuffled)
 
 
-def test_a_frame_is_ready_when_everyone_has_spoken() -> None:
+def test_a_frame_is_complete_when_all_members_have_sent_an_item() -> None:
     gather: Gather[str, int] = Gather({"pose", "detections"})
     assert gather.add(0, "pose", 1) is None
     assert gather.add(0, "detections", 2) == {"pose": 1, "detections": 2}
 
 
-def test_an_incomplete_frame_is_given_up_when_the_next_clock_comes() -> None:
+def test_an_incomplete_frame_expires_at_the_next_clock() -> None:
     gather: Gather[str, int] = Gather({"a", "b"})
     gather.add(0, "a", 1)
     assert list(gather.expired(0)) == []
@@ -85,7 +85,7 @@ def test_a_full_buffer_drops_the_oldest() -> None:
     assert buffer.pop(9) == {"ego": "of 4"}
 
 
-def test_what_comes_after_its_batch_is_counted_as_late() -> None:
+def test_items_after_their_batch_count_as_late() -> None:
     buffer: CollationBuffer[str] = CollationBuffer()
     buffer.push("ego", 10, "in time")
     assert buffer.pop(10) == {"ego": "in time"}
@@ -105,7 +105,7 @@ def test_a_duplicate_changes_nothing_and_is_not_late_whenever_it_comes() -> None
     assert (buffer.duplicates, buffer.late, buffer.pop(20)) == (3, {"infra_1": 1}, {})
 
 
-def test_a_duplicate_of_what_still_waits_is_known_however_much_came_between() -> None:
+def test_a_duplicate_of_a_waiting_item_is_recognised() -> None:
     buffer: CollationBuffer[object] = CollationBuffer(capacity=2)
     incomparable = object()
     assert buffer.push("ego", 10**9, incomparable)
@@ -115,7 +115,7 @@ def test_a_duplicate_of_what_still_waits_is_known_however_much_came_between() ->
     assert buffer.pop(10**9) == {"ego": incomparable}
 
 
-def test_of_what_came_earlier_the_newest_is_the_one_about_the_latest_frame() -> None:
+def test_the_newest_earlier_item_is_the_one_about_the_latest_frame() -> None:
     latest: LatestBefore[str] = LatestBefore()
     latest.add(5, "of 5")
     latest.add(6, "of 3, held up", about=3)
@@ -126,7 +126,7 @@ def test_of_what_came_earlier_the_newest_is_the_one_about_the_latest_frame() -> 
 
 
 @pytest.mark.parametrize("order", list(itertools.permutations([(1, "a"), (3, "b"), (2, "c")])))
-def test_of_several_that_come_in_one_frame_the_one_about_the_latest_stays(order: tuple) -> None:
+def test_of_several_items_in_a_frame_the_one_about_the_latest_is_kept(order: tuple) -> None:
     latest: LatestBefore[str] = LatestBefore()
     for about, item in order:
         latest.add(4, item, about=about)
@@ -134,7 +134,7 @@ def test_of_several_that_come_in_one_frame_the_one_about_the_latest_stays(order:
     assert latest.get(5) == (4, "b")
 
 
-def test_a_frame_is_complete_with_the_word_of_that_very_frame_of_everyone() -> None:
+def test_a_frame_is_complete_with_the_items_of_all_agents_for_that_frame() -> None:
     buffer: CollationBuffer[str] = CollationBuffer()
     buffer.push("a", 3, "of a")
     assert buffer.complete(3, {"a"})

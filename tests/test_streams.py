@@ -14,12 +14,12 @@ from mast_zenoh.streams import stream
         ((7, "ego", "detections"), [0.3461546924231548, 0.1898282314463946, 0.3576835350480835]),
     ],
 )
-def test_draws_are_those_they_have_always_been(names: tuple, drawn: list[float]) -> None:
+def test_draws_are_unchanged(names: tuple, drawn: list[float]) -> None:
     """A change here changes every run of every study: it is a new major version."""
     assert stream(*names).random(3).tolist() == drawn
 
 
-def test_equal_names_give_equal_draws_however_often_they_are_asked_for() -> None:
+def test_equal_names_always_give_equal_draws() -> None:
     first, second = stream(3, "a", 1), stream(3, "a", 1)
     first.random(10)
     np.testing.assert_array_equal(stream(3, "a", 1).random(5), second.random(5))

@@ -1,21 +1,21 @@
 """Attacks on what agents perceive and report: false objects, hidden objects, displaced objects.
 
-    surroundings  what an attacker knows of the scene in advance
-    coverage      where false objects could be real
-    regions       where they are put
-    selection     what to insert, hide and move
-    conflict      which object matters most
-    clusters      what several adversaries see, one row per object
-    propagation   how false objects move
+    surroundings  prior knowledge of the scene
+    coverage      where false objects are plausible
+    regions       where false objects are placed
+    selection     which objects to insert, hide and move
+    conflict      selection of the objects most relevant to the ego
+    clusters      observations of several adversaries, one row per object
+    propagation   motion of false objects
     campaign      selection and propagation over time
-    following     keeping targets with their objects
-    statistics    what the victim's rows are like
-    imitation     making false objects look like the victim's own
-    application   doing it to one message
-    adversary     the state machine on one wire
-    coordination  the one above several adversaries
+    following     tracking of targets
+    statistics    noise and misses of the victim's rows
+    imitation     false objects that resemble the victim's own
+    application   tampering with one message
+    adversary     the state machine of one adversary
+    coordination  the coordinator of several adversaries
 
-Everything is in the world frame; nodes convert. See docs/attacks.md.
+Everything is in the world frame; the nodes convert. See docs/attacks.md.
 """
 
 from mast_zenoh.attacks.adversary import Attack, CoordinatedAttack, PassThrough, UncoordinatedAttack

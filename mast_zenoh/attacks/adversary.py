@@ -1,4 +1,4 @@
-"""The whole state machine of an adversary: one step per intercepted message. World frame throughout."""
+"""The state machine of an adversary: one step per intercepted message, in the world frame."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Tampering, Targets
 from mast_zenoh.tracking.view import SensorView
 
-#: m; an object within this of a coordinator's target, which is the mean of several agents' tracks, may be that target.
+#: m; an object within this distance of a coordinator's target (a mean of several agents' tracks) may be that target.
 ATTACH_M = 2.5
-#: m; a target that an adversary has chosen itself is at its object.
+#: m; likewise for a target that the adversary has selected itself.
 OWN_TARGET_M = 0.1
-#: Messages in which an object must have been seen to be a target.
+#: Number of messages in which an object must have been seen before it can be a target.
 ESTABLISHED = 3
-#: s, for how long objects are followed before the attack begins, so that their velocities are known.
+#: s, time before the attack from which objects are tracked, so that their velocities are known.
 LEAD_S = 1.0
 
 
 class Attack(ABC):
-    """What an adversary does to the messages of its victim."""
+    """Base class of attacks: tampers with the messages of a victim."""
 
-    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: what draws nothing needs no streams)
-        """Name the adversary's random streams: all its draws are functions of (seed, scene, name, purpose, frame)."""
+    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: attacks without random numbers need no streams)
+        """Set the adversary's random streams, named by (seed, scene, name, purpose, frame)."""
 
     def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
-        """What the attacker knows of the scene in advance; called before `bind`."""
+        """Set the attacker's prior knowledge of the scene; called before `bind`."""
 
     def look(self, view: SensorView, *, fused: bool) -> None:  # noqa: B027 (a hook)
-        """What the victim's sensor covers at the next step; fused: the objects are those of several agents."""
+        """Set the victim's field of view for the next step; fused: the objects are those of several agents."""
 
     def counts(self) -> dict[str, int]:
-        """How many targets it has chosen, see `Campaign.counts`; {} if it chooses none itself."""
+        """Numbers of selected targets, see `Campaign.counts`; {} if the attack does not select targets."""
         return {}
 
     @abstractmethod
@@ -54,20 +54,20 @@ class Attack(ABC):
         agent_position: Floats,
         directive: Targets | None = None,
     ) -> Tampering:
-        """What happens to the objects of one message.
+        """Tamper with the objects of one message.
 
         frame:          index of the message's frame
-        time_ns:        ns, its time since the scene began
+        time_ns:        ns, its time since the start of the scene
         objects:        the victim's objects, world frame: tracks, or detections (velocity zero, ids below 0)
         agent_position: (3,) m, the victim, world frame
-        directive:      the coordinator's newest targets of an earlier frame, if there are any
+        directive:      the coordinator's newest targets from an earlier frame, if any
 
         The result does not depend on the order of the objects.
         """
 
 
 class PassThrough(Attack):
-    """Sits on the wire and changes nothing."""
+    """Relays every message unchanged."""
 
     def step(
         self,
@@ -81,14 +81,14 @@ class PassThrough(Attack):
 
 
 class _TargetedAttack(Attack):
-    """What attacks with targets share: following objects, imitating the victim's rows, and doing it.
+    """Base of attacks with targets: tracks objects, imitates the victim's rows and tampers with messages.
 
     start_s:          s of scene time at which the attack begins
-    max_range_m:      m, false objects farther from the victim are held back
-    assign_radius_m:  m, the farthest that an object may be from where its target is believed to be, however long ago it
-                      was seen
-    imitation:        how false objects are made to look; None: VictimLike()
-    id_gap:           how far above the victim's highest track id the ids of false objects begin
+    max_range_m:      m, false objects farther from the victim are withheld
+    assign_radius_m:  m, maximum distance of an object from the predicted position of its target, even after a long
+                      time without a measurement
+    imitation:        the appearance of false objects; None: VictimLike()
+    id_gap:           difference between the victim's highest track id and the first id of a false object
     """
 
     def __init__(
@@ -111,15 +111,12 @@ class _TargetedAttack(Attack):
         self._fused = False
 
     def inform(self, surroundings: Surroundings) -> None:
-        """See Attack."""
         self._surroundings = surroundings
 
     def bind(self, seed: int, name: str) -> None:
-        """See Attack."""
         self._imitation.bind(seed, self._surroundings.scene, name)
 
     def look(self, view: SensorView, *, fused: bool) -> None:
-        """See Attack."""
         self._view, self._fused = view, fused
 
     def step(
@@ -130,7 +127,6 @@ class _TargetedAttack(Attack):
         agent_position: Floats,
         directive: Targets | None = None,
     ) -> Tampering:
-        """See Attack."""
         order = canonical_order(objects)
         seen = objects.select(order)
         self._ids.observe(objects.id)
@@ -142,12 +138,12 @@ class _TargetedAttack(Attack):
         targets = self._targets_at(frame, time_ns, seen, coverage, directive)
         if targets is None:
             return Tampering.nothing(len(objects))
-        targets, remove_row, move_row = self._follower.bring(targets, self._attach_m)
-        near = targets.add.select(within_range(targets.add.position, agent_position, self._max_range_m))
-        shown = self._imitation.show(frame, near, seen, coverage, view)
-        tampering = carry_out(targets, shown, seen, order, remove_row, move_row)
-        self._hold(tampering.targets, time_ns)
-        return replace(tampering, added=shown.with_(id=self._ids.of(shown.id)))
+        targets, remove_row, move_row = self._follower.follow(targets, self._attach_m)
+        in_range = targets.add.select(within_range(targets.add.position, agent_position, self._max_range_m))
+        false_objects = self._imitation.show(frame, in_range, seen, coverage, view)
+        tampering = carry_out(targets, false_objects, seen, order, remove_row, move_row)
+        self._store_targets(tampering.targets, time_ns)
+        return replace(tampering, added=false_objects.with_(id=self._ids.of(false_objects.id)))
 
     @abstractmethod
     def _targets_at(
@@ -156,20 +152,20 @@ class _TargetedAttack(Attack):
         """The targets at the time of a message; None before the attack begins."""
 
     @abstractmethod
-    def _hold(self, targets: Targets, time_ns: int) -> None:
-        """Keep the targets as they are now."""
+    def _store_targets(self, targets: Targets, time_ns: int) -> None:
+        """Store the current targets."""
 
-    #: m, see `Follower.bring`.
+    #: m, see `Follower.follow`.
     _attach_m: float
 
 
 class UncoordinatedAttack(_TargetedAttack):
-    """An adversary by itself. Put on detections it feeds the victim's own trackers; on tracks, the broker.
+    """An independent adversary. On detections it deceives the victim's own trackers; on tracks, the broker.
 
-    selection:        what to add, hide and move; None: UncoordinatedSelection()
-    propagation:      how false objects move; None: TrajectoryPropagation()
-    reselect_every_s: s, how often to choose new targets; None: never
-    The others are those of _TargetedAttack: start_s, max_range_m, assign_radius_m, imitation, id_gap.
+    selection:        which objects to add, hide and move; None: UncoordinatedSelection()
+    propagation:      motion of false objects; None: TrajectoryPropagation()
+    reselect_every_s: s, interval between selections of new targets; None: select once
+    The other parameters are those of _TargetedAttack: start_s, max_range_m, assign_radius_m, imitation, id_gap.
     """
 
     _attach_m = OWN_TARGET_M
@@ -197,12 +193,10 @@ class UncoordinatedAttack(_TargetedAttack):
         self._campaign = Campaign(self._selection, propagation or TrajectoryPropagation(), reselect_every_s, start_s)
 
     def bind(self, seed: int, name: str) -> None:
-        """See Attack."""
         super().bind(seed, name)
         self._campaign.bind(seed, self._surroundings.scene, name)
 
     def counts(self) -> dict[str, int]:
-        """See Attack."""
         return self._campaign.counts
 
     def _targets_at(
@@ -213,15 +207,15 @@ class UncoordinatedAttack(_TargetedAttack):
             view = view.select(self._follower.established(ESTABLISHED))
         return self._campaign.begin(frame, time_ns, view, coverage)
 
-    def _hold(self, targets: Targets, time_ns: int) -> None:
-        self._campaign.hold(targets, time_ns)
+    def _store_targets(self, targets: Targets, time_ns: int) -> None:
+        self._campaign.store(targets, time_ns)
 
 
 class CoordinatedAttack(_TargetedAttack):
-    """An adversary that does what its coordinator wants; the newest directive wins.
+    """An adversary that follows the newest directive of its coordinator.
 
-    A directive's targets are brought from its time to now at constant velocity. Without a newer one the adversary
-    goes on by itself, its targets following their objects. A directive that came before `start_s` waits for it.
+    A directive's targets are predicted to the current time at constant velocity. Without a newer one the adversary
+    continues, its targets following their objects. A directive that arrives before `start_s` takes effect then.
     The parameters are those of UncoordinatedAttack.
     """
 
@@ -252,19 +246,19 @@ class CoordinatedAttack(_TargetedAttack):
     def _targets_at(
         self, frame: int, time_ns: int, seen: ObjectStates, coverage: Coverage, directive: Targets | None
     ) -> Targets | None:
-        self._take(directive)
+        self._accept_directive(directive)
         self._last_ns = time_ns
         if time_ns < self._start_ns:
             return None
         return self._targets.propagated((time_ns - self._targets_ns) / NANOSECONDS)
 
-    def _hold(self, targets: Targets, time_ns: int) -> None:
+    def _store_targets(self, targets: Targets, time_ns: int) -> None:
         self._targets, self._targets_ns = targets, time_ns
 
-    def _take(self, directive: Targets | None) -> None:
+    def _accept_directive(self, directive: Targets | None) -> None:
         if directive is None or directive is self._directive:
             return
-        made_ns = self._last_ns if directive.time_ns is None else directive.time_ns
-        if self._directive is None or made_ns > self._directive_ns:
-            self._directive, self._directive_ns = directive, made_ns
-            self._targets, self._targets_ns = directive, made_ns
+        directive_ns = self._last_ns if directive.time_ns is None else directive.time_ns
+        if self._directive is None or directive_ns > self._directive_ns:
+            self._directive, self._directive_ns = directive, directive_ns
+            self._targets, self._targets_ns = directive, directive_ns

@@ -1,4 +1,4 @@
-"""Doing to one message's objects what the targets ask for. Pure, and independent of the order of the rows."""
+"""Tampering with the objects of one message; pure, and independent of the order of the rows."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def alter(
     move: Sequence[int] = (),
     offset: Floats | None = None,
 ) -> Tampering:
-    """The tampering of an attack that knows what it wants: insert objects, hide rows, move rows by `offset` (k, 3) m.
+    """Tampering with explicit changes: insert objects, hide rows, move rows by `offset` (k, 3) m.
 
-    The changes are reported with the numbers 0, 1, … as targets: inserted, then hidden, then moved.
+    The changes are reported with the target numbers 0, 1, …: inserted, then hidden, then moved.
     """
     hidden, moved = np.asarray(hide, np.int64), np.asarray(move, np.int64)
     targets = Targets(
@@ -47,17 +47,17 @@ def apply(
 ) -> Tampering:
     """Insert, hide and displace objects of a victim at `agent_position` (3,) m, all in the world frame.
 
-    For attacks that know at each message where their targets are. False objects farther than `max_range_m` from the
-    victim (bird's-eye view) wait. Each target to hide or displace takes the nearest object within `assign_radius_m`:
-    the nearest pair first, no object twice. False objects get the covariance and the score that are typical here.
+    For attacks with targets at known positions. False objects farther than `max_range_m` from the victim (bird's-eye
+    view) are withheld. Each target to hide or displace is matched to the nearest object within `assign_radius_m`:
+    nearest pair first, no object twice. False objects get a typical covariance and score.
     """
     order = canonical_order(objects)
     seen = objects.select(order)
-    believed = np.concatenate([targets.remove.position, targets.move.position])
-    i, j, dx, dy = neighbours(believed, seen.position, np.full(len(believed), assign_radius_m))
-    chosen = greedy(i, j, dx * dx + dy * dy)
-    row = np.full(len(believed), -1, np.int64)
-    row[i[chosen]] = j[chosen]
+    target_positions = np.concatenate([targets.remove.position, targets.move.position])
+    i, j, dx, dy = neighbours(target_positions, seen.position, np.full(len(target_positions), assign_radius_m))
+    matches = greedy(i, j, dx * dx + dy * dy)
+    row = np.full(len(target_positions), -1, np.int64)
+    row[i[matches]] = j[matches]
     inserted = targets.add.select(within_range(targets.add.position, agent_position, max_range_m))
     n = len(targets.remove)
     return carry_out(targets, typical(inserted, seen), seen, order, row[:n], row[n:])
@@ -66,13 +66,13 @@ def apply(
 def carry_out(
     targets: Targets, inserted: ObjectStates, objects: ObjectStates, order: Ints, remove_row: Ints, move_row: Ints
 ) -> Tampering:
-    """Insert, hide and displace objects that have been found among those of a victim, all in the world frame.
+    """Insert false objects, and hide and displace matched objects of a victim, all in the world frame.
 
-    targets:    where they are now
-    inserted:   false objects as they are to be shown; their ids are the numbers of the targets
+    targets:    the current targets
+    inserted:   false objects as they will appear; their ids are the target numbers
     objects:    the victim's n objects, in canonical order
-    order:      (n,) the row of the message that each of them is
-    remove_row, move_row: by target, the row of `objects` that it is, -1 for none; no row twice
+    order:      (n,) the row of each object in the message
+    remove_row, move_row: by target, the matched row of `objects`, -1 for none; no row twice
     """
     hides, moves = remove_row >= 0, move_row >= 0
     hidden, displaced = remove_row[hides], move_row[moves]

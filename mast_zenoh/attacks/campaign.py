@@ -1,4 +1,4 @@
-"""The life of a set of targets: chosen at a start time, moved from frame to frame, chosen anew."""
+"""Life cycle of a set of targets: selection, propagation from frame to frame, reselection."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ NANOSECONDS = 1e9
 
 COUNTS = ("selected", "placed", "wanted")
 
-_UNUSED = np.random.default_rng(0)  # for those who draw nothing: to make a stream takes longer than to move the objects
+_UNUSED = np.random.default_rng(0)  # for models without random numbers: creating a stream is slow
 
 
 def check_start(start_s: float) -> None:
-    """Raises ValueError for a start before the scene begins."""
+    """Raise ValueError for a start before the start of the scene."""
     if not 0.0 <= start_s < np.inf:
         raise ValueError(f"start_s: found {start_s}, expected 0 or more")
 
 
 class Campaign:
-    """Holds targets over time; the adversary that selects for itself and the coordinator each run one.
+    """Selects and propagates targets over time, for an uncoordinated adversary or a coordinator.
 
-    Nothing happens before `start_s` seconds of scene time. Targets are chosen anew every `reselect_every_s` seconds
+    There are no targets before `start_s` seconds of scene time. New ones are selected every `reselect_every_s` seconds
     (None: never), and with `Selection.until_found` in every frame until there is one.
-    Draws come from the streams (seed, scene, name, "selection" | "propagation", frame).
-    counts: how many objects were selected to be hidden or moved, how many false ones were placed, and how many wanted
+    Random streams: (seed, scene, name, "selection" | "propagation", frame).
+    counts: number of objects selected to be hidden or moved, of false objects placed, and of false objects wanted
 
-    Raises ValueError for an interval that is not positive, and for a start before the scene.
+    Raises ValueError for an interval that is not positive, and for a start before the start of the scene.
     """
 
     def __init__(
@@ -56,11 +56,11 @@ class Campaign:
         self._seed, self._scene, self._name = 0, "", ""
 
     def bind(self, seed: int, scene: str, name: str) -> None:
-        """Name the random streams: all draws are functions of (seed, scene, name, purpose, frame)."""
+        """Set the random streams, named by (seed, scene, name, purpose, frame)."""
         self._seed, self._scene, self._name = seed, scene, name
 
     def begin(self, frame: int, time_ns: int, objects: ObjectStates, coverage: Coverage) -> Targets | None:
-        """The targets at `time_ns`; None before the start. `objects` are the selection's view of what is seen."""
+        """The targets at `time_ns`; None before the start. `objects` come from `Selection.view`."""
         if time_ns < self._start_ns:
             return None
         if self.due(time_ns):
@@ -78,18 +78,18 @@ class Campaign:
             assert self._selected_ns is not None
             elapsed = (time_ns - self._time_ns) / NANOSECONDS
             age = (self._time_ns - self._selected_ns) / NANOSECONDS
-            held = self._targets
-            targets = replace(held, remove=propagate(held.remove, elapsed), move=propagate(held.move, elapsed))
+            stored = self._targets
+            targets = replace(stored, remove=propagate(stored.remove, elapsed), move=propagate(stored.move, elapsed))
         rng = self._stream("propagation", frame) if self._propagation.draws else _UNUSED
         add = self._propagation.advance(targets.add, elapsed, age, rng)
         return replace(targets, add=add, time_ns=time_ns)
 
-    def hold(self, targets: Targets, time_ns: int) -> None:
-        """Keep the targets as they are now, after they have followed their objects."""
+    def store(self, targets: Targets, time_ns: int) -> None:
+        """Store the current targets, after they have followed their objects."""
         self._targets, self._time_ns = targets, time_ns
 
     def due(self, time_ns: int) -> bool:
-        """Whether targets are to be chosen anew at a time."""
+        """Whether new targets are due at a time."""
         if time_ns < self._start_ns:
             return False
         if self._selected_ns is None:
@@ -101,7 +101,7 @@ class Campaign:
 
 
 def shortfall(counts: Mapping[str, int]) -> str:
-    """What an attack with these `Campaign.counts` wanted and did not get, in a sentence; "" for nothing."""
+    """A sentence on targets that an attack with these `Campaign.counts` could not find or place; "" if none."""
     if not counts:
         return ""
     if counts["wanted"] > counts["placed"]:

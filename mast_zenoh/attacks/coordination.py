@@ -1,4 +1,4 @@
-"""The coordinator of several adversaries: one set of targets for all, so that their lies confirm each other."""
+"""The coordinator of several adversaries: common targets, so that their false reports agree."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.tracking.view import SensorView
 
-#: m; a victim that is nearer than this to where the ego's route has it, is the ego.
+#: m; a victim within this distance of the ego's route position is the ego.
 EGO_M = 3.0
-#: Frames in which an object must have been reported to be a target.
+#: Number of frames in which an object must have been reported before it can be a target.
 ESTABLISHED = 10
 
 
 class Coordination(ABC):
-    """Tells adversaries, every frame, what to do in the next."""
+    """Base class of coordinators: directs adversaries, in every frame for the next."""
 
-    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: what draws nothing needs no streams)
-        """Name the coordinator's random streams: all draws are functions of (seed, scene, name, purpose, frame)."""
+    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: without random numbers it needs no streams)
+        """Set the coordinator's random streams, named by (seed, scene, name, purpose, frame)."""
 
     def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
-        """What the attackers know of the scene in advance; called before `bind`."""
+        """Set the attackers' prior knowledge of the scene; called before `bind`."""
 
     def look(self, views: tuple[SensorView, ...]) -> None:  # noqa: B027 (a hook)
-        """What the sensors of the victims cover at the next step, in the order of its `agent_positions`."""
+        """Set the victims' fields of view for the next step, in the order of its `agent_positions`."""
 
     def counts(self) -> dict[str, int]:
-        """How many targets it has chosen, see `Campaign.counts`; {} if that is not known."""
+        """Numbers of selected targets, see `Campaign.counts`; {} if unknown."""
         return {}
 
     @abstractmethod
@@ -47,9 +47,9 @@ class Coordination(ABC):
     ) -> tuple[Targets, ...]:
         """The directive of this frame for each of a adversaries, valid at `time_ns`.
 
-        time_ns:         ns since the scene began
-        objects:         the tracks of all victims, as they were before any tampering, world frame
-        source:          (n,) int64, row of `agent_positions` of the victim that each track is from
+        time_ns:         ns since the start of the scene
+        objects:         the original tracks of all victims before tampering, world frame
+        source:          (n,) int64, row of `agent_positions` of the victim of each track
         agent_positions: (a, 3) m, the victims, world frame
 
         The result does not depend on the order of the objects.
@@ -57,16 +57,16 @@ class Coordination(ABC):
 
 
 class Coordinator(Coordination):
-    """The same false objects and the same hidden objects for every adversary.
+    """Directs every adversary to the same false objects and the same hidden objects.
 
-    All adversaries that have a place in range insert the same false objects of the world, so the centre sees one
-    object confirmed by many; the number of false objects therefore saturates with the number of adversaries.
+    All adversaries in range insert the same false objects, so that the command centre sees each one confirmed by many;
+    the number of false objects therefore saturates with the number of adversaries.
 
-    selection:        what to add, hide and move; None: CoordinatedSelection()
-    propagation:      how false objects move; None: TrajectoryPropagation()
-    reselect_every_s: s, how often to choose new targets; None: never
-    start_s:          s of scene time at which the first targets are chosen
-    assign_radius_m:  m, how near an object must be to a target to be taken for it
+    selection:        which objects to add, hide and move; None: CoordinatedSelection()
+    propagation:      motion of false objects; None: TrajectoryPropagation()
+    reselect_every_s: s, interval between selections of new targets; None: select once
+    start_s:          s of scene time at which the first targets are selected
+    assign_radius_m:  m, maximum distance between a target and its object
     """
 
     def __init__(
@@ -85,31 +85,26 @@ class Coordinator(Coordination):
         self._views: tuple[SensorView, ...] = ()
 
     def inform(self, surroundings: Surroundings) -> None:
-        """See Coordination."""
         self._surroundings = surroundings
 
     def bind(self, seed: int, name: str) -> None:
-        """See Coordination."""
         self._campaign.bind(seed, self._surroundings.scene, name)
 
     def counts(self) -> dict[str, int]:
-        """See Coordination."""
         return self._campaign.counts
 
     def look(self, views: tuple[SensorView, ...]) -> None:
-        """See Coordination."""
         self._views = views
 
     def step(
         self, frame: int, time_ns: int, objects: ObjectStates, source: Ints, agent_positions: Floats
     ) -> tuple[Targets, ...]:
-        """See Coordination."""
         view = self._selection.view(objects, source)
         view = view.select(canonical_order(view))
         views = self._views if len(self._views) == len(agent_positions) else tuple(map(unlimited, agent_positions))
         time_s = time_ns / NANOSECONDS
         coverage = Coverage(self._surroundings, views, time_s)
-        # The members of a cluster change, and with them its id: it says nothing.
+        # The id of a cluster changes with its members, so it is ignored.
         self._follower.observe(view.with_(id=np.full(len(view), -1, np.int64)), time_ns)
         if self._campaign.due(time_ns):
             view = view.select(self._follower.established(ESTABLISHED))
@@ -118,13 +113,13 @@ class Coordinator(Coordination):
         targets = self._campaign.begin(frame, time_ns, view, coverage)
         if targets is None:
             return (Targets.empty(time_ns),) * len(agent_positions)
-        targets, _, _ = self._follower.bring(targets, OWN_TARGET_M)
-        self._campaign.hold(targets, time_ns)
+        targets, _, _ = self._follower.follow(targets, OWN_TARGET_M)
+        self._campaign.store(targets, time_ns)
         return (targets,) * len(agent_positions)
 
 
 def ego_among(agent_positions: Floats, surroundings: Surroundings, time_s: float) -> int | None:
-    """Row of the victim (a, 3) m that is where the ego's route has it at a time; None if none is."""
+    """Row of the victim (a, 3) m at the ego's route position at a time; None if there is none."""
     ego = surroundings.ego_sensor
     if ego is None or len(agent_positions) == 0:
         return None

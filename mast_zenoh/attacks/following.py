@@ -1,7 +1,7 @@
-"""Keeps every target with its object: a small tracker of all objects that an adversary sees, targets or not.
+"""Tracks all objects that an adversary sees, so that targets follow their objects.
 
-All objects compete for the rows of a message, so that a target whose object is not seen in a frame does not jump to a
-neighbour: the neighbour's own track takes that row.
+All objects compete for the rows of a message. A target whose object is missing in a frame does not jump to a neighbour,
+because the neighbour's own track takes that row.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ class Limits(NamedTuple):
 
 LIMITS = Limits()
 
-#: s; a track is new for so long: it may be the object of a target that this victim did not see before.
+#: s; a track up to this age is new: it may be the object of a target that this victim had not seen before.
 NEW_S = 0.5
-#: m; a target whose object is not seen, and was expected farther than this from where the target is, has lost it.
+#: m; a target whose object is missing and predicted farther than this from the target has lost it.
 LOST_M = 2.5
-#: m; no two road users have their middles so near each other.
+#: m; the centres of distinct road users are farther apart than this.
 SAME_PLACE_M = 1.0
 
 
 class Follower:
-    """Tracks the objects on one wire; see the module. All positions are in the world frame.
+    """Tracks the objects on one wire. All positions are in the world frame.
 
     assign_radius_m: m, the widest gate
     """
@@ -68,26 +68,26 @@ class Follower:
         self._tracks = np.zeros((0, COLUMNS))
         self._objects = ObjectStates.empty()  # of the newest message
         self._messages = 0
-        self._known: set[int] = set()  # targets that were asked for before
+        self._known: set[int] = set()  # targets of earlier calls
 
     def observe(self, objects: ObjectStates, time_ns: int) -> None:
-        """Take the objects of one message, in canonical order; ids below 0 carry no identity."""
+        """Update by the objects of one message, in canonical order; ids below 0 are no identities."""
         elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         self._time_ns, self._objects, self._messages = time_ns, objects, self._messages + 1
         small = len(self._tracks) * len(objects) <= TABLE
-        follow = followed if small else REFERENCES["followed"]  # which looks at fewer pairs
+        follow = followed if small else REFERENCES["followed"]  # which compares fewer pairs
         self._tracks = follow(
             self._tracks, objects.position, objects.velocity, objects.id, elapsed_s, self._radius_m, LIMITS
         )
 
-    def bring(self, targets: Targets, attach_m: float) -> tuple[Targets, Ints, Ints]:
-        """The targets to hide and displace where their objects are, and by target the row of its object; -1: none.
+    def follow(self, targets: Targets, attach_m: float) -> tuple[Targets, Ints, Ints]:
+        """Move the targets to hide and displace to their objects; with the row of each object, -1: none.
 
         The objects of all other targets are released. attach_m: m, see `locate`
         """
         n = len(targets.remove)
         both = concatenate([targets.remove, targets.move])
-        self.keep(both.id)
+        self.release_others(both.id)
         if len(both) == 0:
             none = np.zeros(0, np.int64)
             return targets, none, none
@@ -96,67 +96,69 @@ class Follower:
         return located, row[:n], row[n:]
 
     def locate(self, targets: ObjectStates, attach_m: float) -> tuple[ObjectStates, Ints]:
-        """The targets where their objects are, and (k,) the row of the newest message that each is; -1: not seen.
+        """The targets at their objects' positions, and (k,) their rows in the newest message; -1: missing.
 
-        A target that has no object yet takes the nearest one within `attach_m` m that is no other's: any object when
-        the target is asked for the first time, afterwards only one that has just appeared, or is at the same place.
+        A target without an object takes the nearest free one within `attach_m` m: any object in the first call with
+        this target, later only one that has just appeared or is at the same position.
         """
         numbers = targets.id
         track = np.full(len(numbers), -1, np.int64)
-        k, t = (numbers[:, None] == self._tracks[:, TARGET]).nonzero()
-        track[k] = t
+        target_row, track_row = (numbers[:, None] == self._tracks[:, TARGET]).nonzero()
+        track[target_row] = track_row
         track[self._lost(targets, track)] = -1
-        loose = (track < 0).nonzero()[0]
-        if len(loose):
-            self._attach(targets, loose, track, attach_m)
+        unattached = (track < 0).nonzero()[0]
+        if len(unattached):
+            self._attach_tracks(targets, unattached, track, attach_m)
         self._known.update(numbers.tolist())
-        held = (track >= 0).nonzero()[0]
+        attached = (track >= 0).nonzero()[0]
         row = np.full(len(numbers), -1, np.int64)
-        if len(held) == 0:
+        if len(attached) == 0:
             return targets, row
-        mine = self._tracks[track[held]]
-        row[held] = mine[:, ROW]
+        tracks = self._tracks[track[attached]]
+        row[attached] = tracks[:, ROW]
         position, velocity = targets.position.copy(), targets.velocity.copy()
-        position[held], velocity[held] = mine[:, PLACE], mine[:, VELOCITY]
+        position[attached], velocity[attached] = tracks[:, PLACE], tracks[:, VELOCITY]
         return targets.with_(position=position, velocity=velocity), row
 
     def established(self, messages: int) -> Bools:
-        """(n,) which rows of the newest message are of objects seen in so many messages: clutter does not last."""
+        """(n,) which rows of the newest message are of objects seen in that many messages, which excludes clutter."""
         tracks = self._tracks
         rows = tracks[(tracks[:, ROW] >= 0) & (tracks[:, HITS] >= min(messages, self._messages)), ROW]
         result = np.zeros(len(self._objects), bool)
         result[rows.astype(np.int64)] = True
         return result
 
-    def keep(self, numbers: Ints) -> None:
-        """Release the objects of all targets but these."""
+    def release_others(self, numbers: Ints) -> None:
+        """Release the objects of all other targets."""
         if self._known.issubset(numbers.tolist()):
             return
         self._known.intersection_update(numbers.tolist())
         self._tracks[~np.isin(self._tracks[:, TARGET], numbers), TARGET] = -1.0
 
     def _lost(self, targets: ObjectStates, track: Ints) -> Bools:
-        """(k,) which targets have lost their objects, so that the tracks (k,) that they had are those of no target."""
-        held = (track >= 0).nonzero()[0]
-        mine = self._tracks[track[held]]
-        offset = mine[:, PLACE][:, :2] - targets.position[held, :2]
+        """(k,) which targets have lost their objects; releases their tracks (k,)."""
+        attached = (track >= 0).nonzero()[0]
+        tracks = self._tracks[track[attached]]
+        offset = tracks[:, PLACE][:, :2] - targets.position[attached, :2]
         lost = np.zeros(len(track), bool)
-        lost[held] = (mine[:, ROW] < 0) & ((offset * offset).sum(axis=1) > LOST_M**2)
+        lost[attached] = (tracks[:, ROW] < 0) & ((offset * offset).sum(axis=1) > LOST_M**2)
         self._tracks[track[lost], TARGET] = -1.0
         return lost
 
-    def _attach(self, targets: ObjectStates, loose: Ints, track: Ints, attach_m: float) -> None:
-        asked = np.array([number in self._known for number in targets.id[loose].tolist()], bool)
+    def _attach_tracks(self, targets: ObjectStates, unattached: Ints, track: Ints, attach_m: float) -> None:
+        known = np.array([number in self._known for number in targets.id[unattached].tolist()], bool)
         free = ((self._tracks[:, TARGET] < 0) & (self._tracks[:, ROW] >= 0)).nonzero()[0]
-        there = self._objects.position[self._tracks[free, ROW].astype(np.int64)]
-        i, j, dx, dy = neighbours(targets.position[loose], there, np.full(len(loose), attach_m, np.float64))
+        positions = self._objects.position[self._tracks[free, ROW].astype(np.int64)]
+        i, j, dx, dy = neighbours(
+            targets.position[unattached], positions, np.full(len(unattached), attach_m, np.float64)
+        )
         new = self._tracks[free[j], AGE] <= NEW_S
         cost = dx * dx + dy * dy
-        allowed = (~asked[i] | new | (cost < SAME_PLACE_M**2)).nonzero()[0]
+        allowed = (~known[i] | new | (cost < SAME_PLACE_M**2)).nonzero()[0]
         i, j, cost = i[allowed], j[allowed], cost[allowed]
         chosen = greedy(i, j, cost)
-        track[loose[i[chosen]]] = free[j[chosen]]
-        self._tracks[free[j[chosen]], TARGET] = targets.id[loose[i[chosen]]]
+        track[unattached[i[chosen]]] = free[j[chosen]]
+        self._tracks[free[j[chosen]], TARGET] = targets.id[unattached[i[chosen]]]
 
 
 @kernel
@@ -169,29 +171,29 @@ def followed(
     radius_m: float,
     limits: Limits,
 ) -> Floats:
-    """The table of tracks (m', COLUMNS) after one more message, of that before it (m, COLUMNS).
+    """Update the table of tracks (m, COLUMNS) by one message; the result is (m', COLUMNS).
 
     position, velocity: (n, 3) m, m/s, of the rows of the message; velocity zero: not known. id: (n,), -1: none
     elapsed_s: s since the message before; radius_m: m, the widest gate
 
-    Rows with the id of a track are its own. The others are joined nearest pair first, within gates that grow with the
-    time that an object was not seen. Where rows have no velocity, an alpha-beta filter with growing memory estimates it
-    (Brookner, Tracking and Kalman Filtering Made Easy, 1998). Each row of no track begins one.
+    Rows are matched to tracks by id, otherwise nearest pair first, within gates that grow with the time since an object
+    was last seen. For rows without velocity, an alpha-beta filter with growing memory estimates it (Brookner, Tracking
+    and Kalman Filtering Made Easy, 1998). Each unmatched row starts a track.
     """
-    gate_m, growth, fastest, forgotten, clutter, same_id_m, least_alpha, least_beta = limits
+    gate_m, growth, max_speed, drop_s, clutter_s, same_id_m, min_alpha, min_beta = limits
     t = tracks.copy()
     t[:, PLACE] += t[:, VELOCITY] * elapsed_s
     t[:, [UNSEEN, AGE]] += elapsed_s
     t[:, ROW] = -1.0
     taken = np.zeros(len(position), bool)
     a, b = (((t[:, ID, None] == id) & (id >= 0)) if len(t) and len(id) else np.zeros((0, 0), bool)).nonzero()
-    apart = t[a, :2] - position[b, :2]
-    near = apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1] < same_id_m * same_id_m
-    for track, row in zip(a[near].tolist(), b[near].tolist(), strict=True):
+    offset = t[a, :2] - position[b, :2]
+    same = offset[:, 0] * offset[:, 0] + offset[:, 1] * offset[:, 1] < same_id_m * same_id_m
+    for track, row in zip(a[same].tolist(), b[same].tolist(), strict=True):
         if t[track, ROW] < 0 and not taken[row]:
             t[track, ROW], taken[row] = row, True
     free, rows = (t[:, ROW] < 0).nonzero()[0], (~taken).nonzero()[0]
-    gate = np.where(t[:, HITS] > 1, gate_m + growth * t[:, UNSEEN], fastest * t[:, UNSEEN])
+    gate = np.where(t[:, HITS] > 1, gate_m + growth * t[:, UNSEEN], max_speed * t[:, UNSEEN])
     i, j, dx, dy = neighbours(t[free, PLACE], position[rows], np.minimum(gate, radius_m)[free])
     chosen = greedy(i, j, dx * dx + dy * dy)
     t[free[i[chosen]], ROW] = rows[j[chosen]]
@@ -200,16 +202,18 @@ def followed(
     seen = (t[:, ROW] >= 0).nonzero()[0]
     row = t[seen, ROW].astype(np.int64)
     k, elapsed = t[seen, HITS], np.maximum(t[seen, UNSEEN], 1e-9)
-    shows = velocity[row].any(axis=1)[:, None]
-    alpha = np.maximum(2.0 * (2.0 * k + 1.0) / ((k + 1.0) * (k + 2.0)), least_alpha)[:, None]
-    beta = np.maximum(6.0 / ((k + 1.0) * (k + 2.0)), least_beta)
-    surprise = position[row] - t[seen, PLACE]
-    t[seen, PLACE] = np.where(shows, position[row], t[seen, PLACE] + alpha * surprise)
-    t[seen, VELOCITY] = np.where(shows, velocity[row], t[seen, VELOCITY] + (beta / elapsed)[:, None] * surprise)
+    has_velocity = velocity[row].any(axis=1)[:, None]
+    alpha = np.maximum(2.0 * (2.0 * k + 1.0) / ((k + 1.0) * (k + 2.0)), min_alpha)[:, None]
+    beta = np.maximum(6.0 / ((k + 1.0) * (k + 2.0)), min_beta)
+    innovation = position[row] - t[seen, PLACE]
+    t[seen, PLACE] = np.where(has_velocity, position[row], t[seen, PLACE] + alpha * innovation)
+    t[seen, VELOCITY] = np.where(
+        has_velocity, velocity[row], t[seen, VELOCITY] + (beta / elapsed)[:, None] * innovation
+    )
     t[seen, ID], t[seen, UNSEEN] = id[row], 0.0
     t[seen, HITS] += 1.0
 
-    kept = (t[:, TARGET] >= 0) | (t[:, UNSEEN] <= np.where(t[:, HITS] > 1, forgotten, clutter))
+    kept = (t[:, TARGET] >= 0) | (t[:, UNSEEN] <= np.where(t[:, HITS] > 1, drop_s, clutter_s))
     fresh = (~taken).nonzero()[0]
     new = np.zeros((len(fresh), COLUMNS))
     new[:, PLACE], new[:, VELOCITY], new[:, HITS] = position[fresh], velocity[fresh], 1.0

@@ -1,4 +1,4 @@
-"""Making false objects look like the victim's own: noise, misses, covariance, score and identity."""
+"""False objects that resemble the victim's own: noise, misses, covariance, score and identity."""
 
 from __future__ import annotations
 
@@ -16,54 +16,53 @@ from mast_zenoh.kernels import kernel
 from mast_zenoh.streams import stream
 from mast_zenoh.tracking.view import SensorView
 
-#: Standard deviations [x y z l w h vx vy vz] and score of a false object when the victim shows nothing to imitate.
+#: Standard deviations [x y z l w h vx vy vz] and score of a false object if the victim has no rows to imitate.
 DEFAULT_STD: Floats = np.array([0.5, 0.5, 0.5, 0.2, 0.2, 0.2, 1.0, 1.0, 0.5])
 DEFAULT_SCORE = 0.9
-#: A row whose covariance is so many times the median is of a track that has just begun: not typical.
-TYPICAL = 3.0
-#: Largest error of a size, as a share of it.
-MOST_SIZE_ERROR = 0.3
+#: Rows whose covariance exceeds this multiple of the median belong to new tracks and are not typical.
+TYPICAL_FACTOR = 3.0
+#: Largest error of a size, relative to it.
+MAX_SIZE_ERROR = 0.3
 #: Columns of the noise: position, size, velocity, yaw, and the score's rank.
 _COLUMNS = 11
-#: Frames whose noise is drawn together.
+#: Number of frames whose noise is drawn at once.
 _BLOCK = 32
 
 
 class Imitation(ABC):
-    """How false objects are made to look on one wire."""
+    """Base class of imitations: the appearance of false objects on one wire."""
 
-    def bind(self, seed: int, scene: str, name: str) -> None:  # noqa: B027 (a hook: what draws nothing needs no streams)
-        """Name the random streams: all draws are functions of (seed, scene, name, "imitation", frame)."""
+    def bind(self, seed: int, scene: str, name: str) -> None:  # noqa: B027 (a hook: without random numbers it needs no streams)
+        """Set the random streams, named by (seed, scene, name, "imitation", frame)."""
 
     def observe(self, real: ObjectStates, time_ns: int, victim: Floats) -> None:  # noqa: B027 (a hook)
-        """Learn from the victim's objects of one message, in canonical order; victim (3,) m is where it is."""
+        """Learn from the victim's objects of one message, in canonical order; victim: (3,) m, its position."""
 
     @abstractmethod
     def show(
         self, frame: int, false: ObjectStates, real: ObjectStates, coverage: Coverage, view: SensorView
     ) -> ObjectStates:
-        """The false objects as the victim's own rows would show them in this frame; those that it misses are left out.
+        """The false objects as they appear in the victim's rows of this frame, without missed ones.
 
-        real: the victim's objects of this frame, in canonical order; coverage, view: what the victim covers
+        real: the victim's objects of this frame, in canonical order; coverage, view: the victim's coverage
         """
 
 
 class Exact(Imitation):
-    """False objects as they are, in every frame, wherever they are: those of the paper.
+    """Shows false objects without noise or misses, in every frame and at any position, as in the paper.
 
-    Covariance and score are typical of the victim's objects in this frame: the covariance with the median trace (a mean
-    would be blown up by a track that has just begun), and the median score.
+    Covariance and score are typical of the victim's objects in this frame: the covariance with the median trace (new
+    tracks would inflate a mean), and the median score.
     """
 
     def show(
         self, frame: int, false: ObjectStates, real: ObjectStates, coverage: Coverage, view: SensorView
     ) -> ObjectStates:
-        """See Imitation."""
         return typical(false, real)
 
 
 def typical(false: ObjectStates, real: ObjectStates) -> ObjectStates:
-    """False objects with the covariance and the score that are typical of real ones in canonical order, see Exact."""
+    """False objects with the typical covariance and score of real ones in canonical order, see Exact."""
     if len(false) == 0:
         return false
     covariance, score = np.diag(DEFAULT_STD**2), DEFAULT_SCORE
@@ -75,15 +74,14 @@ def typical(false: ObjectStates, real: ObjectStates) -> ObjectStates:
 
 
 class VictimLike(Imitation):
-    """False objects with the noise, misses, covariances and scores of the victim's own rows.
+    """Gives false objects the noise, misses, covariances and scores of the victim's own rows.
 
-    A false object is shown only where the victim could see it: in its sensor's view, not behind a wall or an object,
-    not in a building and not in another object. Of the frames in which it could be seen, it is missed in as many as a
-    real object at its range. Its errors have the size of those that the victim's row nearest in range states, and the
-    correlation from frame to frame that the victim's rows show. Its score has a constant or a changing rank among the
-    victim's scores, with the same correlation.
+    A false object is shown only if the victim could see it: in its sensor's view, not occluded by a wall or an object,
+    and outside buildings and other objects. It is missed as often as a real object at its range. Its errors have the
+    standard deviations of the victim's row nearest in range and the temporal correlation of the victim's rows. Its
+    score has a rank among the victim's scores that varies with the same correlation.
 
-    misses, noise: whether there are any
+    misses, noise: whether to simulate them
     """
 
     def __init__(self, *, misses: bool = True, noise: bool = True) -> None:
@@ -96,29 +94,28 @@ class VictimLike(Imitation):
         self._seed, self._scene, self._name = 0, "", ""
 
     def bind(self, seed: int, scene: str, name: str) -> None:
-        """See Imitation."""
         self._seed, self._scene, self._name = seed, scene, name
 
     def observe(self, real: ObjectStates, time_ns: int, victim: Floats) -> None:
-        """See Imitation."""
         if not self._statistics.complete:
             self._statistics.observe(real, time_ns, victim)
 
     def show(
         self, frame: int, false: ObjectStates, real: ObjectStates, coverage: Coverage, view: SensorView
     ) -> ObjectStates:
-        """See Imitation."""
         if len(false) == 0:
             return false
-        fresh, luck = self._draws(frame, len(false))  # for every object, so that what is shown moves no other draw
-        errors = self._next_errors(false.id, fresh)
+        independent, miss_draws = self._draws(
+            frame, len(false)
+        )  # for every object, so that visibility does not shift the draws
+        errors = self._next_errors(false.id, independent)
         offset = false.position - view.position
         range_m = np.sqrt(offset[:, 0] * offset[:, 0] + offset[:, 1] * offset[:, 1])
-        false = self._like_the_victims(false, errors, real, range_m, view)
-        shown = coverage.plausible(false, real, view)
+        false = self._resemble_victim(false, errors, real, range_m, view)
+        visible = coverage.plausible(false, real, view)
         if self._misses:
-            shown &= luck < self._statistics.share_detected(range_m)
-        return false if shown.all() else false.select(shown)
+            visible &= miss_draws < self._statistics.share_detected(range_m)
+        return false if visible.all() else false.select(visible)
 
     def _draws(self, frame: int, n: int) -> tuple[Floats, Floats]:
         """(n, _COLUMNS) standard normal and (n,) uniform draws of a frame."""
@@ -128,25 +125,25 @@ class VictimLike(Imitation):
             self._block = (block, rng.standard_normal((_BLOCK, n, _COLUMNS)), rng.random((_BLOCK, n)))
         return self._block[1][frame % _BLOCK], self._block[2][frame % _BLOCK]
 
-    def _next_errors(self, numbers: Ints, fresh: Floats) -> Floats:
-        """(k, _COLUMNS) errors in units of σ: correlated with those of the frame before for objects that go on."""
+    def _next_errors(self, numbers: Ints, independent: Floats) -> Floats:
+        """(k, _COLUMNS) errors in units of σ, correlated with those of the previous frame for the same objects."""
         correlation = self._statistics.correlation
-        errors = fresh
+        errors = independent
         if correlation > 0.0 and len(self._numbers):
             innovation = sqrt(1.0 - correlation * correlation)
             if np.array_equal(numbers, self._numbers):
-                errors = correlation * self._errors + innovation * fresh
+                errors = correlation * self._errors + innovation * independent
             else:
                 k, before = (numbers[:, None] == self._numbers).nonzero()
-                errors = fresh.copy()
-                errors[k] = correlation * self._errors[before] + innovation * fresh[k]
+                errors = independent.copy()
+                errors[k] = correlation * self._errors[before] + innovation * independent[k]
         self._numbers, self._errors = numbers, errors
         return errors
 
-    def _like_the_victims(
+    def _resemble_victim(
         self, false: ObjectStates, errors: Floats, real: ObjectStates, range_m: Floats, view: SensorView
     ) -> ObjectStates:
-        position, covariance, score, moves = real.position, real.covariance, real.score, real.velocity.any()
+        position, covariance, score, has_velocity = real.position, real.covariance, real.score, real.velocity.any()
         if len(real) == 0:
             position, covariance, score = view.position[None], np.diag(DEFAULT_STD**2)[None], np.array([DEFAULT_SCORE])
         columns = victim_like(
@@ -155,8 +152,8 @@ class VictimLike(Imitation):
             range_m,
             (position, covariance, score, view.position),
             self._statistics.std,
-            bool(moves),  # detections show no velocity
-            (TYPICAL, MOST_SIZE_ERROR),
+            bool(has_velocity),  # detections show no velocity
+            (TYPICAL_FACTOR, MAX_SIZE_ERROR),
         )
         return ObjectStates(false.id, *columns, false.class_id)
 
@@ -171,42 +168,42 @@ def victim_like(
     moves: bool,
     limits: tuple[float, float],
 ) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
-    """Position, velocity, size, yaw, covariance and score of k false objects as n >= 1 rows of the victim would be.
+    """Position, velocity, size, yaw, covariance and score of k false objects like n >= 1 rows of the victim.
 
     false:     (k, 3) m, (k, 3) m/s, (k, 3) m, (k,) rad: position, velocity, size, yaw without errors
-    errors:    (k, _COLUMNS) in units of sigma, correlated as they should be
+    errors:    (k, _COLUMNS) in units of sigma, with their final correlation
     range_m:   (k,) m, of the false objects
-    real:      the victim's rows: position (n, 3) m, covariance (n, 9, 9), score (n,); and the place of its sensor (3,)
-    usual_std: of position where the rows state none, of size (m), and of yaw (rad)
+    real:      the victim's rows: position (n, 3) m, covariance (n, 9, 9), score (n,); and its sensor's position (3,)
+    usual_std: of position for rows without covariance, of size (m), and of yaw (rad)
     moves:     whether the rows have velocities
     limits:    TYPICAL, MOST_SIZE_ERROR
 
-    The covariance is that of the typical row nearest in range, the score that of a rank among the typical rows.
+    The covariance is that of the typical row nearest in range; the score is drawn by rank from the typical rows.
     """
     position, velocity, size, yaw = false
-    places, covariance, score, eye = real
+    positions, covariance, score, sensor_position = real
     trace = np.einsum("nii->n", covariance)
     typical = (trace <= limits[0] * np.sort(trace)[(len(trace) - 1) // 2]).nonzero()[0]
-    offset = places[typical, :2] - eye[:2]
-    rows = np.sqrt((offset * offset).sum(axis=1))
-    nearest = typical[np.abs(range_m[:, None] - rows).argmin(axis=1)]
-    ranks = np.array([0.5 + 0.5 * erf(z / sqrt(2.0)) for z in errors[:, 10].tolist()])
-    place = np.minimum(ranks * len(typical), len(typical) - 1).astype(np.int64)
+    offset = positions[typical, :2] - sensor_position[:2]
+    row_range = np.sqrt((offset * offset).sum(axis=1))
+    nearest = typical[np.abs(range_m[:, None] - row_range).argmin(axis=1)]
+    quantiles = np.array([0.5 + 0.5 * erf(z / sqrt(2.0)) for z in errors[:, 10].tolist()])
+    rank = np.minimum(quantiles * len(typical), len(typical) - 1).astype(np.int64)
 
     stated = np.sqrt(np.maximum(np.einsum("nii->ni", covariance[nearest]), 0.0))
-    at = position + errors[:, :3] * np.where(stated[:, :3] > 0.0, stated[:, :3], usual_std[0])
-    speed = velocity + errors[:, 6:9] * stated[:, 6:9] if moves else velocity.copy()
+    noisy_position = position + errors[:, :3] * np.where(stated[:, :3] > 0.0, stated[:, :3], usual_std[0])
+    noisy_velocity = velocity + errors[:, 6:9] * stated[:, 6:9] if moves else velocity.copy()
     limit = limits[1] * size
-    box = size + np.minimum(np.maximum(errors[:, 3:6] * usual_std[1], -limit), limit)
-    heading = wrap_angle(yaw + errors[:, 9] * usual_std[2])
-    return at, speed, box, heading, covariance[nearest], np.sort(score[typical])[place]
+    noisy_size = size + np.minimum(np.maximum(errors[:, 3:6] * usual_std[1], -limit), limit)
+    noisy_yaw = wrap_angle(yaw + errors[:, 9] * usual_std[2])
+    return noisy_position, noisy_velocity, noisy_size, noisy_yaw, covariance[nearest], np.sort(score[typical])[rank]
 
 
 class ForgedIds:
-    """Track ids for false objects: one per target for as long as it lasts, never one that the victim uses.
+    """Track ids for false objects: one per target, never one that the victim uses.
 
-    Ids start `gap` above the highest that the victim has shown, so that the victim's own numbering does not reach
-    them soon. If it does all the same, the false object takes a new id at once.
+    Ids start `gap` above the victim's highest id, so that the victim's own numbering does not reach them soon. If it
+    does, the false object takes a new id at once.
     """
 
     def __init__(self, gap: int) -> None:
@@ -216,7 +213,7 @@ class ForgedIds:
         self._of_target: dict[int, int] = {}
 
     def observe(self, seen: Ints) -> None:
-        """Note the victim's ids (n,) of one message; ids that collide with them are given up."""
+        """Record the victim's ids (n,) of one message; colliding ids are dropped."""
         if len(seen):
             self._highest = max(self._highest, int(seen.max()))
             used = set(self._of_target.values()).intersection(seen.tolist())

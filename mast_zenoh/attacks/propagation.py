@@ -1,6 +1,6 @@
-"""How false objects move from frame to frame. A victim's tracker confirms what moves like traffic.
+"""Motion models of false objects, which a victim's tracker confirms only if they move like traffic.
 
-Every model moves a road user as one: along its heading, with bounded acceleration and yaw rate. None jumps sideways.
+Every model moves an object like a road user: along its heading, with bounded acceleration and yaw rate.
 """
 
 from __future__ import annotations
@@ -13,29 +13,29 @@ import numpy as np
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Floats, ObjectStates, propagate
 
-#: m/s^2, of braking and of accelerating; comfortable in traffic (Bae et al., 2019: 2 to 3).
+#: m/s^2, limit of braking and accelerating; comfortable in traffic (Bae et al., 2019: 2 to 3).
 MAX_ACCELERATION_MPS2 = 3.0
-#: rad/s, and m: a car turns no faster, and in no smaller circle.
-MAX_YAW_RATE, LEAST_TURN_M = 0.6, 5.0
+#: rad/s and m: maximum yaw rate and minimum turning radius of a car.
+MAX_YAW_RATE, MIN_TURN_RADIUS_M = 0.6, 5.0
 
 
 class Propagation(ABC):
     """Moves the false objects of an adversary."""
 
-    #: Whether `advance` draws anything. If not it is spared a stream of its own.
+    #: Whether `advance` uses random numbers; if not, no stream is created for it.
     draws: ClassVar[bool] = True
 
     @abstractmethod
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
-        """False objects `elapsed_s` seconds later, world frame.
+        """Move false objects by `elapsed_s` seconds, world frame.
 
-        `age_s` is the time from their selection to `states`. Called once with both zero right after the
-        selection, so that what a model says of velocities holds from the first frame on.
+        `age_s` is the time from their selection to `states`. Called once with both zero right after the selection, so
+        that the model's velocities apply from the first frame on.
         """
 
 
 class StaticPropagation(Propagation):
-    """False objects stand where they were put, and say so: their velocity is zero."""
+    """False objects at rest: constant position, zero velocity."""
 
     draws = False
 
@@ -49,8 +49,8 @@ class MarkovPropagation(Propagation):
     sigma_mps2: standard deviation of the acceleration on each axis;  max_speed_mps: that no object exceeds
 
     This is the originals' `v += dv·dt` with dv σ 0.5: in a step of dt seconds the velocity changes by σ = 0.5·dt m/s
-    on each axis, so over T seconds by 0.5·sqrt(T·dt) m/s. Of each change, the part along the heading is bounded by
-    MAX_ACCELERATION_MPS2 and never reverses the object; the part across turns it by MAX_YAW_RATE at most.
+    on each axis, so over T seconds by 0.5·sqrt(T·dt) m/s. Of each change, the component along the heading is
+    bounded by MAX_ACCELERATION_MPS2 and never reverses the object; the lateral one turns it by MAX_YAW_RATE at most.
     """
 
     def __init__(self, *, sigma_mps2: float = 0.5, max_speed_mps: float = 30.0) -> None:
@@ -60,15 +60,15 @@ class MarkovPropagation(Propagation):
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
         change = rng.normal(0.0, 1.0, (len(states), 2)) * (self.sigma_mps2 * elapsed_s)
         speed, yaw = _speed_and_heading(states)
-        forward, left = _headings(yaw)
+        forward, left = _unit_vectors(yaw)
         limit = MAX_ACCELERATION_MPS2 * elapsed_s
         along = np.clip((change * forward).sum(axis=1), -limit, limit)
-        across = (change * left).sum(axis=1)
-        turn_limit = np.minimum(MAX_YAW_RATE, speed / LEAST_TURN_M) * elapsed_s
-        yaw = wrap_angle(yaw + np.clip(across / np.maximum(speed, 1e-6), -turn_limit, turn_limit))
-        slower = np.maximum(self.max_speed_mps, speed - limit)  # what is too fast from the beginning brakes
-        speed = np.clip(speed + along, 0.0, slower)
-        return _driven(states, yaw, speed, speed * elapsed_s)
+        lateral = (change * left).sum(axis=1)
+        turn_limit = np.minimum(MAX_YAW_RATE, speed / MIN_TURN_RADIUS_M) * elapsed_s
+        yaw = wrap_angle(yaw + np.clip(lateral / np.maximum(speed, 1e-6), -turn_limit, turn_limit))
+        top_speed = np.maximum(self.max_speed_mps, speed - limit)  # an object that starts too fast brakes
+        speed = np.clip(speed + along, 0.0, top_speed)
+        return _move_along(states, yaw, speed, speed * elapsed_s)
 
 
 class TrajectoryPropagation(Propagation):
@@ -89,28 +89,28 @@ class TrajectoryPropagation(Propagation):
 
     def advance(self, states: ObjectStates, elapsed_s: float, age_s: float, rng: np.random.Generator) -> ObjectStates:
         if age_s > 0.0 and age_s + elapsed_s <= self.duration_s:
-            return propagate(states, elapsed_s)  # heading where it goes since its first step
+            return propagate(states, elapsed_s)  # the heading has been that of the velocity since the first step
         speed, yaw = _speed_and_heading(states)
         cruising = min(max(self.duration_s - age_s, 0.0), elapsed_s)
-        after = np.maximum(speed - self.braking_mps2 * (elapsed_s - cruising), 0.0)
-        distance = speed * cruising + (speed**2 - after**2) / (2.0 * self.braking_mps2)
-        return _driven(states, yaw, after, distance)
+        final_speed = np.maximum(speed - self.braking_mps2 * (elapsed_s - cruising), 0.0)
+        distance = speed * cruising + (speed**2 - final_speed**2) / (2.0 * self.braking_mps2)
+        return _move_along(states, yaw, final_speed, distance)
 
 
 def _speed_and_heading(states: ObjectStates) -> tuple[Floats, Floats]:
-    """(n,) m/s over ground, and (n,) rad where the objects head: where they go, or as their box where they stand."""
+    """(n,) m/s over ground, and (n,) rad headings: of the velocity, or of the box for objects at rest."""
     vx, vy = states.velocity[:, 0], states.velocity[:, 1]
     speed = np.hypot(vx, vy)
     return speed, np.where(speed > 1e-6, np.arctan2(vy, vx), states.yaw)
 
 
-def _headings(yaw: Floats) -> tuple[Floats, Floats]:
+def _unit_vectors(yaw: Floats) -> tuple[Floats, Floats]:
     """(n, 2) unit vectors along and to the left of headings."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.column_stack([c, s]), np.column_stack([-s, c])
 
 
-def _driven(states: ObjectStates, yaw: Floats, speed: Floats, distance: Floats) -> ObjectStates:
+def _move_along(states: ObjectStates, yaw: Floats, speed: Floats, distance: Floats) -> ObjectStates:
     """The objects `distance` (n,) m further along headings `yaw` (n,), with speeds (n,) m/s."""
     forward = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))])
     return states.with_(

@@ -1,4 +1,4 @@
-"""Where false objects are put, and how fast they go: the regions that a selection can name."""
+"""Regions in which a selection places false objects, with their speeds."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
 from mast_zenoh.attacks.coverage import Coverage, touching
 from mast_zenoh.attacks.propagation import MAX_ACCELERATION_MPS2
 
-#: Places tried for each false object; one that finds none is left out.
-TRIES = 128
-#: s, for which a false object should be able to go on, and how many places of its path are looked at.
-AHEAD_S, SAMPLES = 10.0, 8
-#: A place is taken at once if the object can go at this share of the speed drawn for it.
-FAST_ENOUGH = 0.7
-#: m, how far ahead of the ego objects are put on its path, and σ of their place across it.
-PATH_AHEAD_M, ACROSS_STD_M = (10.0, 60.0), 0.3
-#: m; half the width of a lane: what is farther off the ego's path is not on it.
+#: Candidate positions for each false object; it is left out if none is allowed.
+CANDIDATES = 128
+#: s, for which the path of a false object should be free, and number of positions checked along it.
+FREE_PATH_S, PATH_SAMPLES = 10.0, 8
+#: A candidate is accepted at once if its free path allows this fraction of the drawn speed.
+ACCEPTED_SPEED_FRACTION = 0.7
+#: m, range of distances ahead of the ego on its path, and σ of the lateral offset.
+PATH_AHEAD_M, LATERAL_STD_M = (10.0, 60.0), 0.3
+#: m, half the width of a lane: maximum distance from the ego's path.
 LANE_M = 1.75
-#: On its path, an object goes at no more than this share of the ego's speed, so that the ego closes in.
-SLOWER_THAN_EGO = 0.5
-#: m, length from which an object is a vehicle, whose heading is that of its lane.
+#: Maximum speed of an object on the ego's path as a fraction of the ego's speed, so that the ego closes in.
+MAX_SPEED_FRACTION = 0.5
+#: m, minimum length of a vehicle, whose heading is that of its lane.
 VEHICLE_M = 2.5
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What false objects are like: σ per axis about the victim (m) and of the velocity (m/s), and l, w, h (m)."""
+    """Distribution of false objects: σ per axis about the victim (m) and of the velocity (m/s), and l, w, h (m)."""
 
     position_std_m: float
     velocity_std_mps: float
@@ -40,7 +40,7 @@ class Shape:
 
 @dataclass(slots=True)
 class _Candidates:
-    """TRIES poses of one false object: position (t, 3) m, heading (t,) rad, and the speed wanted, m/s."""
+    """CANDIDATES poses of one false object: position (t, 3) m, heading (t,) rad, and the desired speed, m/s."""
 
     position: Floats
     yaw: Floats
@@ -48,7 +48,7 @@ class _Candidates:
 
 
 class Region(ABC):
-    """Where false objects may be."""
+    """Base class of regions for false objects."""
 
     #: Name of the region in a scenario.
     name: ClassVar[str]
@@ -59,19 +59,18 @@ class Region(ABC):
     ) -> tuple[Floats, Floats]:
         """Position (k, 3) m and velocity (k, 3) m/s of k <= `count` false objects, world frame.
 
-        real: what the victims see, in canonical order; ground: m, z of the ground
+        real: the objects that the victims see, in canonical order; ground: m, z of the ground
         """
 
 
 class Paper(Region):
-    """Gaussian about a victim, in any direction, wherever that is: the paper's distribution."""
+    """The paper's distribution: Gaussian about a victim, without any constraint."""
 
     name = "paper"
 
     def place(
         self, count: int, shape: Shape, real: ObjectStates, ground: float, coverage: Coverage, rng: np.random.Generator
     ) -> tuple[Floats, Floats]:
-        """See Region."""
         position = np.zeros((count, 3))
         velocity = np.zeros((count, 3))
         position[:, :2] = rng.normal(0.0, shape.position_std_m, (count, 2))
@@ -84,12 +83,11 @@ class Paper(Region):
 
 
 class _Checked(Region):
-    """Of many poses of each object the first that is allowed, and whose path is allowed for some time."""
+    """Places each object at the first candidate pose that is allowed and has a free path."""
 
     def place(
         self, count: int, shape: Shape, real: ObjectStates, ground: float, coverage: Coverage, rng: np.random.Generator
     ) -> tuple[Floats, Floats]:
-        """See Region."""
         placed = ObjectStates.empty()
         poses: list[tuple[Floats, Floats]] = []
         for stream in rng.spawn(count):
@@ -116,36 +114,36 @@ class _Checked(Region):
     def _candidates(
         self, shape: Shape, real: ObjectStates, ground: float, coverage: Coverage, rng: np.random.Generator
     ) -> _Candidates | None:
-        """Poses to try for one object; None where there are none."""
+        """Candidate poses for one object; None if there are none."""
 
     @abstractmethod
     def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
-        """(k,) which boxes are in the region; `real` objects hide what is behind them."""
+        """(k,) which boxes are in the region; `real` objects occlude what is behind them."""
 
     def _choose(
         self, candidates: _Candidates, allowed: np.ndarray, shape: Shape, coverage: Coverage
     ) -> tuple[int, float] | None:
-        """Row and speed of the first allowed pose with a free path, else of the one with the longest; None of none."""
+        """Row and speed of the first allowed pose with a free path, else with the longest; None without a pose."""
         rows = allowed[:16]
         if len(rows) == 0:
             return None
-        stop = candidates.speed * AHEAD_S + candidates.speed**2 / (2.0 * MAX_ACCELERATION_MPS2)
-        steps = stop * np.arange(1, SAMPLES + 1) / SAMPLES
-        yaw = np.repeat(candidates.yaw[rows], SAMPLES)
-        along = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))]) * np.tile(steps, len(rows))[:, None]
-        path = _objects(np.repeat(candidates.position[rows], SAMPLES, axis=0) + along, yaw, shape.box)
-        free = self._allowed(path, ObjectStates.empty(), coverage).reshape(len(rows), SAMPLES)
-        clear = np.where(free.all(axis=1), SAMPLES, np.argmin(free, axis=1)) * (stop / SAMPLES)
-        speed = np.minimum(candidates.speed, fastest_within(clear))
-        good = (speed >= FAST_ENOUGH * candidates.speed).nonzero()[0]
-        best = int(good[0]) if len(good) else int(np.argmax(speed))
+        stop = candidates.speed * FREE_PATH_S + candidates.speed**2 / (2.0 * MAX_ACCELERATION_MPS2)
+        steps = stop * np.arange(1, PATH_SAMPLES + 1) / PATH_SAMPLES
+        yaw = np.repeat(candidates.yaw[rows], PATH_SAMPLES)
+        offset = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))]) * np.tile(steps, len(rows))[:, None]
+        path = _objects(np.repeat(candidates.position[rows], PATH_SAMPLES, axis=0) + offset, yaw, shape.box)
+        free = self._allowed(path, ObjectStates.empty(), coverage).reshape(len(rows), PATH_SAMPLES)
+        free_distance = np.where(free.all(axis=1), PATH_SAMPLES, np.argmin(free, axis=1)) * (stop / PATH_SAMPLES)
+        speed = np.minimum(candidates.speed, max_speed_within(free_distance))
+        accepted = (speed >= ACCEPTED_SPEED_FRACTION * candidates.speed).nonzero()[0]
+        best = int(accepted[0]) if len(accepted) else int(np.argmax(speed))
         return int(rows[best]), float(speed[best])
 
 
 class InView(_Checked):
-    """In the view of a victim's sensor, outside buildings and other objects; headings are those of the traffic there.
+    """In a victim's view, outside buildings and other objects, with the headings of nearby traffic.
 
-    The paper's distribution about the victim, as far as the victim sees it.
+    The paper's distribution about the victim, restricted to its field of view.
     """
 
     name = "in_view"
@@ -156,10 +154,10 @@ class InView(_Checked):
         if not coverage.victims:
             return None
         victim = coverage.victims[int(rng.integers(len(coverage.victims)))].position
-        position = np.full((TRIES, 3), ground + shape.box[2] / 2.0)
-        position[:, :2] = victim[:2] + rng.normal(0.0, shape.position_std_m, (TRIES, 2))
+        position = np.full((CANDIDATES, 3), ground + shape.box[2] / 2.0)
+        position[:, :2] = victim[:2] + rng.normal(0.0, shape.position_std_m, (CANDIDATES, 2))
         speed = float(np.hypot(*rng.normal(0.0, shape.velocity_std_mps, 2)))
-        yaw = rng.uniform(-np.pi, np.pi, TRIES)
+        yaw = rng.uniform(-np.pi, np.pi, CANDIDATES)
         vehicles = (real.size[:, 0] >= VEHICLE_M).nonzero()[0]
         if len(vehicles):
             offset = position[:, None, :2] - real.position[None, vehicles, :2]
@@ -169,22 +167,22 @@ class InView(_Checked):
         return _Candidates(position, yaw, speed)
 
     def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
-        seen = np.zeros(len(boxes), bool)
+        visible = np.zeros(len(boxes), bool)
         for view in coverage.victims:
-            seen |= coverage.seen(boxes, real, view)
-        return seen
+            visible |= coverage.visible_outside_objects(boxes, real, view)
+        return visible
 
 
 class VictimOnly(InView):
-    """As InView, but where no other agent's sensor looks that is known: nobody can contradict the victim."""
+    """As InView, but outside the view of other known agents, which could contradict the victim."""
 
     name = "victim_only"
 
     def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
-        seen = super()._allowed(boxes, real, coverage)
-        rows = seen.nonzero()[0]
+        visible = super()._allowed(boxes, real, coverage)
+        rows = visible.nonzero()[0]
         table = np.concatenate([boxes.position, boxes.size], axis=1)
-        for view in coverage.others():
+        for view in coverage.other_views():
             if len(rows) == 0:
                 break
             rows = rows[~coverage.visible(view, table[rows])]
@@ -194,9 +192,9 @@ class VictimOnly(InView):
 
 
 class EgoPath(_Checked):
-    """In the ego's lane, ahead of it on its route, where a victim sees it; slower than the ego.
+    """In the ego's lane, ahead of it on its route, in a victim's view; slower than the ego.
 
-    Behind the end of the known route the path goes straight on.
+    Beyond the end of the known route the path continues straight.
     """
 
     name = "ego_path"
@@ -207,27 +205,27 @@ class EgoPath(_Checked):
         path = path_ahead(coverage)
         if path is None:
             return None
-        distance = rng.uniform(*PATH_AHEAD_M, TRIES)
-        across = rng.normal(0.0, ACROSS_STD_M, TRIES)
+        distance = rng.uniform(*PATH_AHEAD_M, CANDIDATES)
+        lateral = rng.normal(0.0, LATERAL_STD_M, CANDIDATES)
         speed = float(np.hypot(*rng.normal(0.0, shape.velocity_std_mps, 2)))
-        place, yaw = path.at(distance)
+        centre, yaw = path.at(distance)
         position = np.column_stack(
             [
-                place[:, 0] - across * np.sin(yaw),
-                place[:, 1] + across * np.cos(yaw),
-                np.full(TRIES, ground + shape.box[2] / 2.0),
+                centre[:, 0] - lateral * np.sin(yaw),
+                centre[:, 1] + lateral * np.cos(yaw),
+                np.full(CANDIDATES, ground + shape.box[2] / 2.0),
             ]
         )
-        return _Candidates(position, yaw, min(speed, SLOWER_THAN_EGO * path.speed))
+        return _Candidates(position, yaw, min(speed, MAX_SPEED_FRACTION * path.speed))
 
     def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
         path = path_ahead(coverage)
         if path is None or not coverage.victims:
             return np.zeros(len(boxes), bool)
-        seen = np.zeros(len(boxes), bool)
+        visible = np.zeros(len(boxes), bool)
         for view in coverage.victims:
-            seen |= coverage.plausible(boxes, real, view)
-        return seen & (path.offset(boxes.position) <= LANE_M)
+            visible |= coverage.plausible(boxes, real, view)
+        return visible & (path.offset(boxes.position) <= LANE_M)
 
 
 #: The regions by name.
@@ -236,7 +234,7 @@ REGIONS: dict[str, Region] = {region.name: region for region in (Paper(), InView
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A polyline from where the ego is. corners: (k, 2) m; along: (k,) m from the ego; speed: m/s, of the ego now."""
+    """A polyline from the ego's position. corners: (k, 2) m; along: (k,) m from the ego; speed: m/s, of the ego now."""
 
     corners: Floats
     along: Floats
@@ -247,43 +245,43 @@ class Path:
         object.__setattr__(self, "_samples", self.at(np.arange(0.0, self.along[-1], 1.0))[0])
 
     def at(self, distance: Floats) -> tuple[Floats, Floats]:
-        """Places (n, 2) m and headings (n,) rad at `distance` (n,) m along the path."""
-        place = np.column_stack([np.interp(distance, self.along, self.corners[:, axis]) for axis in (0, 1)])
-        leg = np.clip(np.searchsorted(self.along, distance, side="right") - 1, 0, len(self.along) - 2)
-        step = self.corners[leg + 1] - self.corners[leg]
-        return place, np.arctan2(step[:, 1], step[:, 0])
+        """Positions (n, 2) m and headings (n,) rad at `distance` (n,) m along the path."""
+        position = np.column_stack([np.interp(distance, self.along, self.corners[:, axis]) for axis in (0, 1)])
+        segment = np.clip(np.searchsorted(self.along, distance, side="right") - 1, 0, len(self.along) - 2)
+        step = self.corners[segment + 1] - self.corners[segment]
+        return position, np.arctan2(step[:, 1], step[:, 0])
 
     def offset(self, position: Floats) -> Floats:
-        """(n,) m from the path to positions (n, >= 2), to within half a metre along it."""
-        apart = position[:, None, :2] - self._samples
-        nearest: Floats = np.sqrt((apart * apart).sum(axis=2).min(axis=1))
+        """Distance (n,) m from the path to positions (n, >= 2), sampled every metre along it."""
+        offset = position[:, None, :2] - self._samples
+        nearest: Floats = np.sqrt((offset * offset).sum(axis=2).min(axis=1))
         return nearest
 
 
 def path_ahead(coverage: Coverage) -> Path | None:
-    """The ego's path from where its route has it at this time, and straight on behind its end; None if unknown."""
+    """The ego's path from its current route position, straight on beyond its end; None if unknown."""
     ego = coverage.surroundings.ego_sensor
     if ego is None:
         return None
     route = ego.route
-    here, _ = route.at(coverage.time_s)
-    soon, _ = route.at(coverage.time_s + 1.0)
-    later = route.position[route.time_s > coverage.time_s + 1e-9]
-    corners = [here[:2]]
-    for place in later[:, :2]:
-        if np.hypot(*(place - corners[-1])) > 0.5:
-            corners.append(place)
+    position_now, _ = route.at(coverage.time_s)
+    position_in_1s, _ = route.at(coverage.time_s + 1.0)
+    waypoints = route.position[route.time_s > coverage.time_s + 1e-9]
+    corners = [position_now[:2]]
+    for waypoint in waypoints[:, :2]:
+        if np.hypot(*(waypoint - corners[-1])) > 0.5:
+            corners.append(waypoint)
     heading = rotation_from_quaternion(route.rotation[-1])[:2, 0]
     corners.append(corners[-1] + 2.0 * PATH_AHEAD_M[1] * heading / np.hypot(*heading))
     table = np.array(corners)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(table, axis=0).T))])
-    return Path(table, along, float(np.hypot(*(soon - here)[:2])))
+    return Path(table, along, float(np.hypot(*(position_in_1s - position_now)[:2])))
 
 
-def fastest_within(distance: Floats) -> Floats:
-    """(n,) m/s at which an object goes for AHEAD_S and brakes within distances (n,) m."""
+def max_speed_within(distance: Floats) -> Floats:
+    """Highest speed (n,) m/s at which an object can drive for FREE_PATH_S and then brake within distances (n,) m."""
     b = MAX_ACCELERATION_MPS2
-    speed: Floats = b * (np.sqrt(AHEAD_S**2 + 2.0 * distance / b) - AHEAD_S)
+    speed: Floats = b * (np.sqrt(FREE_PATH_S**2 + 2.0 * distance / b) - FREE_PATH_S)
     return speed
 
 

@@ -1,4 +1,4 @@
-"""Which objects an adversary invents, hides and displaces (paper, section on attack designs)."""
+"""Selects the objects that an adversary inserts, hides and displaces (paper, section on attack designs)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.errors import nearest
 
 #: Upper limit of `n_false_positives`.
-MOST_FALSE = 10_000
+MAX_FALSE_OBJECTS = 10_000
 
 
 class Selection(ABC):
-    """Chooses an adversary's targets, once or from time to time.
+    """Base class of target selections.
 
     until_found: whether it selects in every frame until it has a target
     """
@@ -28,39 +28,39 @@ class Selection(ABC):
     until_found: ClassVar[bool] = False
 
     def view(self, objects: ObjectStates, source: Ints | None = None) -> ObjectStates:
-        """The objects that can be targets, given those seen; `source` (n,) says which adversary saw each.
+        """The possible targets among the objects seen; `source` (n,): the adversary that saw each.
 
-        The objects as they are, unless a selection joins what several adversaries see of one object.
+        By default all objects; a selection may merge the observations of several adversaries.
         """
         return objects
 
     @abstractmethod
     def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
-        """Targets among `objects` (a view, world frame), and false objects where `coverage` allows them.
+        """Targets among `objects` (a view, world frame), and false objects allowed by `coverage`.
 
-        The result may depend on `rng` and on the set of objects, not on their order.
+        The result must not depend on the order of the objects.
         """
 
 
 class UncoordinatedSelection(Selection):
-    """One adversary by itself: false objects round its victim, a part of the victim's objects hidden or moved.
+    """Selects for one adversary: false objects around its victim, a fraction of its objects hidden or moved.
 
     n_false_positives:        λ of the Poisson distribution of the number of false objects
-    region:                   where they are put: "in_view" of the victim, in the "ego_path", "victim_only" (no other
-                              agent looks there), or about the victim as in the "paper"; see attacks.regions
-    fraction_false_negatives: part of the objects to hide; uniform without replacement, rounded down, but at least
+    region:                   where to place them: "in_view" of the victim, in the "ego_path", "victim_only" (outside
+                              the view of other agents), or about the victim as in the "paper"; see attacks.regions
+    fraction_false_negatives: fraction of the objects to hide; uniform without replacement, rounded down, but at least
                               one if there is any object and the fraction is not zero
-    fraction_translations:    part of the objects to displace, none of them hidden; counted in the same way
+    fraction_translations:    fraction of the objects to displace, none of them hidden; counted in the same way
     position_std_m:           σ per axis of false objects about the victim, projected to the ground; not for "ego_path"
-    velocity_std_mps:         σ per axis of their velocity; they head where they go. Except for "paper", directions are
-                              those of the traffic, and an object with a short way to go is slower
+    velocity_std_mps:         σ per axis of their velocity, which gives their heading. Except for "paper", directions
+                              are those of the traffic, and objects with a short free path are slower
     box:                      m, length, width and height of false objects
     object_class:             one of states.CLASSES, the class of false objects
-    translation_m:            m, how far objects are displaced, in a direction drawn per object
+    translation_m:            m, displacement of moved objects, in a random direction for each
 
-    The ground is the median foot of the objects, z = 0 when there is none. False objects, hidden objects and
-    displacements come from three streams, so that changing the number of one changes no draw of another.
-    Raises ValueError for values that make no sense.
+    The ground is the median z of the bottoms of the objects, or 0 without objects. False objects, hidden objects and
+    displacements have separate random streams, so that changing the number of one does not affect the others.
+    Raises ValueError for invalid values.
     """
 
     def __init__(
@@ -85,32 +85,32 @@ class UncoordinatedSelection(Selection):
         self.box = np.asarray(box, np.float64)
         self.translation_m = translation_m
         for name in ("n_false_positives", "position_std_m", "velocity_std_mps", "translation_m"):
-            self._expect(name, getattr(self, name) >= 0.0, "0 or more")
-        self._expect("n_false_positives", n_false_positives <= MOST_FALSE, f"at most {MOST_FALSE}")
+            self._check(name, getattr(self, name) >= 0.0, "0 or more")
+        self._check("n_false_positives", n_false_positives <= MAX_FALSE_OBJECTS, f"at most {MAX_FALSE_OBJECTS}")
         for name in ("fraction_false_negatives", "fraction_translations"):
-            self._expect(name, 0.0 <= getattr(self, name) <= 1.0, "0 to 1")
-        self._expect("box", self.box.shape == (3,) and bool(np.all(self.box > 0.0)), "three positive lengths in m")
+            self._check(name, 0.0 <= getattr(self, name) <= 1.0, "0 to 1")
+        self._check("box", self.box.shape == (3,) and bool(np.all(self.box > 0.0)), "three positive lengths in m")
         if object_class not in CLASS_INDEX:
             hint = nearest(object_class, CLASS_INDEX)
             raise ValueError(f"object_class: found {object_class!r}, expected a class of object{hint}")
         self.class_id = CLASS_INDEX[object_class]
 
-    def _expect(self, name: str, condition: bool, expected: str) -> None:
+    def _check(self, name: str, condition: bool, expected: str) -> None:
         if not condition:
             raise ValueError(f"{name}: found {getattr(self, name)}, expected {expected}")
 
     def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
-        for_add, for_rows, for_offset = rng.spawn(3)
+        add_rng, rows_rng, offset_rng = rng.spawn(3)
         objects = objects.select(canonical_order(objects))
         n = len(objects)
-        removed = _part(self.fraction_false_negatives, n)
-        moved = min(_part(self.fraction_translations, n), n - removed)
-        rows = for_rows.permutation(n)
-        direction = for_offset.uniform(-np.pi, np.pi, moved)
+        removed = _count(self.fraction_false_negatives, n)
+        moved = min(_count(self.fraction_translations, n), n - removed)
+        rows = rows_rng.permutation(n)
+        direction = offset_rng.uniform(-np.pi, np.pi, moved)
         offset = np.column_stack([np.cos(direction), np.sin(direction), np.zeros(moved)]) * self.translation_m
-        count = int(for_add.poisson(self.n_false_positives)) if coverage.victims else 0
+        count = int(add_rng.poisson(self.n_false_positives)) if coverage.victims else 0
         return Targets(
-            add=self._false_objects(count, objects, coverage, for_add),
+            add=self._false_objects(count, objects, coverage, add_rng),
             remove=objects.select(np.sort(rows[:removed])),
             move=objects.select(np.sort(rows[removed : removed + moved])),
             move_offset=offset,
@@ -132,11 +132,11 @@ class UncoordinatedSelection(Selection):
 
 
 class CoordinatedSelection(UncoordinatedSelection):
-    """A coordinator for all its adversaries: false objects round any of the victims, whole clusters hidden or moved.
+    """Selects for all adversaries: false objects around any of the victims, whole clusters hidden or moved.
 
-    What the adversaries see is joined into clusters of at most one object of each, nearest first and no farther
-    apart than `cluster_radius_m`; a target is then hidden (moved) for every adversary. The other parameters are
-    those of UncoordinatedSelection, counted for all adversaries together.
+    The objects of the adversaries are merged into clusters with at most one object of each, nearest first and at most
+    `cluster_radius_m` apart; a target is hidden (moved) for every adversary. The other parameters are those of
+    UncoordinatedSelection, counted for all adversaries together.
 
     cluster_radius_m: within which objects seen by different adversaries are one
     """
@@ -167,18 +167,18 @@ class CoordinatedSelection(UncoordinatedSelection):
             translation_m=translation_m,
         )
         self.cluster_radius_m = cluster_radius_m
-        self._expect("cluster_radius_m", cluster_radius_m >= 0.0, "0 or more")
+        self._check("cluster_radius_m", cluster_radius_m >= 0.0, "0 or more")
 
     def view(self, objects: ObjectStates, source: Ints | None = None) -> ObjectStates:
         return objects if source is None else cluster_centres(objects, source, self.cluster_radius_m)
 
 
 def ground_height(objects: ObjectStates) -> float:
-    """m: the median foot of the objects, 0 when there is none."""
+    """Ground height, m: the median z of the bottoms of the objects, 0 without objects."""
     return float(np.median(objects.position[:, 2] - objects.size[:, 2] / 2.0)) if len(objects) else 0.0
 
 
-def _part(fraction: float, n: int) -> int:
-    """How many of n objects a fraction is: rounded down, at least one of any, none for a fraction of zero."""
-    # The small term keeps 0.29 of 100 at 29 where the product falls just short of it.
+def _count(fraction: float, n: int) -> int:
+    """A fraction of n objects: rounded down, at least one if there are any, none for a fraction of zero."""
+    # The small term avoids rounding 0.29 of 100 down to 28.
     return max(min(1, n), int(fraction * n + 1e-9)) if fraction > 0.0 else 0

@@ -1,7 +1,7 @@
-"""What an attacker knows of the scene in advance: buildings, sensors, and the routes of the agents.
+"""An attacker's prior knowledge of the scene: buildings, sensors and routes of the agents.
 
-Nothing of it comes from the truth of a run: an attacker can survey buildings and sensors, and can follow the vehicles
-of a fleet on their usual routes. docs/attacks.md lists what it knows and what it does not.
+None of it comes from the truth of a run: an attacker can survey buildings and sensors, and can follow the vehicles of a
+fleet on their usual routes. docs/attacks.md lists what it knows and what it does not.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from mast_zenoh.sensing.frames import sensor_pose
 from mast_zenoh.sensing.raycast import Walls
 from mast_zenoh.tracking.view import SensorView
 
-#: m; range of a sensor of which nothing is known.
+#: m; range of an unknown sensor.
 UNKNOWN_RANGE_M = 70.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """Where an agent is over time; a single row for an agent that stands.
+    """An agent's pose over time; a single row for a stationary agent.
 
-    time_s:   (k,) s since the scene began, ascending
+    time_s:   (k,) s since the start of the scene, ascending
     position: (k, 3) m, world frame
     rotation: (k, 4) active quaternions w x y z, agent to world
     """
@@ -43,7 +43,7 @@ class Route:
         return cls(table[:, 0], table[:, 1:4], table[:, 4:])
 
     def at(self, time_s: float) -> tuple[Floats, Floats]:
-        """Position (3,) m, between two rows linear, and rotation (3, 3) of the last row up to `time_s`."""
+        """Position (3,) m, linearly interpolated, and rotation (3, 3) of the last row up to `time_s`."""
         row = max(0, int(np.searchsorted(self.time_s, time_s + 1e-9, side="right")) - 1)
         position = np.array([np.interp(time_s, self.time_s, self.position[:, axis]) for axis in range(3)])
         return position, rotation_from_quaternion(self.rotation[row])
@@ -51,7 +51,7 @@ class Route:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentSensor:
-    """One agent's sensor: field of view and mount, and the route of the agent that carries it.
+    """One agent's sensor: field of view, mount and the agent's route.
 
     azimuth, elevation: (2,) rad, lowest and highest, in the sensor frame
     max_range_m:        m
@@ -80,22 +80,22 @@ class AgentSensor:
         )
 
     def view(self, agent_position: Floats, agent_rotation: Floats) -> SensorView:
-        """What the sensor covers when its agent has this pose: (3,) m, (3, 3)."""
+        """The field of view for an agent's pose: (3,) m, (3, 3)."""
         position, rotation = sensor_pose(agent_position, agent_rotation, self.mount_position, self.mount_rotation)
         return SensorView(position, rotation, *self.azimuth, *self.elevation, self.max_range_m)
 
 
 class Surroundings:
-    """What an attacker knows of the scene in advance; immutable, and handed to every adversary and coordinator.
+    """An attacker's prior knowledge of the scene; immutable, shared by every adversary and coordinator.
 
-    scene:           name of the scene; it enters the random streams, so that two scenes with one seed differ
+    scene:           name of the scene; part of the random streams, so that two scenes with the same seed differ
     agents:          by name, {"limits_deg": [azimuth from, to, elevation from, to], "max_range_m", "mount_position",
                      "mount_rotation", "route": rows [s, x, y, z, w, x, y, z]}; the ego first
     victims:         names of the compromised agents
     buildings:       outlines, each (k, 2) m, world frame, closed without repeating the first corner
     building_height: z of each building's top, m
 
-    A scene without buildings (most data sets) hides nothing behind walls. Without agents, a victim's sensor is taken to
+    Without buildings (most data sets) there is no occlusion by walls. Without agents, a victim's sensor is assumed to
     cover a full circle of UNKNOWN_RANGE_M.
     """
 
@@ -123,34 +123,34 @@ class Surroundings:
         return next(iter(self.sensors.values()), None)
 
     def view(self, agent: str, position: Floats, rotation: Floats) -> SensorView:
-        """What the sensor of an agent with this pose covers: (3,) m, (3, 3)."""
+        """The field of view of an agent with this pose: (3,) m, (3, 3)."""
         sensor = self.sensors.get(agent)
         return unlimited(position) if sensor is None else sensor.view(position, rotation)
 
     def other_views(self, time_s: float) -> list[SensorView]:
-        """What the sensors of all agents that are not compromised cover, each where its route has it."""
+        """Fields of view of all agents that are not compromised, at their route positions."""
         return [
             sensor.view(*sensor.route.at(time_s)) for name, sensor in self.sensors.items() if name not in self.victims
         ]
 
-    def inside_buildings(self, places: Floats) -> Bools:
-        """(n,) whether places (n, >= 2) m are in a building, seen from above."""
-        return built_over(places, self.walls.start, self.walls.end, self._first_wall)
+    def inside_buildings(self, positions: Floats) -> Bools:
+        """(n,) whether positions (n, >= 2) m are inside a building in the bird's-eye view."""
+        return built_over(positions, self.walls.start, self.walls.end, self._first_wall)
 
-    def behind_walls(self, origin: Floats, places: Floats) -> Bools:
-        """(n,) whether a wall stands between `origin` (3,) m and places (n, >= 3) m."""
-        return walled_off(origin, places, self.walls.start, self.walls.end, self.walls.top)
+    def behind_walls(self, origin: Floats, positions: Floats) -> Bools:
+        """(n,) whether a wall is between `origin` (3,) m and positions (n, >= 3) m."""
+        return walled_off(origin, positions, self.walls.start, self.walls.end, self.walls.top)
 
 
 @kernel
-def built_over(places: Floats, start: Floats, end: Floats, first: Ints) -> Bools:
-    """(n,) whether places (n, >= 2) are in one of o outlines with the sides `start`, `end` (w, 2), all in m.
+def built_over(positions: Floats, start: Floats, end: Floats, first: Ints) -> Bools:
+    """(n,) whether positions (n, >= 2) are in one of o outlines with the sides `start`, `end` (w, 2), all in m.
 
     first: (o,) first side of each outline
     """
     if len(first) == 0:
-        return np.zeros(len(places), bool)
-    x, y = places[:, 0, None], places[:, 1, None]
+        return np.zeros(len(positions), bool)
+    x, y = positions[:, 0, None], positions[:, 1, None]
     (x0, y0), (x1, y1) = start.T, end.T
     rise = np.where(y1 == y0, 1.0, y1 - y0)
     crosses = ((y0 > y) != (y1 > y)) & (x < x0 + (x1 - x0) * (y - y0) / rise)
@@ -159,26 +159,26 @@ def built_over(places: Floats, start: Floats, end: Floats, first: Ints) -> Bools
 
 
 @kernel
-def walled_off(origin: Floats, places: Floats, start: Floats, end: Floats, top: Floats) -> Bools:
-    """(n,) whether a wall stands between `origin` (3,) and places (n, >= 3).
+def walled_off(origin: Floats, positions: Floats, start: Floats, end: Floats, top: Floats) -> Bools:
+    """(n,) whether a wall is between `origin` (3,) and positions (n, >= 3).
 
     start, end: (w, 2) m, of walls; top: (w,) m, z of their upper edges
     """
     offset, span = start - origin[:2], end - start
-    sight = places[:, :2] - origin[:2]
+    sight = positions[:, :2] - origin[:2]
     cross = sight[:, 0, None] * span[:, 1] - sight[:, 1, None] * span[:, 0]
     cross[cross == 0.0] = np.nan  # parallel: never crosses
     along_sight = (offset[:, 0] * span[:, 1] - offset[:, 1] * span[:, 0]) / cross
     along_wall = (offset[:, 0] * sight[:, 1, None] - offset[:, 1] * sight[:, 0, None]) / cross
-    height = origin[2] + along_sight * (places[:, 2, None] - origin[2])
+    height = origin[2] + along_sight * (positions[:, 2, None] - origin[2])
     hides = (along_sight > 0.0) & (along_sight < 1.0) & (along_wall >= 0.0) & (along_wall <= 1.0)
     return np.asarray((hides & (height <= top)).any(axis=1))
 
 
-#: For attacks that nobody has informed.
+#: The default, without any knowledge.
 UNKNOWN = Surroundings()
 
 
 def unlimited(position: Floats) -> SensorView:
-    """A view of a full circle of UNKNOWN_RANGE_M round `position` (3,) m."""
+    """A view of a full circle of UNKNOWN_RANGE_M around `position` (3,) m."""
     return SensorView(position, np.eye(3), -np.pi, np.pi, -np.pi / 2, np.pi / 2, UNKNOWN_RANGE_M)

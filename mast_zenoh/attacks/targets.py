@@ -1,4 +1,4 @@
-"""What an adversary wants (targets), what it did (tampering), and what it tells the evaluator (changes).
+"""An adversary's intention (targets), its effect (tampering) and its report to the evaluator (changes).
 
 All positions and velocities are in the world frame.
 """
@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate, propagate
 
-#: What can be done to an object; an attack report carries the index into this tuple.
+#: The changes to an object; an attack report contains indices into this tuple.
 ACTIONS = ("inserted", "removed", "moved")
 INSERTED, REMOVED, MOVED = range(len(ACTIONS))
 
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """What an adversary wants to be true of its victim's objects. The ids are the adversary's own numbers.
+    """Intended changes to a victim's objects. The ids are the adversary's own numbers.
 
     add:         false objects to insert (false positives)
-    remove:      real objects to make vanish (false negatives), where they are believed to be
-    move:        real objects to displace (translations), where they are believed to be
+    remove:      real objects to hide (false negatives), at their predicted positions
+    move:        real objects to displace (translations), at their predicted positions
     move_offset: (k, 3) m, displacement of each row of `move`
-    time_ns:     ns, scene time that the states hold for; None: the frame before they are used
-    wanted:      how many false objects were drawn when the targets were selected, those without a place included;
-                 None: as many as there are
+    time_ns:     ns, scene time of the states; None: the frame before they are used
+    wanted:      number of false objects drawn at the selection, including those that could not be placed; None: the
+                 number of rows of `add`
     """
 
     add: ObjectStates
@@ -41,7 +41,7 @@ class Targets:
 
     @classmethod
     def empty(cls, time_ns: int | None = None) -> Targets:
-        """Nothing to add, remove or move."""
+        """Targets without rows."""
         return cls(ObjectStates.empty(), ObjectStates.empty(), ObjectStates.empty(), np.zeros((0, 3)), time_ns)
 
     def __len__(self) -> int:
@@ -68,8 +68,8 @@ class Changes:
 
     action:          (n,) uint8, index into ACTIONS
     target:          (n,) int64, the adversary's number of the target
-    before_position: (n, 3) m, zero where an object was inserted
-    after_position:  (n, 3) m, zero where an object was removed
+    before_position: (n, 3) m, zero for inserted objects
+    after_position:  (n, 3) m, zero for removed objects
     velocity:        (n, 3) m/s, of the object afterwards, or before its removal
     """
 
@@ -88,7 +88,7 @@ class Changes:
         after: ObjectStates,
         numbers: Sequence[Ints],
     ) -> Changes:
-        """The report of what was inserted, removed and moved (`before`, `after`); `numbers` of the three in turn."""
+        """The report of inserted, removed and moved (`before`, `after`) objects; `numbers` of the three in turn."""
         counts = (len(added), len(removed), len(after))
         return cls(
             action=np.repeat(np.array([INSERTED, REMOVED, MOVED], np.uint8), counts),
@@ -108,14 +108,14 @@ class Changes:
 
 @dataclass(frozen=True, slots=True)
 class Tampering:
-    """What targets do to the n objects of one message.
+    """Changes to the n objects of one message.
 
-    keep:        (n,) bool, rows of the message that stay
+    keep:        (n,) bool, rows of the message to keep
     moved_index: (m,) int64, rows (all kept) that are displaced, in the order of their targets
     moved:       the m displaced objects
-    added:       false objects to append: id, covariance and score made to look like the victim's own
-    report:      what was changed
-    targets:     the targets as they are now: those that met their object have followed it
+    added:       false objects to append, with ids, covariances and scores like the victim's own
+    report:      the changes, for the evaluator
+    targets:     the current targets, at the positions of their objects
     """
 
     keep: Bools
@@ -127,13 +127,13 @@ class Tampering:
 
     @classmethod
     def nothing(cls, n: int, targets: Targets | None = None) -> Tampering:
-        """All n objects left alone."""
-        none = ObjectStates.empty()
-        report = Changes.of(none, none, none, none, [np.zeros(0, np.int64)] * 3)
-        return cls(np.ones(n, bool), np.zeros(0, np.int64), none, none, report, targets or Targets.empty())
+        """No change to any of the n objects."""
+        no_objects = ObjectStates.empty()
+        report = Changes.of(no_objects, no_objects, no_objects, no_objects, [np.zeros(0, np.int64)] * 3)
+        return cls(np.ones(n, bool), np.zeros(0, np.int64), no_objects, no_objects, report, targets or Targets.empty())
 
     def applied_to(self, objects: ObjectStates) -> ObjectStates:
-        """What the victim's subscriber gets instead of `objects`: kept rows in their order, then added ones."""
+        """The objects that replace `objects` on the wire: kept rows in their order, then added ones."""
         if len(self.moved_index):
             columns = {name: column.copy() for name, column in objects.columns().items()}
             for name, column in self.moved.columns().items():

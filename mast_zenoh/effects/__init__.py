@@ -1,12 +1,15 @@
-"""What interposers do to the messages that pass them: measured on the wires, by comparing what they send with what they
-receive. Nothing here depends on what an interposer says about itself.
+"""Measures the effects of interposers on messages by comparing their inputs and outputs.
 
-    rows             the objects of one message before and behind an interposer
-    objects          what is kept of a message whose objects were changed
-    passages         one interposer on one wire: which message was sent on as which
-    passage_effects  what it did to each: delayed, dropped, repeated, damaged, forged, changed
+The measurement does not rely on the reports of the interposers themselves.
+
+    rows             comparison of the objects in messages before and after an interposer
+    objects          changed objects
+    passages         one interposer on one wire: matching of received and sent messages
+    passage_effects  its effects: delayed, dropped, repeated, damaged, forged and changed messages
     meter            all interposers of a run
-    table            their effects as one table, in the world frame
+    table            table of effects, in the world frame
+    episodes         inserted objects over time
+    reports          comparison with the reports of the interposers
 
 See docs/effects.md.
 """

@@ -1,4 +1,4 @@
-"""Which message a damaged one was. Pure."""
+"""Identifies the original of a damaged message."""
 
 from __future__ import annotations
 
@@ -8,28 +8,31 @@ import numpy as np
 
 from mast_zenoh.wiring.received import Overheard
 
-#: What identifies a message among those of its wire's publisher: frame and sequence number.
+#: Identifies a message of a wire's publisher: frame and sequence number.
 Id = tuple[int, int]
 
-#: Part of the bytes of two messages that must be equal for one to be taken for a damaged copy of the other.
+#: Fraction of equal bytes from which one message counts as a damaged copy of another.
 SIMILAR = 0.9
-#: Messages with which a damaged one is compared.
+#: Number of recent messages to compare with a damaged one.
 COMPARED = 32
 
 
-def resembled(waiting: Mapping[Id, Sequence[Overheard]], damaged: Overheard) -> Id | None:
-    """The waiting message of which this is a damaged copy: the most similar of the newest ones that came before it.
+def find_original(waiting: Mapping[Id, Sequence[Overheard]], damaged: Overheard) -> Id | None:
+    """The original of a damaged message: the most similar of the newest unsent messages before it.
 
-    waiting: by number the messages that have not been sent on yet, the newest last
+    waiting: by number, the messages that have not been sent on yet, the newest last
     """
-    before = [(id_, messages[0]) for id_, messages in waiting.items() if messages[0].step <= damaged.step]
-    shares = [(_similarity(each.payload, damaged.payload), place) for place, (_, each) in enumerate(before[-COMPARED:])]
-    share, place = max(shares, default=(0.0, 0))
-    return before[-COMPARED:][place][0] if share >= SIMILAR else None
+    candidates = [(id_, messages[0]) for id_, messages in waiting.items() if messages[0].step <= damaged.step]
+    similarities = [
+        (_similarity(message.payload, damaged.payload), index)
+        for index, (_, message) in enumerate(candidates[-COMPARED:])
+    ]
+    similarity, index = max(similarities, default=(0.0, 0))
+    return candidates[-COMPARED:][index][0] if similarity >= SIMILAR else None
 
 
 def _similarity(a: bytes, b: bytes) -> float:
-    """Share of the bytes of the longer one of two that are equal in both."""
+    """Number of equal bytes divided by the length of the longer one."""
     longer, shorter = max(len(a), len(b)), min(len(a), len(b))
     if shorter < SIMILAR * longer:
         return 0.0

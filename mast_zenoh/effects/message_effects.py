@@ -1,4 +1,4 @@
-"""What can happen to a whole message, and in which frames an interposer is on a wire."""
+"""Effects on whole messages, and the frames in which an interposer is on a wire."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from mast_zenoh.arrays.states import Floats
 
-#: What can happen to a whole message.
+#: Effects on whole messages.
 DELAYED, DROPPED, REPEATED, CORRUPTED, RESTAMPED, REFRAMED, FORGED, UNSETTLED = MESSAGE_EFFECTS = (
     "delayed",
     "dropped",
@@ -19,19 +19,19 @@ DELAYED, DROPPED, REPEATED, CORRUPTED, RESTAMPED, REFRAMED, FORGED, UNSETTLED = 
     "unsettled",
 )
 
-#: Frames by which nodes may differ in real time about when a live change of the wiring took place.
+#: Number of frames by which nodes may differ, in real time, about the time of a live wiring change.
 CHANGE_FRAMES = 2
 
 
 class MessageEffect(NamedTuple):
-    """What an interposer did to one message.
+    """The effect of an interposer on one message.
 
     effect:  one of MESSAGE_EFFECTS
-    frame, seq: of the message; -1 where nobody can read them
+    frame, seq: of the message; -1 if unreadable
     step:    frame in which the interposer received it (forged: sent it)
-    frames_late: by how many frames it was sent on later than it was received
-    time_ns: ns, by how much the time in its header was changed
-    columns: names of the columns, not of single objects, that were changed
+    frames_late: delay in frames
+    time_ns: ns, change of the time in its header
+    columns: names of the changed columns, except those with a row for each object
     """
 
     effect: str
@@ -50,12 +50,12 @@ class Interval:
     begin: int
     end: int | None = None
 
-    def has(self, step: int) -> bool:
-        """Whether a message that was sent in a step took this way."""
+    def contains(self, step: int) -> bool:
+        """Whether a message sent in a step passed through."""
         return self.begin <= step and (self.end is None or step < self.end)
 
     def near_change(self, step: int) -> bool:
-        """Whether the passage came or went, while the run went on, about when a message was sent."""
+        """Whether the passage was added or removed during the run about when a message was sent."""
         return (self.begin > 0 and step < self.begin + CHANGE_FRAMES) or (
             self.end is not None and step >= self.end - CHANGE_FRAMES
         )

@@ -1,4 +1,4 @@
-"""What all interposers of a run do to the messages that pass them, measured while the run goes on."""
+"""Measures the effects of all interposers during a run."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from mast_zenoh.wiring.received import Overheard
 
 
 class Meter:
-    """Compares what every interposer sends with what it receives, on every wire; knows nothing of what they are.
+    """Compares the sent with the received messages of every interposer on every wire.
 
-    It is given every message on every key of the run, in any order that keeps the order of each key.
+    It needs every message on the relevant keys, in any order that preserves the order on each key.
     """
 
     def __init__(self) -> None:
@@ -24,15 +24,15 @@ class Meter:
 
     @property
     def meters(self) -> list[PassageMeter]:
-        """One for each passage that was ever part of the wiring, in the order in which they came."""
+        """One meter for each passage that was ever part of the wiring, in order of appearance."""
         return self._meters
 
     def keys(self) -> set[str]:
-        """The keys of which it has to be given every message."""
+        """The keys whose messages it needs."""
         return self._into.keys() | self._out_of.keys()
 
     def follow(self, wiring: Wiring, first_step: int) -> None:
-        """From frame `first_step` on, messages take the ways of a wiring."""
+        """Use a wiring from frame `first_step` on."""
         now = dict.fromkeys(wiring.passages())
         for passage in self._active.keys() - now.keys():
             meter = self._active.pop(passage)
@@ -52,14 +52,14 @@ class Meter:
             return
         if key in self._into:
             for meter in self._into[key]:
-                if meter.interval.has(step):
+                if meter.interval.contains(step):
                     meter.take_received(message)
         if key in self._out_of:
             for meter in self._out_of[key]:
-                if meter.interval.has(step):
+                if meter.interval.contains(step):
                     meter.take_sent(message)
 
     def close(self, last_step: int) -> None:
-        """The run is over; `last_step` was its last frame."""
+        """End the measurement after the last frame `last_step`."""
         for meter in self._meters:
             meter.close(last_step)

@@ -1,4 +1,4 @@
-"""The effects of one interposer on one wire: recorded message by message, as it becomes known what became of each."""
+"""Records the effects of one interposer on one wire, message by message."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from mast_zenoh.wiring.received import Overheard
 #: Changed messages that are compared at once.
 BATCH = 64
 
-#: ns; a message whose time is changed by more is of no use for its frame: its objects count as withheld. That is so
-#: where the receiver goes by the time in the header; for detections, poses and the clock it goes by the frame.
+#: ns; a message whose time is changed by more is useless for its frame, so its objects count as withheld. This applies
+#: to the message types whose receivers use the time in the header; for the others they use the frame.
 RESTAMPED_NS = 50_000_000
 TIMED = ("tracks", "picture")
 
@@ -32,9 +32,9 @@ TIMED = ("tracks", "picture")
 class PassageEffects:
     """The effects of an interposer on messages of one type.
 
-    messages: on whole messages; objects: on the objects in them; spoofs: on poses
+    messages: effects on whole messages; objects: on the objects in them; spoofs: on poses
 
-    Bodies are compared some at a time: `settle` compares those that are left, and has to be called at the end.
+    Bodies are compared in batches; `settle` compares the remaining ones and must be called at the end.
     """
 
     def __init__(self, message: str) -> None:
@@ -43,43 +43,42 @@ class PassageEffects:
         self.objects: list[ObjectChanges] = []
         self.spoofs: list[Spoof] = []
         self._type = message
-        self._passed: list[Passed] = []  # sent on changed, and not compared yet
+        self._pending: list[Passed] = []  # changed messages that have not been compared yet
 
     def note(self, effect: str, message: Overheard, *, frames_late: int = 0, time_ns: int = 0) -> None:
-        """Record an effect on a message, and none on its objects."""
+        """Record an effect on a message but not on its objects."""
         header = message.header
         self.messages.append(MessageEffect(effect, header.frame, header.seq, message.step, frames_late, time_ns))
 
     def note_unreadable(self, effect: str, step: int) -> None:
-        """Record an effect on a message of which nobody can read the header."""
+        """Record an effect on a message with an unreadable header."""
         self.messages.append(MessageEffect(effect, -1, -1, step))
 
     def withhold(self, effect: str, message: Overheard, frames_late: int = 0) -> None:
-        """A message was received, and its subscribers got nothing that they could read, or got it too late."""
+        """Record a message that its subscribers got too late, unreadable or not at all."""
         self.note(effect, message, frames_late=frames_late)
         self._add_whole(message, received=True, frames_late=frames_late)
 
-    def hold_up(self, received: Overheard, sent: Overheard) -> int:
-        """A message was sent on. Returns by how many frames that was late; 0 if it was not."""
+    def note_delay(self, received: Overheard, sent: Overheard) -> int:
+        """Record the delay of a message, if any; returns it in frames."""
         late = sent.step - received.step
         if late > 0:
             self.withhold(DELAYED, received, frames_late=late)
         return max(0, late)
 
-    def renumber(self, id_: Id, received: Overheard, sent: Overheard) -> None:
-        """A message was sent on as it was, under another number than `id_`."""
+    def note_renumbered(self, id_: Id, received: Overheard, sent: Overheard) -> None:
+        """Record a message that was sent on with another number than `id_`."""
         self.messages.append(MessageEffect(REFRAMED, *id_, received.step, columns=("seq",)))
-        self.hold_up(received, sent)
+        self.note_delay(received, sent)
 
-    def repeat(self, id_: Id, received_step: int, sent: Overheard) -> None:
-        """A message that was received in a frame, and sent on, was sent again."""
+    def note_repeated(self, id_: Id, received_step: int, sent: Overheard) -> None:
+        """Record that a message, received in a frame and sent on, was sent again."""
         self.messages.append(MessageEffect(REPEATED, *id_, received_step, max(0, sent.step - received_step)))
 
-    def forge(self, message: Overheard, rival: Overheard | None) -> None:
-        """A message was sent that had not been received.
+    def note_forged(self, message: Overheard, rival: Overheard | None) -> None:
+        """Record a message that was sent without having been received.
 
-        Subscribers take the first message about a frame: one that forestalls another, its `rival`, changes all that
-        differs.
+        Subscribers use the first message about a frame: if it pre-empts another, its `rival`, all differences count.
         """
         self.note(FORGED, message)
         if rival is None:
@@ -95,11 +94,11 @@ class PassageEffects:
         self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
 
     def compare(self, received: Overheard, sent: Overheard) -> None:
-        """A message was sent on with other bytes: record what differs, now or when more have come together."""
+        """Record the differences of a message that was sent on with other bytes, possibly in a later batch."""
         header, changed = received.header, sent.header
         try:
             before = received.body
-        except MessageError:  # no subscriber would have taken it anyway
+        except MessageError:  # subscribers would have rejected it anyway
             self.note(CORRUPTED, received)
             return
         try:
@@ -112,24 +111,24 @@ class PassageEffects:
             self.note(RESTAMPED, received, time_ns=shift_ns)
             if abs(shift_ns) > RESTAMPED_NS and self._type in TIMED:
                 self._add_whole(received, received=True)
-        self._passed.append(Passed(header.frame, header.seq, received.step, before, after))
-        if len(self._passed) >= BATCH:
+        self._pending.append(Passed(header.frame, header.seq, received.step, before, after))
+        if len(self._pending) >= BATCH:
             self.settle()
 
     def settle(self) -> None:
-        """Compare the bodies of the messages that were sent on changed; then they need not be kept."""
-        if not self._passed:
+        """Compare the bodies of the pending changed messages."""
+        if not self._pending:
             return
-        changes, others = objects.changed(self._type, self._passed)
+        changes, others = objects.changed(self._type, self._pending)
         self.objects.append(changes)
-        for each, names in zip(self._passed, others, strict=True):
+        for each, names in zip(self._pending, others, strict=True):
             self._note_pose(each, names)
             if names:
                 self.messages.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
-        self._passed = []
+        self._pending = []
 
     def _note_pose(self, passed: Passed, names: tuple[str, ...]) -> None:
-        """An agent was told another pose than its own."""
+        """Record a changed pose of an agent."""
         if names and self._type == "pose":
             before, after = ([body[name].copy() for name in ("position", "rotation")] for body in passed[3:])
             self.spoofs.append(Spoof(passed.frame, *before, *after))

@@ -1,4 +1,4 @@
-"""What interposers say they did, held against what was measured: labels where it is true, contradictions where not."""
+"""Compares the reports of interposers with the measured effects."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from mast_zenoh.metrics.lookup import find, occurs
 from mast_zenoh.metrics.manipulations import KINDS
 from mast_zenoh.metrics.places import Places
 
-#: m, from the place that a report names to that of the effect on the wire.
+#: m, maximum distance between the position in a report and that of the effect on the wire.
 SAME_PLACE_M = 0.05
 #: Effects on objects, in the order of `attacks.ACTIONS`.
 _ACTIONS = ("inserted", "removed", "moved")
-#: The effects in which each of `links.FATES` shows, in that order. A corrupted message may still be readable.
+#: The effects that correspond to each of `links.FATES`, in that order. A corrupted message may still be readable.
 _FATES = ((DROPPED,), (DELAYED,), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED))
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How the reports of a run agree with its effects.
+    """Agreement between the reports and the measured effects of a run.
 
-    reported:  (n,) bool of n effects: the interposer has reported it
-    label:     (n,) int64, the number that it gave to the target, or the place of the link's rule; -1: none
-    unfounded: by interposer, how many of its reports have no counterpart on the wires
-    reports:   by interposer, how many changes it has reported
+    reported:  (n,) bool, whether each of n effects was reported by its interposer
+    label:     (n,) int64, the reported number of the target or index of the link's rule; -1: none
+    unfounded: by interposer, number of reports without a measured effect
+    reports:   by interposer, number of reported changes
     """
 
     reported: Bools
@@ -45,7 +45,7 @@ class Agreement:
 
 
 def compare(effects: Effects, attack_reports: Reports, link_reports: Reports, wires: Sequence[str]) -> Agreement:
-    """Hold the reports of interposers against the measured effects.
+    """Compare the reports of interposers with the measured effects.
 
     attack_reports: columns of messages `attack_report`; link_reports: of messages `link_report`
     wires: message types by the numbers that link reports use for them
@@ -53,29 +53,29 @@ def compare(effects: Effects, attack_reports: Reports, link_reports: Reports, wi
     nodes = sorted(
         {passage.node for passage in effects.passages} | {node for node, *_ in (*attack_reports, *link_reports)}
     )
-    whose = np.array([nodes.index(passage.node) for passage in effects.passages], np.int64)[effects.passage]
+    node_row = np.array([nodes.index(passage.node) for passage in effects.passages], np.int64)[effects.passage]
     reported, label = np.zeros(len(effects), bool), np.full(len(effects), -1, np.int64)
     count, unfounded = np.zeros(len(nodes), np.int64), np.zeros(len(nodes), np.int64)
     for reports, columns, match in (
-        (attack_reports, _CHANGES, partial(_objects, effects, whose)),
-        (link_reports, _OF_LINKS, partial(_messages, effects, whose, wires)),
+        (attack_reports, _ATTACK_COLUMNS, partial(_match_attacks, effects, node_row)),
+        (link_reports, _LINK_COLUMNS, partial(_match_links, effects, node_row, wires)),
     ):
-        said = _together(reports, columns, nodes)
-        founded = match(said, reported, label)
-        count += np.bincount(said["node"], minlength=len(nodes))
-        unfounded += np.bincount(said["node"][~founded], minlength=len(nodes))
-    named = [(node, int(n), int(m)) for node, n, m in zip(nodes, count, unfounded, strict=True)]
-    return Agreement(reported, label, {node: m for node, _, m in named if m}, {node: n for node, n, _ in named if n})
+        reported_rows = _concatenate(reports, columns, nodes)
+        founded = match(reported_rows, reported, label)
+        count += np.bincount(reported_rows["node"], minlength=len(nodes))
+        unfounded += np.bincount(reported_rows["node"][~founded], minlength=len(nodes))
+    counts = [(node, int(n), int(m)) for node, n, m in zip(nodes, count, unfounded, strict=True)]
+    return Agreement(reported, label, {node: m for node, _, m in counts if m}, {node: n for node, n, _ in counts if n})
 
 
 #: Reports of one kind: interposer, frame, sequence number, columns.
 Reports = Sequence[tuple[str, int, int, Body]]
-_CHANGES = ("action", "target", "before_position", "after_position")
-_OF_LINKS = ("port", "frame", "seq", "fate", "rule")
+_ATTACK_COLUMNS = ("action", "target", "before_position", "after_position")
+_LINK_COLUMNS = ("port", "frame", "seq", "fate", "rule")
 
 
-def _together(reports: Reports, columns: tuple[str, ...], nodes: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """All rows of reports: their columns, `node` (n,), row of `nodes`, and `of_frame` (n,), that of the report."""
+def _concatenate(reports: Reports, columns: tuple[str, ...], nodes: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """All rows of reports: their columns, `node` (n,) row of `nodes`, and `of_frame` (n,) frame of the report."""
     ordered = sorted(reports, key=lambda report: report[:3])
     rows = [len(body[columns[0]]) for *_, body in ordered]
     result: dict[str, NDArray[Any]] = {
@@ -88,117 +88,129 @@ def _together(reports: Reports, columns: tuple[str, ...], nodes: Sequence[str]) 
     return result
 
 
-def _objects(effects: Effects, whose: Ints, said: Mapping[str, NDArray[Any]], reported: Bools, label: Ints) -> Bools:
-    """Mark the effects that reports of adversaries name; (n,) which of n rows of reports name one.
+def _match_attacks(
+    effects: Effects, node_row: Ints, reported_rows: Mapping[str, NDArray[Any]], reported: Bools, label: Ints
+) -> Bools:
+    """Mark the effects that adversaries reported; (n,) which of n rows of reports match an effect.
 
-    What counts is at which places objects are gone, and at which they appear. Without ids, an object that is removed
-    while another one is inserted beside it cannot be told from one that was moved: either report is right.
+    Reports are matched by the positions at which objects disappear and appear. Without ids, a removed object with an
+    inserted one nearby cannot be distinguished from a moved one: either report is correct.
     """
-    # Frames are numbered anew: messages and reports may name any.
-    known, numbers = np.unique(np.concatenate([effects.frame, said["of_frame"]]), return_inverse=True)
+    # Frames are renumbered, since messages and reports may contain any number.
+    known, numbers = np.unique(np.concatenate([effects.frame, reported_rows["of_frame"]]), return_inverse=True)
     span, frame = len(known), np.split(numbers.reshape(-1), [len(effects)])
-    names = np.array(_ACTIONS)[said["action"]]
-    group = said["node"] * span + frame[1]
-    claimed = _events(names, said["before_position"], said["after_position"], group)
-    mine = np.flatnonzero(~effects.whole & (effects.code < len(KINDS)))
-    code = np.array(EFFECTS)[effects.code[mine]]
-    group = whose[mine] * span + frame[0][mine]
-    measured = _events(code, effects.before[mine], effects.after[mine], group)
+    names = np.array(_ACTIONS)[reported_rows["action"]]
+    group = reported_rows["node"] * span + frame[1]
+    claimed = _events(names, reported_rows["before_position"], reported_rows["after_position"], group)
+    rows = np.flatnonzero(~effects.whole & (effects.code < len(KINDS)))
+    code = np.array(EFFECTS)[effects.code[rows]]
+    group = node_row[rows] * span + frame[0][rows]
+    measured = _events(code, effects.before[rows], effects.after[rows], group)
     i, j = pairs_within(claimed.places.boxes(), measured.places.boxes(), SAME_PLACE_M)
-    apart = np.linalg.norm(claimed.places.position[i] - measured.places.position[j], axis=1)
-    near = apart <= SAME_PLACE_M
-    i, j, apart = i[near], j[near], apart[near]
-    chosen = greedy(i, j, apart)
-    i, j = i[chosen], j[chosen]
-    label[mine[measured.row[j]]] = said["target"][claimed.row[i]]
-    reported[mine] |= _complete(measured, j, len(mine))
+    distance = np.linalg.norm(claimed.places.position[i] - measured.places.position[j], axis=1)
+    near = distance <= SAME_PLACE_M
+    i, j, distance = i[near], j[near], distance[near]
+    matches = greedy(i, j, distance)
+    i, j = i[matches], j[matches]
+    label[rows[measured.row[j]]] = reported_rows["target"][claimed.row[i]]
+    reported[rows] |= _complete(measured, j, len(rows))
     return _complete(claimed, i, len(names))
 
 
 class _Events(NamedTuple):
-    """Objects that appear at a place or are gone from it: the places, in groups that only like events of one interposer
-    and frame share, and the row (n,) of the change that each is part of."""
+    """Appearances and disappearances of objects: positions, and row (n,) of the change that each belongs to.
+
+    Groups contain only events of the same kind, interposer and frame.
+    """
 
     places: Places
     row: Ints
 
 
 def _events(names: NDArray[np.str_], before: Floats, after: Floats, group: Ints) -> _Events:
-    gone, come = (
+    disappeared, appeared = (
         np.flatnonzero(np.isin(names, ("removed", "moved"))),
         np.flatnonzero(np.isin(names, ("inserted", "moved"))),
     )
-    gone, come = gone[np.isfinite(before[gone]).all(axis=1)], come[np.isfinite(after[come]).all(axis=1)]
-    row = np.concatenate([gone, come])
-    appears = np.repeat([0, 1], [len(gone), len(come)])
-    return _Events(Places(2 * group[row] + appears, np.concatenate([before[gone], after[come]])), row)
+    disappeared, appeared = (
+        disappeared[np.isfinite(before[disappeared]).all(axis=1)],
+        appeared[np.isfinite(after[appeared]).all(axis=1)],
+    )
+    row = np.concatenate([disappeared, appeared])
+    is_appearance = np.repeat([0, 1], [len(disappeared), len(appeared)])
+    return _Events(Places(2 * group[row] + is_appearance, np.concatenate([before[disappeared], after[appeared]])), row)
 
 
 def _complete(events: _Events, matched: Ints, count: int) -> Bools:
-    """(count,) changes that have events, all of which are matched."""
+    """(count,) whether each change has events and all of them are matched."""
     total = np.bincount(events.row, minlength=count)
     return np.asarray((total > 0) & (np.bincount(events.row[matched], minlength=count) == total))
 
 
-def _messages(
+def _match_links(
     effects: Effects,
-    whose: Ints,
+    node_row: Ints,
     wires: Sequence[str],
-    said: Mapping[str, NDArray[Any]],
+    reported_rows: Mapping[str, NDArray[Any]],
     reported: Bools,
     label: Ints,
 ) -> Bools:
-    """Mark the effects that reports of links name; (n,) which of n rows of reports name one."""
+    """Mark the effects that links reported; (n,) which of n rows of reports match an effect."""
     kinds = list(dict.fromkeys((*wires, *(passage.message for passage in effects.passages))))
     kind = np.array([kinds.index(passage.message) for passage in effects.passages], np.int64)[effects.passage]
-    founded = np.zeros(len(said["fate"]), bool)
+    founded = np.zeros(len(reported_rows["fate"]), bool)
     for fate, names in enumerate(_FATES):
         rows = np.flatnonzero(~effects.whole & np.isin(effects.code, [CODE[name] for name in names]))
-        mine = np.flatnonzero(said["fate"] == fate)
-        measured = whose[rows], kind[rows], effects.frame[rows], effects.seq[rows]
-        claimed = said["node"][mine], said["port"][mine], said["frame"][mine], said["seq"][mine]
-        at = find(measured, claimed)
-        reported[rows[at >= 0]] = True
-        label[rows[at >= 0]] = said["rule"][mine[at[at >= 0]]]
-        founded[mine] |= occurs(claimed, measured)
+        report_rows = np.flatnonzero(reported_rows["fate"] == fate)
+        measured = node_row[rows], kind[rows], effects.frame[rows], effects.seq[rows]
+        claimed = (
+            reported_rows["node"][report_rows],
+            reported_rows["port"][report_rows],
+            reported_rows["frame"][report_rows],
+            reported_rows["seq"][report_rows],
+        )
+        matches = find(measured, claimed)
+        reported[rows[matches >= 0]] = True
+        label[rows[matches >= 0]] = reported_rows["rule"][report_rows[matches[matches >= 0]]]
+        founded[report_rows] |= occurs(claimed, measured)
     return founded
 
 
 def summary(
     effects: Effects, agreement: Agreement, roles: Mapping[str, str], last_step: int, absent: Bools
 ) -> dict[str, Any]:
-    """By interposer: role, wires, how many messages it received, its effects counted, and whether its reports agree
-    with them: "agrees", "silent" (it changed something and reported nothing), "disagrees", or "nothing to report".
+    """Summarise each interposer: role, wires, received messages, effects, and the agreement of its reports.
 
-    last_step: the last frame of the run; what was done in it no link reports any more
-    absent:    (n,) effects that are due to the interposer not being there; they are counted by themselves
+    The agreement is "agrees", "silent" (effects without any report), "disagrees" or "nothing to report".
+    last_step: the last frame of the run; links do not report effects in it
+    absent:    (n,) effects due to the absence of the interposer; counted separately
     """
     result: dict[str, Any] = {}
     node_of = np.array([passage.node for passage in effects.passages], object)
-    whose = node_of[effects.passage] if len(effects) else np.zeros(0, object)
+    node_row = node_of[effects.passage] if len(effects) else np.zeros(0, object)
     settled = (effects.code != CODE[UNSETTLED]) & (effects.step < last_step)
     for node in dict.fromkeys(node_of.tolist()):
-        mine = whose == node
-        # Objects of a message that was withheld or forged as a whole are told of by the message.
-        shown = mine & ~effects.whole & ~absent
+        of_node = node_row == node
+        # Objects of a withheld or forged message are covered by the effect on the message.
+        counted = of_node & ~effects.whole & ~absent
         reports = agreement.reports.get(node, 0)
-        unreported = int(np.count_nonzero(shown & settled & ~agreement.reported))
+        unreported = int(np.count_nonzero(counted & settled & ~agreement.reported))
         unfounded = agreement.unfounded.get(node, 0)
-        changed = bool(np.any(shown & settled))
+        changed = bool(np.any(counted & settled))
         if not changed and not reports:
             verdict = "nothing to report"
         elif changed and not reports:
             verdict = "silent"
         else:
             verdict = "disagrees" if unreported or unfounded else "agrees"
-        places = [k for k, passage in enumerate(effects.passages) if passage.node == node]
-        counts = np.bincount(effects.code[shown], minlength=len(EFFECTS))
+        rows = [k for k, passage in enumerate(effects.passages) if passage.node == node]
+        counts = np.bincount(effects.code[counted], minlength=len(EFFECTS))
         result[str(node)] = {
             "role": roles.get(str(node), ""),
-            "wires": list(dict.fromkeys(effects.passages[k].wire for k in places)),
-            "messages": sum(effects.received[k] for k in places),
+            "wires": list(dict.fromkeys(effects.passages[k].wire for k in rows)),
+            "messages": sum(effects.received[k] for k in rows),
             "effects": {name: int(n) for name, n in zip(EFFECTS, counts, strict=True) if n},
-            "absent": int(np.count_nonzero(mine & ~effects.whole & absent)),
+            "absent": int(np.count_nonzero(of_node & ~effects.whole & absent)),
             "reports": reports,
             "agreement": verdict,
             "unreported": unreported,

@@ -1,4 +1,4 @@
-"""The measured effects of all interposers of a run as one table, in the world frame: attacks.parquet."""
+"""The table of measured effects of all interposers of a run, in the world frame (attacks.parquet)."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from mast_zenoh.effects.rows import UNCHANGED
 from mast_zenoh.metrics.manipulations import KINDS, MOVED
 from mast_zenoh.wiring.model import Passage
 
-#: Every effect, by its code in `Effects`: what happens to objects, then what happens to whole messages.
+#: All effects, by their code in `Effects`: on objects, then on whole messages.
 EFFECTS = KINDS + MESSAGE_EFFECTS
 CODE = {name: code for code, name in enumerate(EFFECTS)}
 
-#: m; an object that is displaced by less was not moved.
-LEAST_MOVE_M = 1e-6
+#: m; a smaller displacement does not count as a move.
+MIN_MOVE_M = 1e-6
 
 
 class Pose(NamedTuple):
-    """Where an agent is: position (3,) m and active quaternion (4,) w x y z, agent to world."""
+    """An agent's pose: position (3,) m and active quaternion (4,) w x y z, agent to world."""
 
     position: Floats
     rotation: Floats
 
 
-_NOWHERE = Pose(np.full(3, np.nan), np.array([1.0, 0.0, 0.0, 0.0]))
+_UNKNOWN_POSE = Pose(np.full(3, np.nan), np.array([1.0, 0.0, 0.0, 0.0]))
 
 #: Poses by agent and frame.
 Poses = Mapping[tuple[str, int], Pose]
@@ -39,17 +39,17 @@ Poses = Mapping[tuple[str, int], Pose]
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """n effects, by passage, frame, sequence number and effect; what an effect does not have is NaN, -1 or "".
+    """n effects, sorted by passage, frame, sequence number and effect; missing values are NaN, -1 or "".
 
     passages: the passages of the run, and for each the number of messages that it received
     passage:  (n,) row of `passages`
     code:     (n,) index into EFFECTS
     frame, seq, step: (n,) of the message; the frame of the run in which the interposer received it
     id:       (n,) of the object in the message
-    before, after: (n, 3) m, world frame: where the object was in the message received, and in the message sent
-    velocity: (n, 3) m/s, world frame: of the object as it was sent, or was received if it was removed
-    whole:    (n,) bool: an object of a message that was withheld, held up, forged or reframed as a whole
-    frames_late: (n,) how many frames later than it was received the message was sent; 0: in time, or never
+    before, after: (n, 3) m, world frame: the object's position in the received and in the sent message
+    velocity: (n, 3) m/s, world frame: as sent, or as received for a removed object
+    whole:    (n,) bool: an object of a message that was withheld, delayed, forged or reframed as a whole
+    frames_late: (n,) delay of the message in frames; 0: in time, or not sent
     time_ns:  (n,) ns, change of the time in the header
     columns:  (n,) str, names of the columns that were changed, separated by blanks
     """
@@ -74,15 +74,15 @@ class Effects:
         return len(self.code)
 
     def rows(self, *effects: str, whole: bool | None = None) -> Ints:
-        """The rows of these effects; whole: only those of objects of whole messages, or only the others."""
+        """The rows with these effects; whole: None, or the required value of the column `whole`."""
         chosen = np.isin(self.code, [CODE[name] for name in effects])
         return (chosen if whole is None else chosen & (self.whole == whole)).nonzero()[0]
 
 
 def effects_of(meters: Sequence[PassageMeter], poses: Poses) -> Effects:
-    """What the meters of a run have measured, once they are closed.
+    """The effects measured by the meters of a run, once they are closed.
 
-    poses: of the agents, for what was measured in the frame of a sensor; where one is missing, positions are NaN
+    poses: of the agents, for measurements in the frame of a sensor; without a pose, positions are NaN
     """
     parts = [_objects(index, meter, poses) for index, meter in enumerate(meters)]
     parts += [_messages(index, meter) for index, meter in enumerate(meters)]
@@ -127,12 +127,12 @@ def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndar
     references = np.concatenate([part.references for part in objects], axis=1)
     of_agent = objects[0].of_agent
     frames = [_frames(references[side], of_agent, columns["frame"], poses, meter.passage.subject) for side in (0, 1)]
-    for name, (origin, turn) in zip(("before", "after"), frames, strict=True):
-        columns[name] = _turned(turn, columns[name]) + origin
-    columns["velocity"] = _turned(frames[1][1], columns["velocity"])
-    apart = np.abs(columns["after"] - columns["before"]).max(axis=1, initial=0.0)
+    for name, (origin, rotation) in zip(("before", "after"), frames, strict=True):
+        columns[name] = _rotate(rotation, columns[name]) + origin
+    columns["velocity"] = _rotate(frames[1][1], columns["velocity"])
+    displacement = np.abs(columns["after"] - columns["before"]).max(axis=1, initial=0.0)
     code = columns.pop("effect")
-    columns["code"] = np.where((code == UNCHANGED) & (apart > LEAST_MOVE_M), MOVED, code)
+    columns["code"] = np.where((code == UNCHANGED) & (displacement > MIN_MOVE_M), MOVED, code)
     columns["passage"] = np.full(len(code), index, np.int64)
     columns["time_ns"] = np.zeros(len(code), np.int64)
     kept = columns["code"] >= 0
@@ -141,19 +141,19 @@ def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndar
 
 def _frames(references: Floats, of_agent: bool, frame: Ints, poses: Poses, agent: str) -> tuple[Floats, Floats]:
     """Origins (k, 3) and rotations (k, 3, 3), to the world frame, of k frames of reference (k, 7)."""
-    origin, turn = references[:, :3], rotation_from_quaternion(references[:, 3:])
+    origin, rotation = references[:, :3], rotation_from_quaternion(references[:, 3:])
     if of_agent:
-        at = [poses.get((agent, each), _NOWHERE) for each in frame.tolist()]
-        of_pose = rotation_from_quaternion(np.array([pose.rotation for pose in at]).reshape(-1, 4))
-        place = np.array([pose.position for pose in at]).reshape(-1, 3)
-        origin = place + np.einsum("mij,mj->mi", of_pose, origin)
-        turn = of_pose @ turn
-    return origin, turn
+        agent_poses = [poses.get((agent, frame_number), _UNKNOWN_POSE) for frame_number in frame.tolist()]
+        pose_rotation = rotation_from_quaternion(np.array([pose.rotation for pose in agent_poses]).reshape(-1, 4))
+        pose_position = np.array([pose.position for pose in agent_poses]).reshape(-1, 3)
+        origin = pose_position + np.einsum("mij,mj->mi", pose_rotation, origin)
+        rotation = pose_rotation @ rotation
+    return origin, rotation
 
 
-def _turned(turn: Floats, vectors: Floats) -> Floats:
-    """(n, 3) vectors, each turned by a rotation of its own (n, 3, 3)."""
-    return np.asarray(np.einsum("nij,nj->ni", turn, vectors))
+def _rotate(rotation: Floats, vectors: Floats) -> Floats:
+    """Vectors (n, 3), each rotated by its own rotation (n, 3, 3)."""
+    return np.asarray(np.einsum("nij,nj->ni", rotation, vectors))
 
 
 def _texts(values: list[str]) -> np.ndarray:

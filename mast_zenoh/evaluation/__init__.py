@@ -1,9 +1,10 @@
-"""The evaluation of a run: from the messages on its wires to metrics.json and the tables. Pure.
+"""Evaluates a run: computes metrics.json and the tables from the messages on its wires. Pure.
 
-    heard         what is kept of the messages
-    from_effects  measured effects of interposers (mast_zenoh.effects) as what the metrics need of them
-    downstream    which estimates an interposer can influence
-    evaluation    everything together: mast_zenoh.metrics over what was heard
+    heard         data collected from the messages
+    from_effects  manipulations, from the measured effects of interposers (mast_zenoh.effects)
+    poses         manipulations of poses
+    downstream    estimates that an interposer can influence
+    evaluation    the complete evaluation with mast_zenoh.metrics
     tables        attacks.parquet
 
 See docs/metrics.md and docs/effects.md.

@@ -1,4 +1,4 @@
-"""From what was heard of a run to its metrics and tables. Pure."""
+"""Computes the metrics and tables of a run from its messages. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.effects import Effects, effects_of, reports
-from mast_zenoh.evaluation.from_effects import absent, manipulations, stopped
+from mast_zenoh.evaluation.from_effects import absent, manipulations, stopped_by_links
 from mast_zenoh.evaluation.heard import Heard
 from mast_zenoh.evaluation.poses import with_poses
 from mast_zenoh.evaluation.tables import attacks
@@ -36,17 +36,16 @@ from mast_zenoh.metrics.scores import COLUMNS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """How a run is evaluated.
+    """The settings of an evaluation.
 
     scorer:  compares estimates with the truth
     metrics: user-defined metrics
-    driving: how it is judged what an estimate would mean for driving
+    driving: settings for the driving consequences of an estimate
     skip_first, skip_last: frames left out of the summary at the beginning and at the end, because tracks need some
              frames to begin with; kept when they would be more than half of the run
-    picture_age_s: s, for how long an agent goes on with a picture when no newer one arrives; picture_ages_s: of single
-             agents, by name
-    attribution, cut_off: when an error is due to what
-    Raises ValueError for values that make no sense.
+    picture_age_s: s, for how long an agent uses a picture when no newer one arrives; picture_ages_s: by agent
+    attribution, cut_off: settings for the causes of errors
+    Raises ValueError for invalid values.
     """
 
     scorer: Scorer
@@ -68,9 +67,10 @@ class Evaluation:
         user_metrics.check(self.metrics, COLUMNS)
 
     def of(self, heard: Heard) -> dict[str, Any]:
-        """{"metrics": what metrics.json holds, "tables": by name the columns of the tables of the run folder,
+        """Evaluate a run.
 
-        "failed_metrics": by name the error of a user-defined metric that failed}.
+        Returns {"metrics": contents of metrics.json, "tables": columns of the tables by name, "failed_metrics": errors
+        of failed user-defined metrics by name}.
         """
         ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in heard.record.agents}
         heard.record.hold_pictures({agent: round(age_s * 1e9) for agent, age_s in ages_s.items()}, heard.times_ns)
@@ -82,7 +82,7 @@ class Evaluation:
             effects,
             heard.roles,
             scores.series,
-            _boxes(truth, scores),
+            _boxes_by_frame(truth, scores),
             heard.period_s,
             away,
             self.attribution,
@@ -97,82 +97,83 @@ class Evaluation:
         return _Results(self, heard, scores, truth, effects, away, done, labels).results()
 
     def scored(self, frames: int) -> slice:
-        """Which of so many frames the summary is of."""
+        """The scored ones among `frames` frames."""
         first, last = (self.skip_first, self.skip_last) if self.settled(frames) else (0, 0)
         return slice(first, frames - last)
 
     def settled(self, frames: int) -> bool:
-        """Whether a run of so many frames is long enough to leave frames out of the summary."""
+        """Whether a run of `frames` frames is long enough to leave frames out of the summary."""
         return self.skip_first + self.skip_last <= frames // 2
 
     def _severed(self, heard: Heard, scores: Scores, truth: TruthTable, effects: Effects) -> Severed:
-        """What only agents could have reported whose tracks did not get through."""
+        """Objects that could only have been reported by agents whose tracks were not delivered."""
         agents, frames = heard.record.agents, scores.frames
-        silent = heard.presence.absent(agents, frames) | stopped(effects, heard.roles, agents, frames)
+        silent = heard.presence.absent(agents, frames) | stopped_by_links(effects, heard.roles, agents, frames)
         unheard = self._unheard(heard, frames.tolist())
         points = self.scorer.min_points
         return self.cut_off.severed(scores, truth, agents, frames, heard.period_s, silent, unheard, points)
 
     def _unheard(self, heard: Heard, frames: Sequence[int]) -> Bools:
-        """(f, a) bool: an agent's tracks of a frame were not sent in time for the broker to use them."""
+        """(f, a) bool: whether an agent's tracks of a frame were sent too late for the broker to use them."""
         agents, within = heard.record.agents, self.cut_off.max_age_s / heard.period_s + 1e-6
-        sent = [[heard.spoken.get((agent, frame), np.inf) - frame <= within for agent in agents] for frame in frames]
+        sent = [
+            [heard.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents] for frame in frames
+        ]
         return ~np.array(sent, bool).reshape(len(frames), len(agents))
 
 
 def _measured(heard: Heard, scores: Scores) -> Effects:
-    """What interposers did, now that no further message comes."""
+    """The effects of interposers, after the end of the run."""
     heard.meter.close(int(scores.frames.max(initial=-1)))
     return effects_of(heard.meter.meters, heard.poses)
 
 
-def _boxes(truth: TruthTable, scores: Scores) -> Any:
+def _boxes_by_frame(truth: TruthTable, scores: Scores) -> Any:
     return truth.boxes.in_group(scores.frames[truth.boxes.group])
 
 
 @dataclass(frozen=True, slots=True)
 class _Results:
-    """Everything that is known of a run, as what is written of it."""
+    """The intermediate results of an evaluation, converted to its output."""
 
-    how: Evaluation
+    settings: Evaluation
     heard: Heard
     scores: Scores
     truth: TruthTable
     effects: Effects
     away: Bools
-    done: Manipulations
+    manipulations: Manipulations
     labels: Any
 
     def results(self) -> dict[str, Any]:
-        """See `Evaluation.of`."""
-        heard, scores, labels, done = self.heard, self.scores, self.labels, self.done
+        heard, scores, labels, manipulations = self.heard, self.scores, self.labels, self.manipulations
         frames, times = scores.frames, heard.times_ns
-        scored = self.how.scored(len(frames))
+        scored = self.settings.scored(len(frames))
         last = int(frames.max(initial=-1))
         agreement = reports.compare(self.effects, heard.attack_reports, heard.link_reports, WIRES)
         targets = achievement.targets(
             scores,
             labels.cause,
             labels.by,
-            done,
+            manipulations,
             self.truth,
             heard.record.agents,
             heard.ego,
             self._victims(),
-            self.how.scorer.range_m,
-            self.how.scorer.min_points,
+            self.settings.scorer.range_m,
+            self.settings.scorer.min_points,
         )
-        drives = consequences.drives(self.how.driving, heard.record, scores, labels, self.truth)
+        drives = consequences.drives(self.settings.driving, heard.record, scores, labels, self.truth)
         summary, per_frame, failed_metrics = self._scored(scored)
         return {
             "metrics": {
                 "frames": len(frames),
                 "scored_frames": [int(frame) for frame in frames[scored][[0, -1]]] if len(frames) else [],
-                "settled": self.how.settled(len(frames)),
+                "settled": self.settings.settled(len(frames)),
                 "agents": summary,
                 "same_as": _nested(scores.same_as),
                 "achieved": achievement.summary(
-                    targets, done.culprits, scores, labels.switch_by, heard.ego, heard.period_s, scored
+                    targets, manipulations.culprits, scores, labels.switch_by, heard.ego, heard.period_s, scored
                 ),
                 "driving": consequences.summary(drives, scored),
                 "interposers": reports.summary(self.effects, agreement, heard.roles, last, self.away),
@@ -183,7 +184,7 @@ class _Results:
                 "metrics": per_frame,
                 "objects": {**scores.objects(), "cause": named(labels.cause), "by": labels.by},
                 "attacks": attacks(self.effects, agreement, heard.roles, heard.period_s),
-                "targets": targets.table(done.culprits),
+                "targets": targets.table(manipulations.culprits),
                 "driving": consequences.table(drives, frames),
             },
             "failed_metrics": failed_metrics,
@@ -192,10 +193,7 @@ class _Results:
     def _scored(
         self, scored: slice
     ) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[str, Any], dict[str, BaseException]]:
-        """The summary by agent and estimator, and the table per frame, with causes and user-defined metrics;
-
-        and by name the errors of user-defined metrics.
-        """
+        """The summary by agent and estimator, the table per frame, and the errors of user-defined metrics by name."""
         heard, scores, labels = self.heard, self.scores, self.labels
         summary, per_frame = scores.summary(scored), scores.per_frame()
         causes = causes_of(scores, labels.cause, labels.switch_cause, scores.frames[scored])
@@ -203,13 +201,13 @@ class _Results:
             summary[agent][estimator] |= causes[row]
         counts = np.zeros(len(scores.frames), bool)
         counts[scored] = True
-        agents, metrics = heard.record.agents, self.how.metrics
+        agents, metrics = heard.record.agents, self.settings.metrics
         values, failed = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, heard.period_s)
         user_metrics.add_to(summary, per_frame, scores, values, counts)
         return summary, per_frame, failed
 
     def _victims(self) -> dict[str, set[int]]:
-        """By interposer the columns of the agents on whose wires it sits."""
+        """By interposer, the columns of the agents whose wires it intercepts."""
         agents = list(self.heard.record.agents)
         victims: dict[str, set[int]] = {}
         for passage in self.effects.passages:
@@ -219,14 +217,14 @@ class _Results:
 
 
 def percentiles(latency_ns: Sequence[int]) -> dict[str, float | None]:
-    """p50, p95 and p99 of latencies in ns, as ms; None of none."""
+    """p50, p95 and p99 in ms of latencies in ns; None without latencies."""
     if not latency_ns:
         return {"p50": None, "p95": None, "p99": None}
     return {f"p{p}": float(np.percentile(np.array(latency_ns) * 1e-6, p)) for p in (50, 95, 99)}
 
 
 def _nested(same_as: Mapping[tuple[str, str], tuple[str, str]]) -> dict[str, dict[str, str]]:
-    """By agent and estimator the estimator that it is the same as."""
+    """By agent and estimator, the estimator with the same messages."""
     result: dict[str, dict[str, str]] = {}
     for (agent, estimator), (_, twin) in same_as.items():
         result.setdefault(agent, {})[estimator] = twin

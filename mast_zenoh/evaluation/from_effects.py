@@ -1,4 +1,4 @@
-"""From the measured effects of interposers to what the metrics need of them. Pure."""
+"""Converts the measured effects of interposers to manipulations for the metrics. Pure."""
 
 from __future__ import annotations
 
@@ -27,36 +27,36 @@ def manipulations(
 ) -> Manipulations:
     """The manipulations among the measured effects.
 
-    roles:  of the nodes; what links do counts as a fault
+    roles:  of the nodes; effects of links count as faults
     series: s pairs (agent, estimator)
     truth:  all objects, world frame; group = frame
-    away:   (n,) of the effects, those that are due to an interposer not being there and so nobody's doing
+    away:   (n,) effects due to the absence of an interposer, which are not manipulations
     limits: which effects count, and for how long
     """
     is_link = np.array([roles.get(passage.node) == "link" for passage in effects.passages], bool)
     culprits = tuple(sorted({p.node for p, link in zip(effects.passages, is_link, strict=True) if not link}))
-    number = np.array(
+    culprit_row = np.array(
         [-1 if link else culprits.index(p.node) for p, link in zip(effects.passages, is_link, strict=True)], np.int64
     )
 
     inserted, episode, velocity = insertions(effects, period_s)
     hidden, kind = _hidden(effects, limits)
-    where = Places(effects.frame[hidden], effects.before[hidden])
-    found, _ = nearest(where, Places(truth.group, truth.position), limits.hidden_m)
+    hidden_places = Places(effects.frame[hidden], effects.before[hidden])
+    truth_row, _ = nearest(hidden_places, Places(truth.group, truth.position), limits.hidden_m)
     rows = np.concatenate([inserted, hidden])
     passage = effects.passage[rows]
     lasts = np.array(
-        [_lasts(each, link, limits, period_s) for each, link in zip(effects.passages, is_link, strict=True)]
+        [_lasts(interposed, link, limits, period_s) for interposed, link in zip(effects.passages, is_link, strict=True)]
     )
     result = Manipulations(
         culprits=culprits,
         reach=reached(effects.passages, series, is_link),
         passage=passage,
-        culprit=number[passage] if len(rows) else passage,
+        culprit=culprit_row[passage] if len(rows) else passage,
         kind=np.concatenate([np.full(len(inserted), INSERTED), kind]),
         frame=effects.frame[rows],
         object=np.concatenate(
-            [episode, np.where(found >= 0, np.append(truth.id, 0)[found], -1 - np.arange(len(found)))]
+            [episode, np.where(truth_row >= 0, np.append(truth.id, 0)[truth_row], -1 - np.arange(len(truth_row)))]
         ),
         position=np.where(np.isfinite(effects.after[rows]), effects.after[rows], effects.before[rows]),
         velocity=np.nan_to_num(np.concatenate([velocity, effects.velocity[hidden]])),
@@ -66,8 +66,10 @@ def manipulations(
 
 
 def _lasts(passage: Passage, is_link: bool, limits: Attribution, period_s: float) -> int:
-    """Frames after its own for which a manipulation counts. What a link does to tracks counts at once or, by what the
-    picture lacks, in `metrics.cut_off`."""
+    """Number of frames after its own for which a manipulation counts.
+
+    Effects of links on tracks count only in their own frame; missing objects in the picture: `metrics.cut_off`.
+    """
     if not is_link or passage.port in ("detections", "pose"):
         return round(limits.coast_s / period_s)
     return round(limits.late_picture_s / period_s) if passage.port == "picture" else 0
@@ -78,15 +80,15 @@ def _hidden(effects: Effects, limits: Attribution) -> tuple[Ints, Ints]:
     rows = effects.rows("removed", "moved", "altered")
     rows = rows[np.isfinite(effects.before[rows]).all(axis=1)]
     kind = np.array([KINDS.index(name) if name in KINDS else -1 for name in EFFECTS])[effects.code[rows]]
-    apart = np.hypot(*(effects.after[rows] - effects.before[rows])[:, :2].T)
-    counts = (kind != MOVED) | (apart >= limits.least_move_m)
+    displacement = np.hypot(*(effects.after[rows] - effects.before[rows])[:, :2].T)
+    counts = (kind != MOVED) | (displacement >= limits.least_move_m)
     return rows[counts], kind[counts]
 
 
 def absent(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
-    """(n,) effects on messages that did not get past an interposer because it was not there.
+    """(n,) effects on messages that were lost because an interposer was absent.
 
-    idle: by node, (f,) bool, in which of (f,) frames it was not there
+    idle: by node, (f,) bool, whether it was absent in each of (f,) frames
     """
     result = np.zeros(len(effects), bool)
     withheld = effects.whole.copy()
@@ -94,14 +96,14 @@ def absent(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
     for index, passage in enumerate(effects.passages):
         away = idle.get(passage.node)
         if away is not None and away.any():
-            mine = ((effects.passage == index) & withheld).nonzero()[0]
-            at = np.searchsorted(frames, effects.step[mine], side="right") - 1
-            result[mine] = away[np.clip(at, 0, len(away) - 1)]
+            rows = ((effects.passage == index) & withheld).nonzero()[0]
+            at = np.searchsorted(frames, effects.step[rows], side="right") - 1
+            result[rows] = away[np.clip(at, 0, len(away) - 1)]
     return result
 
 
-def stopped(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints) -> Bools:
-    """(f, a) bool: a link dropped, damaged or delayed an agent's tracks of these frames, or the batch of all tracks."""
+def stopped_by_links(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints) -> Bools:
+    """(f, a) bool: whether a link dropped, damaged or delayed an agent's tracks of a frame, or the whole batch."""
     result = np.zeros((len(frames), len(agents)), bool)
     rows = effects.rows("dropped", "delayed", "corrupted", "unsettled")
     for index, passage in enumerate(effects.passages):

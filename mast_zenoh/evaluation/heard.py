@@ -1,4 +1,4 @@
-"""What an evaluator keeps of the messages of a run."""
+"""Data that an evaluator collects from the messages of a run."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from mast_zenoh.effects import Meter, Pose
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics import Presence, Record
 
-_PERIOD_S = 0.1  #: of a run of which a single frame is known
+_PERIOD_S = 0.1  #: assumed frame period of a run with a single frame
 
 
 @dataclass
 class Heard:
-    """What was heard of a run.
+    """Data collected from the messages of a run.
 
-    record:   the truth and all estimates;  meter: what went into and came out of every interposer
-    roles:    of the nodes;  presence: which nodes came and went
-    times_ns: by frame, of its clock
+    record:   the truth and all estimates;  meter: effects of the interposers
+    roles:    of the nodes;  presence: joining and leaving of nodes
+    times_ns: by frame, its clock time
     poses:    by (agent, frame)
-    pictured: by frame the frame in which its picture was sent
-    spoken:   by (agent, frame) the frame in which the agent's tracks were sent
+    picture_sent: by frame, the frame in which its picture was sent
+    tracks_sent: by (agent, frame), the frame in which the agent's tracks were sent
     attack_reports, link_reports: (interposer, frame, sequence number, columns)
     """
 
@@ -30,20 +30,20 @@ class Heard:
     presence: Presence = field(default_factory=Presence)
     times_ns: dict[int, int] = field(default_factory=dict)
     poses: dict[tuple[str, int], Pose] = field(default_factory=dict)
-    pictured: dict[int, int] = field(default_factory=dict)
-    spoken: dict[tuple[str, int], int] = field(default_factory=dict)
+    picture_sent: dict[int, int] = field(default_factory=dict)
+    tracks_sent: dict[tuple[str, int], int] = field(default_factory=dict)
     attack_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     link_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
 
     @property
     def period_s(self) -> float:
-        """s from frame to frame."""
+        """Frame period, s."""
         first, second = self.times_ns.get(0), self.times_ns.get(1)
         return _PERIOD_S if first is None or second is None else (second - first) * 1e-9
 
     @property
     def ego(self) -> str:
-        """The agent whose side of the run is told first: "ego" if there is one, else the first."""
+        """The main agent of the evaluation: "ego" if there is one, else the first."""
         agents = self.record.agents
         return "ego" if "ego" in agents else next(iter(agents), "")
 
@@ -51,5 +51,7 @@ class Heard:
         """ns of scene time between each frame and the one in which its picture was sent."""
         times = self.times_ns
         return [
-            times[sent] - times[frame] for frame, sent in sorted(self.pictured.items()) if {frame, sent} <= times.keys()
+            times[sent] - times[frame]
+            for frame, sent in sorted(self.picture_sent.items())
+            if {frame, sent} <= times.keys()
         ]

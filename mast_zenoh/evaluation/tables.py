@@ -1,4 +1,4 @@
-"""The measured effects as the table attacks.parquet."""
+"""The measured effects as columns of attacks.parquet."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mast_zenoh.metrics import Table
 def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], period_s: float) -> Table:
     """The effects as columns of attacks.parquet, by interposer, wire, frame and sequence number.
 
-    Objects of a message that was withheld, forged or reframed as a whole have no rows of their own.
+    Objects of a message that was withheld, forged or reframed as a whole have no separate rows.
     """
     rows = np.flatnonzero(~effects.whole)
     passages = effects.passages
-    which = effects.passage[rows]
+    passage_row = effects.passage[rows]
 
     def of_passage(values: Sequence[str]) -> np.ndarray:
-        return np.array([*values, ""], object)[which] if len(rows) else np.zeros(0, object)
+        return np.array([*values, ""], object)[passage_row] if len(rows) else np.zeros(0, object)
 
     delay_ns = effects.frames_late[rows] * period_s * 1e9 + effects.time_ns[rows]
     return {

@@ -1,14 +1,14 @@
-"""Faults as a user writes them on one timeline, and what they mean for links, processes and the host network.
+"""Faults on a timeline and their effects on links, processes and the host network.
 
-    base       what a fault is
-    impairments  what happens to messages
-    churn      what happens to processes
-    targets    whom a fault hits
-    plan       a list of faults → rules of links, steps of processes, bands of the timeline
-    network    hosts and their links
-    schedule   random lists of faults
+    base         base class of faults
+    impairments  faults of messages
+    churn        faults of processes
+    targets      nodes and links that a fault acts on
+    plan         conversion of faults to link rules, process steps and bands of the timeline
+    network      hosts and their links
+    schedule     random lists of faults
 
-Pure: nothing here starts, kills or sends. See docs/faults.md.
+Pure: these modules start, kill and send nothing. See docs/faults.md.
 """
 
 from mast_zenoh.config.process_steps import ACTIONS, ProcessStep

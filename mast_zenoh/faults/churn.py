@@ -1,4 +1,4 @@
-"""Faults that act on processes: nodes die, leave, join, stand still, are cut off and come back."""
+"""Faults of processes: nodes are killed, leave, join, pause, are disconnected and return."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from mast_zenoh.faults.base import LATEST_S, Event, Fault, Rule, check_after
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessFault(Fault):
-    """A fault that happens to the processes of its targets; never before the first frame.
+    """A fault of the processes of its targets, always after the first frame.
 
-    begins, ends: what is done to them at `at`, and when it is over (steps.ACTIONS); who does other things overrides
+    begins, ends: the actions (process_steps.ACTIONS) at `at` and at its end; a subclass with other actions overrides
     `events`
     """
 
@@ -23,92 +23,88 @@ class ProcessFault(Fault):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.at == 0.0:
-            raise ValueError("at: found 0.0, expected a time after the first frame; who is to come later has a Join")
+            raise ValueError(
+                "at: found 0.0, expected a time after the first frame; use Join for nodes that start later"
+            )
 
     def events(self) -> Sequence[Event]:
-        """See Fault."""
-        begin = (self.at, self.begins)
-        return [begin] if self.over is None else [begin, (self.over, self.ends)]
+        first = (self.at, self.begins)
+        return [first] if self.over is None else [first, (self.over, self.ends)]
 
 
-def _wait(name: str, value: float | None) -> None:
+def _check_wait(name: str, value: float | None) -> None:
     if value is not None and not 0.0 < value <= LATEST_S:
         raise ValueError(f"{name}: found {value}, expected more than 0")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kill(ProcessFault):
-    """Its targets die at once and hand in nothing. restart_after: s until they are started again; None: never."""
+    """Kills its targets, which report no results. restart_after: s until they are restarted; None: never."""
 
     begins = "kill"
     restart_after: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _wait("restart_after", self.restart_after)
+        _check_wait("restart_after", self.restart_after)
 
     @property
     def over(self) -> float | None:
-        """See Fault."""
         return None if self.restart_after is None else self.at + self.restart_after
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leave(ProcessFault):
-    """Its targets finish as at the end of a run. return_after: s until they come again; None: never."""
+    """Stops its targets as at the end of a run. return_after: s until they return; None: never."""
 
     begins = "leave"
     return_after: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _wait("return_after", self.return_after)
+        _check_wait("return_after", self.return_after)
 
     @property
     def over(self) -> float | None:
-        """See Fault."""
         return None if self.return_after is None else self.at + self.return_after
 
 
 @dataclass(frozen=True, kw_only=True)
 class Restart(ProcessFault):
-    """Its targets are ended in good order and started again. down_s: s in between, at least a frame."""
+    """Stops its targets properly and restarts them. down_s: s in between, at least a frame."""
 
     begins = "leave"
     down_s: float = 0.5
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _wait("down_s", self.down_s)
+        _check_wait("down_s", self.down_s)
 
     @property
     def over(self) -> float | None:
-        """See Fault."""
         return self.at + self.down_s
 
 
 @dataclass(frozen=True, kw_only=True)
 class Join(ProcessFault):
-    """Its targets are not there from the beginning: they come at this time."""
+    """Starts its targets at this time instead of at the beginning."""
 
     @property
     def over(self) -> float | None:
-        """See Fault."""
         return self.at
 
     def events(self) -> Sequence[Event]:
-        """See Fault."""
         return [(self.at, "start")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pause(ProcessFault):
-    """Its targets stand still until `until`, and then go on with all that has come for them.
+    """Suspends its targets until `until`; then they process all messages that have arrived.
 
     until: s of scene time at which they go on
 
-    In real time their processes are stopped and continued. In lock-step everyone would wait for them; there a pause is
-    what others see of it: links hold back what they say and hear, and then let it go in order.
+    In real time their processes are stopped and continued. In lock-step all nodes would wait for them; there links hold
+    their messages in both directions and then deliver them in order.
     """
 
     begins, ends = "pause", "resume"
@@ -120,22 +116,20 @@ class Pause(ProcessFault):
 
     @property
     def over(self) -> float | None:
-        """See Fault."""
         return self.until
 
     def rules(self, lockstep: bool) -> Sequence[Rule]:
-        """See Fault."""
         return ({"type": "Hold"},) if lockstep else ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unplug(ProcessFault):
-    """Its targets are taken off their networks until `until`, and go on alone; then they find back by themselves.
+    """Disconnects its targets from their networks until `until`; then they reconnect by themselves.
 
     until: s of scene time at which they are put back
 
-    In real time only, and only where nodes have networks of their own: in the containers of engine compose. Anywhere
-    else a Partition does it.
+    In real time only, and only if nodes have their own networks: in the containers of engine compose. Elsewhere, use
+    Partition.
     """
 
     begins, ends = "disconnect", "connect"
@@ -147,5 +141,4 @@ class Unplug(ProcessFault):
 
     @property
     def over(self) -> float | None:
-        """See Fault."""
         return self.until

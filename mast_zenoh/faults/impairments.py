@@ -1,4 +1,4 @@
-"""Faults that act on messages: rules of the links between agents and command centre, for a time."""
+"""Faults of messages: temporary rules of the links between agents and command centre."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from mast_zenoh.links.timing import QUEUE_S
 
 @dataclass(frozen=True, kw_only=True)
 class LinkFault(Fault):
-    """A fault that the links of its targets carry out, exactly in lock-step, on the wall clock in real time.
+    """A fault of the links of its targets, exact in lock-step, on the wall clock in real time.
 
-    until:     s of scene time at which it is healed; None: it lasts to the end
+    until:     s of scene time at which it ends; None: at the end of the run
     direction: "up" (to the command centre), "down" (from it) or "both"
 
-    Targets may also be keys of wires: agent/infra_1/tracks (what infra_1 says), cc/picture (what all agents hear).
+    Targets may also be keys of wires: agent/infra_1/tracks (published by infra_1), cc/picture (received by all agents).
     """
 
     until: float | None = None
@@ -35,34 +35,30 @@ class LinkFault(Fault):
 
     @property
     def over(self) -> float | None:
-        """See Fault."""
         return self.until
 
     def ways(self, role: str) -> Sequence[str]:
-        """See Fault."""
         return DIRECTIONS if self.direction == "both" else (self.direction,)
 
     def rules(self, lockstep: bool) -> Sequence[Rule]:
-        """See Fault."""
         return (self.as_rule(),)
 
     @abstractmethod
     def as_rule(self) -> Rule:
-        """The rule of the link: dict(type=…), see docs/links.md."""
+        """The link rule: dict(type=…), see docs/links.md."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Partition(LinkFault):
-    """Its targets are cut off: nothing gets through. Of the command centre: every agent is."""
+    """Cuts off its targets. For the command centre, all agents are cut off."""
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return {"type": "Cut"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loss(LinkFault):
-    """Each message is lost with this probability, whatever became of the one before.
+    """Loses each message independently with this probability.
 
     probability: of losing a message, 0 to 1
     """
@@ -70,13 +66,12 @@ class Loss(LinkFault):
     probability: float
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return {"type": "Loss", "probability": self.probability}
 
 
 @dataclass(frozen=True, kw_only=True)
 class BurstLoss(LinkFault):
-    """Messages are lost in bursts (Gilbert-Elliott): the channel is good or bad, and changes between two messages.
+    """Loses messages in bursts (Gilbert-Elliott): probabilities of state changes and of loss in each state.
 
     good_to_bad, bad_to_good: probability of a change from one message to the next, 0 to 1
     loss_good, loss_bad:      probability of losing a message in the good, or in the bad state, 0 to 1
@@ -88,14 +83,13 @@ class BurstLoss(LinkFault):
     loss_bad: float = 1.0
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         names = ("good_to_bad", "bad_to_good", "loss_good", "loss_bad")
         return {"type": "GilbertElliott", **{name: getattr(self, name) for name in names}}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Delay(LinkFault):
-    """Messages arrive late.
+    """Delays messages by mean_s with standard deviation jitter_s.
 
     mean_s, jitter_s: mean and standard deviation of the delay
     """
@@ -104,33 +98,30 @@ class Delay(LinkFault):
     jitter_s: float = 0.0
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return {"type": "Delay", "mean_s": self.mean_s, "jitter_s": self.jitter_s}
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlowNode(LinkFault):
-    """A node takes longer than it should: what it says comes late, what it hears does not.
+    """Delays the messages that a node publishes by delay_s, but not those that it receives.
 
     delay_s: how much longer
 
-    What a slow broker or command centre says is the picture.
+    For the broker and the command centre, this is the picture.
     """
 
     delay_s: float
 
     def ways(self, role: str) -> Sequence[str]:
-        """See Fault."""
         return ("up",) if role == "agent" else ("down",)
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return {"type": "Delay", "mean_s": self.delay_s}
 
 
 @dataclass(frozen=True, kw_only=True)
 class BandwidthLimit(LinkFault):
-    """A link carries no more than this.
+    """Limits the bandwidth to bits_per_s; messages that would wait longer than queue_s are lost.
 
     bits_per_s: that it carries;  queue_s: how long a message may wait for its turn before it is lost
     """
@@ -139,13 +130,12 @@ class BandwidthLimit(LinkFault):
     queue_s: float = QUEUE_S
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return {"type": "Bandwidth", "bits_per_s": self.bits_per_s, "queue_s": self.queue_s}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Corrupt(LinkFault):
-    """In a message, with this probability, some bits come out wrong.
+    """Flips `flips` bits of a message with this probability.
 
     probability: that a message is corrupted, 0 to 1;  flips: bits that are flipped in it
     """
@@ -154,13 +144,12 @@ class Corrupt(LinkFault):
     flips: int = 1
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return {"type": "Corrupt", "probability": self.probability, "flips": self.flips}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Duplicate(LinkFault):
-    """Some messages arrive more than once.
+    """Repeats a message with this probability, `copies` times.
 
     probability: that a message is repeated, 0 to 1;  copies: how many more of it arrive
     """
@@ -169,13 +158,12 @@ class Duplicate(LinkFault):
     copies: int = 1
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return {"type": "Duplicate", "probability": self.probability, "copies": self.copies}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flood(LinkFault):
-    """Every message arrives many times.
+    """Repeats every message `copies` times.
 
     copies: how many more of each arrive
     """
@@ -183,13 +171,12 @@ class Flood(LinkFault):
     copies: int = FLOOD_COPIES
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return {"type": "Flood", "copies": self.copies}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reorder(LinkFault):
-    """Some messages are held up, so that others overtake them.
+    """Delays a message by by_s with this probability, so that others overtake it.
 
     probability: that a message is held up, 0 to 1;  by_s: for how long
     """
@@ -198,13 +185,12 @@ class Reorder(LinkFault):
     by_s: float = 0.1
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return {"type": "Reorder", "probability": self.probability, "by_s": self.by_s}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Impair(LinkFault):
-    """Any rule of a link, for a time: one of ours or your own.
+    """Applies any link rule, built-in or user-defined: rule=dict(type="PoseError", …).
 
     rule: dict(type="PoseError", …), see `mast list links`
     """
@@ -212,5 +198,4 @@ class Impair(LinkFault):
     rule: dict[str, Any]
 
     def as_rule(self) -> Rule:
-        """See LinkFault."""
         return dict(self.rule)

@@ -1,8 +1,8 @@
-"""Hosts, the links between them and the centre, and faults of these links: what a user writes, and what it comes to.
+"""Hosts, their links to the centre, and faults of these links.
 
-Every host has one link, to the centre, where the router is. A link's state at any time is its own figures and those of
-all faults that are on: any partition cuts it, delays add up, losses are independent, the narrowest bandwidth counts.
-So a fault is healed by working out the state without it.
+Every host has one link, to the centre, where the router is. A link's state combines its own settings with those of all
+active faults: any partition cuts it, delays add up, losses are independent, the smallest bandwidth applies. When a
+fault ends, the state is computed without it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from mast_zenoh.errors import ConfigurationError, nearest
 
-#: Types of faults of hosts' links, and the figures that each takes: required, and with a default.
+#: Types of faults of hosts' links, and their parameters: required ones, and ones with a default.
 HOST_FAULTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "HostPartition": ((), ()),
     "HostLoss": (("probability",), ()),
@@ -24,25 +24,25 @@ HOST_FAULTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "HostBandwidth": (("bits_per_s",), ()),
 }
 
-#: What can delay a host's link.
+#: Mechanisms that can delay a host's link.
 DELAY_BY = ("netem", "relay")
 
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _TIMES = ("at", "until")
-_HOST_FIGURES = ("delay_ms", "jitter_ms", "loss", "bits_per_s")
+_HOST_PARAMETERS = ("delay_ms", "jitter_ms", "loss", "bits_per_s")
 _MAX_HOSTS = 200
-_LEAST_BITS_PER_S = 8_000.0
+_MIN_BITS_PER_S = 8_000.0
 
-#: A link of which nothing is acknowledged for 1.5 s ends (runtime/mesh/session.py): there and back must take less.
-_MOST_MS = 500.0
+#: A connection without an acknowledgement for 1.5 s ends (runtime/mesh/session.py); a round trip must take less.
+_MAX_DELAY_MS = 500.0
 
 
 @dataclass(frozen=True, slots=True)
 class LinkState:
-    """What a host's link does to packets, in each direction alike.
+    """The state of a host's link, the same in each direction.
 
-    cut: drops all; loss: drops this share of the packets; delay_ms ± jitter_ms: how long one takes, on the wall clock;
-    bits_per_s: what it carries at most, None for all
+    cut: drops all packets; loss: fraction of lost packets; delay_ms ± jitter_ms: delay of a packet, on the wall clock;
+    bits_per_s: bandwidth, None: unlimited
     """
 
     cut: bool = False
@@ -52,7 +52,7 @@ class LinkState:
     bits_per_s: float | None = None
 
     def under(self, fault: Mapping[str, Any]) -> LinkState:
-        """The state while this fault is on as well."""
+        """The state with this fault active in addition."""
         match fault["type"]:
             case "HostPartition":
                 return replace(self, cut=True)
@@ -67,7 +67,7 @@ class LinkState:
 
 
 class LinkStep(NamedTuple):
-    """From `at_s` (s of scene time) on, the hosts' links are in these states."""
+    """A change of the links: their states from `at_s` (s of scene time) on."""
 
     at_s: float
     states: dict[str, LinkState]
@@ -82,12 +82,12 @@ def resolve(
     place: str,
     beside: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Hosts and their faults as plain JSON with nothing left to decide; {} without hosts.
+    """Resolve hosts and their faults to plain JSON without defaults or patterns; {} without hosts.
 
     hosts: a scenario's `hosts`: name → dict(nodes=[names or patterns], delay_ms, jitter_ms, loss, bits_per_s, delay_by)
-    faults: (where it stands, the fault) of those whose type is one of HOST_FAULTS
-    nodes: the names of all nodes of the run; those that no host claims live at the centre
-    beside: node → the node with which it lives unless a host claims it by name or pattern (links: their agent)
+    faults: (place in the scenario, fault) for faults of the types HOST_FAULTS
+    nodes: the names of all nodes of the run; those without a host run at the centre
+    beside: node → the node whose host it shares unless a host claims it by name or pattern (links: their agent)
 
     Raises ConfigurationError.
     """
@@ -105,14 +105,14 @@ def resolve(
         resolved[name] = _host(spec, where)
         for node in _claimed(spec["nodes"], known, where):
             if home.setdefault(node, name) != name:
-                raise ConfigurationError(f"{where}.nodes: {node!r} lives on {home[node]!r} already")
+                raise ConfigurationError(f"{where}.nodes: {node!r} is already on host {home[node]!r}")
     for node, agent in (beside or {}).items():
         if agent in home:
             home.setdefault(node, home[agent])
     for name, spec in resolved.items():
         spec["nodes"] = [node for node in known if home.get(node) == name]
         if not spec["nodes"]:
-            raise ConfigurationError(f"{place}: hosts.{name}: no node lives there")
+            raise ConfigurationError(f"{place}: hosts.{name}: no node runs on this host")
     plain = [_fault(fault, where, list(resolved), mode) for where, fault in faults]
     for fault in plain:
         for name in fault["hosts"] if fault["type"] == "HostDelay" else ():
@@ -137,7 +137,7 @@ def bands(network: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def own_states(network: Mapping[str, Any]) -> dict[str, LinkState]:
-    """Every host's link without any fault: how a run begins, and how it is left."""
+    """The state of every host's link without faults, as at the start and after the end of a run."""
     return {
         name: LinkState(False, spec["loss"], spec["delay_ms"], spec["jitter_ms"], spec["bits_per_s"])
         for name, spec in network["hosts"].items()
@@ -145,63 +145,63 @@ def own_states(network: Mapping[str, Any]) -> dict[str, LinkState]:
 
 
 def steps(network: Mapping[str, Any]) -> list[LinkStep]:
-    """What becomes of the links, by time: at each of these moments a fault begins or heals."""
+    """Changes of the links in order of time, one for each time at which faults begin or end."""
     faults = network["faults"]
-    moments = {fault["at"] for fault in faults} | {fault["until"] for fault in faults if fault["until"] is not None}
-    before, found = own_states(network), []
-    for at_s in sorted(moments):
+    times = {fault["at"] for fault in faults} | {fault["until"] for fault in faults if fault["until"] is not None}
+    before, changes = own_states(network), []
+    for at_s in sorted(times):
         states = own_states(network)
         for fault in faults:
             if fault["at"] <= at_s and (fault["until"] is None or at_s < fault["until"]):
                 states |= {name: states[name].under(fault) for name in fault["hosts"]}
         if changed := {name: state for name, state in states.items() if state != before[name]}:
-            found.append(LinkStep(at_s, changed))
+            changes.append(LinkStep(at_s, changed))
         before = states
-    return found
+    return changes
 
 
 def needs(network: Mapping[str, Any]) -> dict[str, list[str]]:
-    """What this network wants of the machine, and the hosts that do.
+    """Capabilities that the machine needs for this network, each with the hosts that need it.
 
-    "partition", "loss", "bandwidth", "netem", "relay", or "delay" by whichever of the latter two the machine has
+    "partition", "loss", "bandwidth", "netem", "relay", or "delay" for either of the latter two
     """
     states: dict[str, list[LinkState]] = {name: [state] for name, state in own_states(network).items()}
     for step in steps(network):
         for name, state in step.states.items():
             states[name].append(state)
-    wanted: dict[str, list[str]] = {}
+    capabilities: dict[str, list[str]] = {}
     for name, spec in network["hosts"].items():
         if any(state.cut for state in states[name]):
-            wanted.setdefault("partition", []).append(name)
+            capabilities.setdefault("partition", []).append(name)
         if any(state.loss for state in states[name]):
-            wanted.setdefault("loss", []).append(name)
+            capabilities.setdefault("loss", []).append(name)
         if any(state.bits_per_s is not None for state in states[name]):
-            wanted.setdefault("bandwidth", []).append(name)
+            capabilities.setdefault("bandwidth", []).append(name)
         if spec["delayed"]:
-            wanted.setdefault(spec["delay_by"] or "delay", []).append(name)
-    return wanted
+            capabilities.setdefault(spec["delay_by"] or "delay", []).append(name)
+    return capabilities
 
 
 def _host(spec: object, where: str) -> dict[str, Any]:
-    """One host, checked; `delayed`: whether its link will ever delay anything."""
+    """Validate one host; `delayed`: whether its link ever has a delay."""
     if not isinstance(spec, Mapping):
         raise ConfigurationError(f"{where}: found {spec!r}, expected a dict(nodes=[…])")
-    _no_others(spec, ("nodes", *_HOST_FIGURES, "delay_by"), where)
+    _reject_unknown(spec, ("nodes", *_HOST_PARAMETERS, "delay_by"), where)
     if "nodes" not in spec:
-        raise ConfigurationError(f"{where}: found no `nodes`, expected the names of those that live there")
+        raise ConfigurationError(f"{where}: found no `nodes`, expected the names of the nodes on this host")
     chosen = spec.get("delay_by")
     if chosen is not None and chosen not in DELAY_BY:
         raise ConfigurationError(f"{where}.delay_by: found {chosen!r}{nearest(str(chosen), DELAY_BY)}")
-    figures = {name: _figure(name, spec.get(name, 0.0), where) for name in ("delay_ms", "jitter_ms", "loss")}
+    numbers = {name: _number(name, spec.get(name, 0.0), where) for name in ("delay_ms", "jitter_ms", "loss")}
     bits_per_s = spec.get("bits_per_s")
     if bits_per_s is not None:
-        bits_per_s = _figure("bits_per_s", bits_per_s, where)
-    delayed = bool(figures["delay_ms"] or figures["jitter_ms"])
-    return {**figures, "bits_per_s": bits_per_s, "delay_by": chosen, "delayed": delayed}
+        bits_per_s = _number("bits_per_s", bits_per_s, where)
+    delayed = bool(numbers["delay_ms"] or numbers["jitter_ms"])
+    return {**numbers, "bits_per_s": bits_per_s, "delay_by": chosen, "delayed": delayed}
 
 
 def _claimed(patterns: object, known: Sequence[str], where: str) -> list[str]:
-    """The nodes that a host's `nodes` name."""
+    """The nodes that match a host's `nodes`."""
     if not isinstance(patterns, (list, tuple)):
         raise ConfigurationError(f"{where}.nodes: found {patterns!r}, expected a list of names")
     claimed = []
@@ -214,49 +214,49 @@ def _claimed(patterns: object, known: Sequence[str], where: str) -> list[str]:
 
 
 def _fault(fault: Mapping[str, Any], where: str, hosts: Sequence[str], mode: str) -> dict[str, Any]:
-    """One fault, checked, with its figures as numbers and its hosts by name."""
+    """Validate one fault; converts its parameters to numbers and its hosts to names."""
     kind = fault["type"]
     if mode == "lockstep":
         raise ConfigurationError(
-            f"{where}: {kind} acts on the host's network, by the wall clock: in lock-step the mesh would wait until it "
-            "is over. Use run.mode 'realtime', or a fault of nodes (Partition, Loss, …), which is exact in lock-step"
+            f"{where}: {kind} acts on the host's network, on the wall clock: in lock-step the mesh would wait until it "
+            "ends. Use run.mode 'realtime', or a fault of nodes (Partition, Loss, …), which is exact in lock-step"
         )
     required, optional = HOST_FAULTS[kind]
-    _no_others(fault, ("type", "hosts", *_TIMES, *required, *optional), where)
+    _reject_unknown(fault, ("type", "hosts", *_TIMES, *required, *optional), where)
     for name in ("at", "hosts", *required):
         if name not in fault:
             raise ConfigurationError(f"{where}: {kind} needs {name}")
-    at, until = _figure("at", fault["at"], where), fault.get("until")
+    at, until = _number("at", fault["at"], where), fault.get("until")
     if until is not None:
-        until = _figure("until", until, where)
+        until = _number("until", until, where)
         if until <= at:
             raise ConfigurationError(f"{where}.until: found {until!r}, expected a time after `at` ({at!r})")
-    aimed = list(hosts) if fault["hosts"] == "*" else fault["hosts"]
-    if not isinstance(aimed, (list, tuple)) or not aimed:
-        raise ConfigurationError(f"{where}.hosts: found {aimed!r}, expected a list of hosts, or '*'")
-    for name in aimed:
+    targets = list(hosts) if fault["hosts"] == "*" else fault["hosts"]
+    if not isinstance(targets, (list, tuple)) or not targets:
+        raise ConfigurationError(f"{where}.hosts: found {targets!r}, expected a list of hosts, or '*'")
+    for name in targets:
         if name not in hosts:
             raise ConfigurationError(f"{where}.hosts: no host {name!r}{nearest(str(name), hosts)}")
-    figures = {name: _figure(name, fault[name], where) for name in required}
-    figures |= {name: _figure(name, fault.get(name, 0.0), where) for name in optional}
-    return {"type": kind, "at": at, "until": until, "hosts": list(dict.fromkeys(aimed)), **figures}
+    numbers = {name: _number(name, fault[name], where) for name in required}
+    numbers |= {name: _number(name, fault.get(name, 0.0), where) for name in optional}
+    return {"type": kind, "at": at, "until": until, "hosts": list(dict.fromkeys(targets)), **numbers}
 
 
-def _no_others(found: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
-    for key in found:
+def _reject_unknown(mapping: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
+    for key in mapping:
         if key not in known:
             raise ConfigurationError(f"{where}.{key}: unknown{nearest(str(key), known)}")
 
 
-def _figure(name: str, value: object, where: str) -> float:
-    """A number in the range that its name has."""
-    least, most = {
+def _number(name: str, value: object, where: str) -> float:
+    """A number in the valid range of the parameter `name`."""
+    low, high = {
         "loss": (0.0, 1.0),
         "probability": (0.0, 1.0),
-        "bits_per_s": (_LEAST_BITS_PER_S, 1e11),
-        "delay_ms": (0.0, _MOST_MS),
-        "jitter_ms": (0.0, _MOST_MS),
+        "bits_per_s": (_MIN_BITS_PER_S, 1e11),
+        "delay_ms": (0.0, _MAX_DELAY_MS),
+        "jitter_ms": (0.0, _MAX_DELAY_MS),
     }.get(name, (0.0, 1e9))
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
-        raise ConfigurationError(f"{where}.{name}: found {value!r}, expected a number from {least:g} to {most:g}")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ConfigurationError(f"{where}.{name}: found {value!r}, expected a number from {low:g} to {high:g}")
     return float(value)

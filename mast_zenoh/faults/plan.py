@@ -1,4 +1,4 @@
-"""From the faults of a scenario to what is done: rules of links, steps of processes, and the bands of the timeline."""
+"""Converts the faults of a scenario to link rules, process steps and bands of the timeline."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from mast_zenoh.faults import targets
 from mast_zenoh.faults.base import DIRECTIONS, Fault, Rule
 from mast_zenoh.streams import stream
 
-#: What becomes of a node by an action: the states that it may be in, and the one it is in afterwards.
-_BECOMES = {
+#: For each action on a node, the states in which it is allowed, and the resulting state.
+_TRANSITIONS = {
     "start": (("absent", "down"), "up"),
     "kill": (("up",), "down"),
     "leave": (("up",), "down"),
@@ -26,16 +26,16 @@ _BECOMES = {
     "disconnect": (("up",), "cut off"),
     "connect": (("cut off",), "up"),
 }
-_NAMES_SHOWN = 3
+_MAX_NAMES = 3
 
 
 @dataclass
 class Plan:
-    """What the faults of a run come to.
+    """The effects of a run's faults.
 
     rules: by agent and direction, the rules of its link with their times, in the order of the faults
-    steps: what happens to processes, by frame
-    bands: a plain dict of label, kind, type, at_s, until_s, nodes and backend for every fault that the run gets to
+    steps: actions on processes, by frame
+    bands: a plain dict of label, kind, type, at_s, until_s, nodes and backend for every fault that begins in the run
     missed: places of faults that begin after the last frame
     """
 
@@ -46,7 +46,7 @@ class Plan:
 
 
 def frame_at(times_ns: Ints, at_s: float) -> int:
-    """The first frame whose time is not before `at_s`; the number of frames if there is none."""
+    """The first frame at or after `at_s`; the number of frames if there is none."""
     return int(np.searchsorted(times_ns, round(at_s * 1e9), side="left"))
 
 
@@ -58,17 +58,17 @@ def plan(
     *,
     lockstep: bool,
 ) -> Plan:
-    """What a list of faults comes to.
+    """Convert a list of faults to a plan.
 
-    faults: (where it stands in the scenario, the fault), in the order written
-    roles:  role of every node of the run, but for the links that the faults themselves make necessary
-    times_ns: (frames,) ns since the scene began, of the frames that are played
+    faults: (place in the scenario, fault), in the order of the scenario
+    roles:  role of every node of the run, except the links that the faults themselves require
+    times_ns: (frames,) ns since the start of the scene, of the frames that are played
 
-    Raises ConfigurationError for targets that there are not or that cannot be hit, for what cannot happen to a
-    process (killed while it is down, two things at one frame), and in lock-step for what is for real time only.
+    Raises ConfigurationError for unknown or invalid targets, for impossible actions on a process (killed while it is
+    down, two actions in the same frame), and in lock-step for faults that need real time.
     """
-    found = Plan()
-    happenings: dict[str, list[_Happening]] = defaultdict(list)
+    result = Plan()
+    actions: dict[str, list[_Action]] = defaultdict(list)
     for index, (place, fault) in enumerate(faults):
         rng = stream(seed, "faults", index, "targets")
         where = f"{place}.{'node' if fault.node is not None else 'nodes'}"
@@ -76,33 +76,33 @@ def plan(
         events = fault.events()
         if lockstep and not rules and any(action in REALTIME for _, action in events):
             raise ConfigurationError(
-                f"{place}: {type(fault).__name__}: in lock-step everybody would wait for who is stopped or cut off; "
-                "use Partition, which does this with links, or real time (mode realtime)"
+                f"{place}: {type(fault).__name__}: in lock-step all nodes would wait for a stopped or disconnected "
+                "one; use Partition, which acts on links, or real time (mode realtime)"
             )
         nodes = targets.processes(fault.aims, roles, rng, where) if events else []
-        begins = frame_at(times_ns, fault.at) < len(times_ns)
+        in_run = frame_at(times_ns, fault.at) < len(times_ns)
         if rules:
             ways = {role: fault.ways(role) for role in roles.values()}
             aims = nodes or fault.aims
             agents = targets.links(aims, roles, ways, rng, where)
             nodes = nodes or list(agents)
             for agent, directions in agents.items():
-                of_agent = found.rules.setdefault(agent, {way: [] for way in DIRECTIONS})
+                of_agent = result.rules.setdefault(agent, {way: [] for way in DIRECTIONS})
                 for way in directions:
                     of_agent[way] += [{**rule, "at": fault.at, "until": fault.over} for rule in rules]
         for name in nodes if events else ():
-            happenings[name] += [_Happening(at_s, action, place, not rules) for at_s, action in events]
-        if begins:
-            found.bands.append(_band(fault, nodes, "links" if rules else "process", times_ns))
+            actions[name] += [_Action(at_s, action, place, not rules) for at_s, action in events]
+        if in_run:
+            result.bands.append(_band(fault, nodes, "links" if rules else "process", times_ns))
         else:
-            found.missed.append(place)
-    found.steps = tuple(sorted(step for name in happenings for step in _steps(name, happenings[name], times_ns)))
-    return found
+            result.missed.append(place)
+    result.steps = tuple(sorted(step for name in actions for step in _steps(name, actions[name], times_ns)))
+    return result
 
 
 @dataclass
-class _Happening:
-    """An action on one node; `acts`: on its process, not through its link."""
+class _Action:
+    """An action on one node; `acts`: on its process instead of its link."""
 
     at_s: float
     action: str
@@ -110,36 +110,38 @@ class _Happening:
     acts: bool
 
 
-def _steps(name: str, happenings: list[_Happening], times_ns: Ints) -> list[ProcessStep]:
-    """The steps of one node, checked to follow from each other."""
-    happenings = sorted(happenings, key=lambda happening: happening.at_s)  # stable: as written, within one time
-    state = "absent" if happenings[0].action == "start" else "up"
+def _steps(name: str, actions: list[_Action], times_ns: Ints) -> list[ProcessStep]:
+    """The steps of one node, validated as a sequence."""
+    actions = sorted(
+        actions, key=lambda action: action.at_s
+    )  # stable: simultaneous actions keep the order of the scenario
+    state = "absent" if actions[0].action == "start" else "up"
     steps: list[ProcessStep] = []
     last, before = -1, ""
-    for happening in happenings:
-        allowed, becomes = _BECOMES[happening.action]
+    for action in actions:
+        allowed, new_state = _TRANSITIONS[action.action]
         if state not in allowed:
-            past = "it has not joined yet" if state == "absent" else f"it is {state}"
+            reason = "it has not joined yet" if state == "absent" else f"it is {state}"
             raise ConfigurationError(
-                f"{happening.place}: {happening.action} of {name!r} at {happening.at_s:g} s: {past} then"
+                f"{action.place}: {action.action} of {name!r} at {action.at_s:g} s: {reason} then"
                 + (f" (see {before})" if before else "")
             )
-        frame = frame_at(times_ns, happening.at_s)
-        if frame == last < len(times_ns) and happening.place == before:
+        frame = frame_at(times_ns, action.at_s)
+        if frame == last < len(times_ns) and action.place == before:
             frame += 1  # down, paused or cut off for one frame at least
         elif frame <= last and frame < len(times_ns):
             raise ConfigurationError(
-                f"{happening.place}: {happening.action} of {name!r} at {happening.at_s:g} s: something else happens "
-                f"to it before the same frame (see {before})"
+                f"{action.place}: {action.action} of {name!r} at {action.at_s:g} s: another action "
+                f"applies before the same frame (see {before})"
             )
-        state, last, before = becomes, frame, happening.place
-        if happening.acts:
-            steps.append(ProcessStep(frame, happening.action, name))
-    return _within(steps, len(times_ns))
+        state, last, before = new_state, frame, action.place
+        if action.acts:
+            steps.append(ProcessStep(frame, action.action, name))
+    return _clip_to_run(steps, len(times_ns))
 
 
-def _within(steps: list[ProcessStep], frames: int) -> list[ProcessStep]:
-    """Those that happen before the end of the run; a pause or cut that would outlast it ends before the last frame."""
+def _clip_to_run(steps: list[ProcessStep], frames: int) -> list[ProcessStep]:
+    """The steps before the end of the run; a pause or cut that would outlast it ends before the last frame."""
     inside = [step for step in steps if step.frame < frames]
     if not inside or inside[-1].action not in UNDONE_BY:
         return inside
@@ -150,19 +152,19 @@ def _within(steps: list[ProcessStep], frames: int) -> list[ProcessStep]:
 
 
 def _band(fault: Fault, nodes: Sequence[str], backend: str, times_ns: Ints) -> dict[str, Any]:
-    """A fault on the timeline. Who joins late is missing from the beginning on; what outlasts the run has no end."""
-    over = fault.over
-    if over is not None and frame_at(times_ns, over) >= len(times_ns):
-        over = None
+    """The band of a fault on the timeline. A Join is shown from the start; a fault that outlasts the run has no end."""
+    until_s = fault.over
+    if until_s is not None and frame_at(times_ns, until_s) >= len(times_ns):
+        until_s = None
     joins = [action for _, action in fault.events()] == ["start"]
     kind = type(fault).__name__
-    shown = ", ".join(nodes) if len(nodes) <= _NAMES_SHOWN else f"{len(nodes)} nodes"
+    names = ", ".join(nodes) if len(nodes) <= _MAX_NAMES else f"{len(nodes)} nodes"
     return {
-        "label": f"{kind} {shown}",
+        "label": f"{kind} {names}",
         "kind": "fault",
         "type": kind,
         "at_s": 0.0 if joins else fault.at,
-        "until_s": over,
+        "until_s": until_s,
         "nodes": list(nodes),
         "backend": backend,
     }

@@ -1,4 +1,4 @@
-"""Random lists of faults from a seed, as a scenario takes them: always healed before the run ends."""
+"""Random lists of faults for a scenario, all of which end before the run does."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def random_schedule(
 ) -> list[dict[str, Any]]:
     """A list of 1 to `most` faults as a scenario's `faults` takes it; equal arguments give equal lists.
 
-    duration_s: of the run, s of scene time;  settle_s: at the end of it nothing is wrong any more
-    agents:     whom it may hit
-    servers:    who else may be killed, restarted or cut off: "broker", "command_center"
+    duration_s: of the run, s of scene time;  settle_s: fault-free time at the end, s
+    agents:     possible targets
+    servers:    further targets to kill, restart or cut off: "broker", "command_center"
     kinds:      types of faults to draw from; None: all
 
-    Nothing in it contradicts: nobody is killed who is down. Raises ValueError where there is no time for a fault.
+    The list is consistent: it never kills a stopped node. Raises ValueError if there is no time for a fault.
     """
     if kinds is None:
-        kinds = tuple(_FIGURES)
+        kinds = tuple(_PARAMETERS)
     for kind in kinds:
-        if kind not in _FIGURES:
-            raise ValueError(f"kinds: no fault {kind!r}{nearest(str(kind), _FIGURES)}")
+        if kind not in _PARAMETERS:
+            raise ValueError(f"kinds: no fault {kind!r}{nearest(str(kind), _PARAMETERS)}")
     if not agents or not kinds or most < 1:
         raise ValueError("expected at least one agent, one kind and one fault")
     ticks = int((duration_s - settle_s) / _STEP_S + 1e-9)
@@ -55,8 +55,8 @@ def random_schedule(
         if kind in _PROCESS:
             node = str(rng.choice([*agents, *(servers if kind != "Join" else ())]))
             taken = busy.setdefault(node, [])
-            # A joiner is absent from the beginning; a frame may be longer than a tick, so leave room around each.
-            span = (0 if kind == "Join" else start - _ROOM, end + _ROOM)
+            # A joining node is absent from the start; a frame may be longer than a tick, so leave a margin around each.
+            span = (0 if kind == "Join" else start - _MARGIN, end + _MARGIN)
             if any(span[0] < last and first < span[1] for first, last in taken):
                 continue
             taken.append(span)
@@ -65,30 +65,30 @@ def random_schedule(
             if kind in _WAIT:
                 fault[_WAIT[kind]] = _seconds(end - start)
         else:
-            fault |= {"until": _seconds(end), **_aim(rng, agents, servers), **_FIGURES[kind](rng)}
+            fault |= {"until": _seconds(end), **_targets(rng, agents, servers), **_PARAMETERS[kind](rng)}
         faults.append(fault)
     return sorted(faults, key=lambda fault: fault["at"])
 
 
-_ROOM = 5  # ticks between two things that happen to one process
+_MARGIN = 5  # ticks between two faults of one process
 _WAIT = {"Kill": "restart_after", "Leave": "return_after", "Restart": "down_s"}
 _PROCESS = (*_WAIT, "Join", "Pause")
 
-_Figures = Callable[[np.random.Generator], dict[str, Any]]
+_Sampler = Callable[[np.random.Generator], dict[str, Any]]
 
 
-def _nothing(rng: np.random.Generator) -> dict[str, Any]:
+def _no_parameters(rng: np.random.Generator) -> dict[str, Any]:
     return {}
 
 
-def _uniform(low: float, high: float, name: str) -> _Figures:
+def _uniform(low: float, high: float, name: str) -> _Sampler:
     return lambda rng: {name: round(float(rng.uniform(low, high)), 3)}
 
 
-#: The figures of each kind, drawn.
-_FIGURES: dict[str, _Figures] = {
-    **dict.fromkeys(_PROCESS, _nothing),
-    "Partition": _nothing,
+#: Random parameters by type of fault.
+_PARAMETERS: dict[str, _Sampler] = {
+    **dict.fromkeys(_PROCESS, _no_parameters),
+    "Partition": _no_parameters,
     "Loss": _uniform(0.05, 0.9, "probability"),
     "BurstLoss": lambda rng: {**_uniform(0.05, 0.5, "good_to_bad")(rng), **_uniform(0.1, 0.8, "bad_to_good")(rng)},
     "Delay": lambda rng: {**_uniform(0.0, 0.4, "mean_s")(rng), **_uniform(0.0, 0.1, "jitter_s")(rng)},
@@ -105,8 +105,8 @@ def _seconds(ticks: int) -> float:
     return round(ticks * _STEP_S, 3)
 
 
-def _aim(rng: np.random.Generator, agents: Sequence[str], servers: Sequence[str]) -> dict[str, Any]:
-    """Some agents by name, or by a word, or the command centre with all of them."""
+def _targets(rng: np.random.Generator, agents: Sequence[str], servers: Sequence[str]) -> dict[str, Any]:
+    """Draw targets: agents by name or by a word, or a server."""
     way = int(rng.integers(4))
     if way == 0 and servers:
         return {"node": str(rng.choice(list(servers)))}

@@ -1,14 +1,14 @@
-"""What a network does to messages: rules that act on a message on its way, in their order, and profiles of them.
+"""Network effects: rules that act on messages in transit, and profiles of rules.
 
-    base      a message to the network, and what a rule is
-    timing    later: Delay, Bandwidth, Reorder, Hold
-    loss      not at all: Loss, GilbertElliott, RangeLimit, Cut
-    copies    more than once: Duplicate, Flood
-    content   with other content: ClockSkew, PoseError, Corrupt
-    chain     the rules of one wire, one after the other
+    base      messages in transit, base class of rules
+    timing    delays: Delay, Bandwidth, Reorder, Hold
+    loss      lost messages: Loss, GilbertElliott, RangeLimit, Cut
+    copies    repeated messages: Duplicate, Flood
+    content   changed messages: ClockSkew, PoseError, Corrupt
+    chain     the sequence of rules of one wire
     profiles  wired, wireless_v2x, …
 
-`nodes/link.py` hosts them. See docs/links.md.
+`nodes/link.py` applies them. See docs/links.md.
 """
 
 from mast_zenoh.links.base import Passage, Rule
@@ -19,9 +19,9 @@ from mast_zenoh.links.loss import Cut, GilbertElliott, Loss, RangeLimit
 from mast_zenoh.links.profiles import PROFILES, profile
 from mast_zenoh.links.timing import Bandwidth, Delay, Hold, Reorder
 
-#: The ports of a link through which messages pass, by their index in a link report.
+#: The ports of a link that messages pass through; link reports contain indices into this tuple.
 WIRES = ("tracks", "status", "picture", "detections", "collated")
-#: What can happen to a message, by its index in a link report.
+#: The effects on a message; link reports contain indices into this tuple.
 FATES = ("dropped", "delayed", "duplicated", "corrupted", "altered")
 
 __all__ = [

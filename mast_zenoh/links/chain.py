@@ -1,4 +1,4 @@
-"""The rules of one wire in their order: what becomes of each of its messages, and when it leaves."""
+"""The sequence of rules of one wire, which determines the copies and delays of its messages."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mast_zenoh.links.base import NANOSECONDS, Passage, Rule
-from mast_zenoh.links.copies import MOST_COPIES
+from mast_zenoh.links.copies import MAX_COPIES
 
 _BLOCK = 256
-_LONGEST_NS = 3_600_000_000_000
+_MAX_DELAY_NS = 3_600_000_000_000
 
 
 @dataclass(slots=True)
 class Outcome:
-    """What became of one message.
+    """The result of one message's passage.
 
-    leaving: the copies that come through, and after how many seconds each
-    fates:   what happened to it (links.FATES), each with the index of the rule that did it: the first one, and for a
-             delay the one that gave most of it; "dropped" only where no copy comes through
-    delay_s: s, by how much the first copy that comes through is late
+    leaving: the delivered copies, and the delay of each, s
+    fates:   its effects (links.FATES), each with the index of the first rule that caused it, or, for a delay, of the
+             rule with the largest share; "dropped" only if no copy is delivered
+    delay_s: s, delay of the first delivered copy
     """
 
     leaving: list[tuple[Passage, float]]
@@ -32,21 +32,21 @@ class Outcome:
 
 
 class Chain:
-    """The rules of one wire.
+    """The sequence of rules of one wire.
 
-    rules: in their order; the chain makes copies of its own
-    rng:   gives the random stream of a purpose
+    rules: in order; the chain copies them
+    rng:   returns the random stream of a purpose
 
-    A link is a pipe: what comes first leaves first, however short the delay of the second, unless a rule lets it be
-    overtaken. Every rule has a stream of its own, named by its type and its place among those of its type, and takes
-    from it by the number of the message on the wire: what it draws depends on no other rule, nor on when it is active.
+    A link preserves the order of messages, whatever their delays, unless a rule allows overtaking. Every rule has its
+    own random stream, named by its type and its index among rules of that type, and indexed by the number of the
+    message on the wire, so its random numbers do not depend on other rules or on when it is active.
     """
 
     def __init__(self, rules: Sequence[Rule], rng: Callable[..., np.random.Generator]) -> None:
         self.rules = copy.deepcopy(list(rules))
-        self.weighs = any(rule.weighs for rule in self.rules)
-        self.locates = any(rule.locates for rule in self.rules)
-        self.displaces = any(rule.displaces for rule in self.rules)
+        self.needs_size = any(rule.needs_size for rule in self.rules)
+        self.needs_position = any(rule.needs_position for rule in self.rules)
+        self.needs_frame = any(rule.needs_frame for rule in self.rules)
         of_type: Counter[str] = Counter()
         self._draws: list[_Draws | None] = []
         for rule in self.rules:
@@ -54,33 +54,33 @@ class Chain:
             self._draws.append(_Draws(rule, rng, (name, of_type[name])) if rule.draws else None)
             of_type[name] += 1
         self._number = -1  # of the newest message
-        self._last_ns = 0  # when the last one leaves that does not overtake
-        self._holder = -1  # the rule that it is late by
+        self._last_ns = 0  # when the last message that does not overtake leaves
+        self._delaying_rule = -1  # the rule that delays it
 
     def carry(self, passage: Passage) -> Outcome:
-        """What becomes of the next message on the wire."""
+        """Apply the rules to the next message on the wire."""
         self._number += 1
         fates: dict[str, int] = {}
-        most = 0
+        max_delay_ns = 0
         passages = [passage]
         for index, rule in enumerate(self.rules):
             if not rule.active(passage.time_ns):
                 continue
             draws = self._draws[index]
             survivors: list[Passage] = []
-            for before in passages:
-                became = rule.apply(before, draws.row(self._number, before.copy) if draws else ())
-                if before.copy == 0 and not (len(became) == 1 and became[0] is before):
-                    if not became:
+            for incoming in passages:
+                results = rule.apply(incoming, draws.row(self._number, incoming.copy) if draws else ())
+                if incoming.copy == 0 and not (len(results) == 1 and results[0] is incoming):
+                    if not results:
                         fates.setdefault("dropped", index)
                     elif rule.fate == "delayed":
-                        if became[0].delay_ns - before.delay_ns > most:
-                            most, fates["delayed"] = became[0].delay_ns - before.delay_ns, index
+                        if results[0].delay_ns - incoming.delay_ns > max_delay_ns:
+                            max_delay_ns, fates["delayed"] = results[0].delay_ns - incoming.delay_ns, index
                     else:
                         fates.setdefault(rule.fate, index)
-                survivors += became
+                survivors += results
             if len(survivors) > len(passages):
-                survivors = _numbered(survivors)
+                survivors = _number_copies(survivors)
             passages = survivors
             if not passages:
                 return Outcome([], {"dropped": fates.get("dropped", index)})
@@ -88,7 +88,7 @@ class Chain:
         return self._leave(passages, fates)
 
     def _leave(self, passages: Sequence[Passage], fates: dict[str, int]) -> Outcome:
-        """When each copy leaves."""
+        """Compute when each copy leaves."""
         leaving = []
         for passage in passages:
             due = passage.now_ns + passage.delay_ns
@@ -96,30 +96,30 @@ class Chain:
                 if due < self._last_ns:
                     due = self._last_ns
                     if passage is passages[0]:
-                        fates["delayed"] = self._holder
+                        fates["delayed"] = self._delaying_rule
                 elif "delayed" in fates:
-                    self._holder = fates["delayed"]
+                    self._delaying_rule = fates["delayed"]
                 self._last_ns = due
-            leaving.append((passage, min(due - passage.now_ns, _LONGEST_NS) / NANOSECONDS))
+            leaving.append((passage, min(due - passage.now_ns, _MAX_DELAY_NS) / NANOSECONDS))
         return Outcome(leaving, fates, leaving[0][1])
 
 
-def _numbered(passages: Sequence[Passage]) -> list[Passage]:
-    """Copies of one message, each with a number of its own that those which had one keep; no more than there may be."""
+def _number_copies(passages: Sequence[Passage]) -> list[Passage]:
+    """Number the copies of one message uniquely, keeping existing numbers; at most MAX_COPIES copies."""
     used = {passage.copy for passage in passages}
-    fresh = max(used) + 1
-    found, seen = [], set()
-    for passage in passages[: MOST_COPIES + 1]:
-        if passage.copy in seen:
-            passage = passage._replace(copy=fresh)
-            fresh += 1
-        seen.add(passage.copy)
-        found.append(passage)
-    return found
+    next_number = max(used) + 1
+    numbered, numbers = [], set()
+    for passage in passages[: MAX_COPIES + 1]:
+        if passage.copy in numbers:
+            passage = passage._replace(copy=next_number)
+            next_number += 1
+        numbers.add(passage.copy)
+        numbered.append(passage)
+    return numbered
 
 
 class _Draws:
-    """What one rule draws, by the number of the message; drawn in blocks."""
+    """Random numbers of one rule by message number, generated in blocks."""
 
     def __init__(self, rule: Rule, rng: Callable[..., np.random.Generator], purpose: tuple[str, int]) -> None:
         self._rule = rule
@@ -130,11 +130,11 @@ class _Draws:
         self._begin = 0  # number of the first row
 
     def row(self, number: int, copy_: int) -> Sequence[float]:
-        """The draws of a copy of a message; numbers never go back by more than a block."""
+        """Random numbers for a copy of a message; message numbers never decrease by more than a block."""
         if self._stream is None:
             self._stream = self._rng(*self._purpose)
         while number >= self._begin + len(self._rows):
             self._begin += len(self._rows)
             self._rows = self._rule.sample(self._stream, _BLOCK).tolist()
         row = self._rows[number - self._begin]
-        return self._rule.again(row, self._rng(*self._purpose, number, copy_)) if copy_ else row
+        return self._rule.sample_copy(row, self._rng(*self._purpose, number, copy_)) if copy_ else row

@@ -1,4 +1,4 @@
-"""Rules by which messages come with other content: a wrong clock or pose of the sender, flipped bits."""
+"""Rules that change the content of messages: clock and pose errors of the sender, flipped bits."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.links.base import NANOSECONDS, Passage, Rule, expect, expect_part
+from mast_zenoh.links.base import NANOSECONDS, Passage, Rule, expect, expect_probability
 
-MOST_FLIPS = 1000
-FARTHEST_M = 1e5
+MAX_FLIPS = 1000
+MAX_ERROR_M = 1e5
 
 
 class ClockSkew(Rule):
-    """The sender's clock is wrong: so is the time in its messages' headers.
+    """An error of the sender's clock, and so of the time in its messages' headers.
 
-    offset_s: s, by how much it is ahead; drift: s per s, by how much more with every second since `at`.
+    offset_s: s, positive if it is ahead; drift: s per s, growth of the offset since `at`.
     """
 
     fate = "altered"
@@ -31,28 +31,26 @@ class ClockSkew(Rule):
         self.offset_s, self.drift = offset_s, drift
 
     def restamps_s(self, duration_s: float) -> float:
-        """See `Rule.restamps_s`."""
         return abs(self.offset_s) + abs(self.drift) * duration_s
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         ahead = round(self.offset_s * NANOSECONDS + self.drift * (passage.time_ns - self._from_ns))
         return (passage._replace(skew_ns=passage.skew_ns + ahead),)
 
 
 class PoseError(Rule):
-    """The sender is wrong about where it is: so is the frame of reference of its tracks.
+    """An error of the sender's own pose, and so of the frame of reference of its tracks.
 
-    position_std_m, yaw_std_rad: m and rad, standard deviations of an error on x and y and of one in heading, drawn for
-                                 each message
-    bias_m, bias_yaw_rad:        m (x, y) and rad, an error that stays
+    position_std_m, yaw_std_rad: m and rad, standard deviations of the errors in x and y and in heading, drawn for each
+                                 message
+    bias_m, bias_yaw_rad:        m (x, y) and rad, a constant error
 
-    Messages that have no frame of reference (`origin` and `rotation`) pass as they are.
+    Messages without a frame of reference (`origin` and `rotation`) pass unchanged.
     """
 
     fate = "altered"
     draws = True
-    displaces = True
+    needs_frame = True
 
     def __init__(
         self,
@@ -64,19 +62,18 @@ class PoseError(Rule):
         until: float | None = None,
     ) -> None:
         super().__init__(at, until)
-        expect("position_std_m", position_std_m, 0.0 <= position_std_m <= FARTHEST_M, f"0 to {FARTHEST_M:g} m")
+        expect("position_std_m", position_std_m, 0.0 <= position_std_m <= MAX_ERROR_M, f"0 to {MAX_ERROR_M:g} m")
         expect("yaw_std_rad", yaw_std_rad, 0.0 <= yaw_std_rad <= math.tau, "0 to 2 pi")
-        expect("bias_m", bias_m, all(abs(b) <= FARTHEST_M for b in bias_m), f"at most {FARTHEST_M:g} m either way")
+        expect("bias_m", bias_m, all(abs(b) <= MAX_ERROR_M for b in bias_m), f"at most {MAX_ERROR_M:g} m either way")
         expect("bias_yaw_rad", bias_yaw_rad, abs(bias_yaw_rad) <= math.tau, "at most 2 pi either way")
         self._std = np.array([position_std_m, position_std_m, yaw_std_rad])
         self._bias = np.array([*bias_m, bias_yaw_rad])
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """(count, 3) m, m, rad."""
+        """Errors (count, 3) in m, m, rad."""
         return self._bias + self._std * rng.standard_normal((count, 3))
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         if not passage.referenced:
             return (passage,)
         x, y = passage.shift
@@ -84,9 +81,9 @@ class PoseError(Rule):
 
 
 class Corrupt(Rule):
-    """Some messages come with flipped bits, wherever in their bytes.
+    """Flips bits of some messages at random positions.
 
-    probability: that a message does; flips: how many bits.
+    probability: that a message is corrupted; flips: number of bits.
     """
 
     fate = "corrupted"
@@ -94,34 +91,33 @@ class Corrupt(Rule):
 
     def __init__(self, probability: float, flips: int = 1, at: float = 0.0, until: float | None = None) -> None:
         super().__init__(at, until)
-        expect_part("probability", probability)
-        expect("flips", flips, 1 <= flips <= MOST_FLIPS, f"1 to {MOST_FLIPS}")
+        expect_probability("probability", probability)
+        expect("flips", flips, 1 <= flips <= MAX_FLIPS, f"1 to {MAX_FLIPS}")
         self.probability = probability
         self.flips = flips
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """(count, 1 + flips) uniform from 0 to 1: whether, and where."""
+        """Uniform random numbers (count, 1 + flips): whether to flip, and the positions."""
         return rng.random((count, 1 + self.flips))
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         if row[0] >= self.probability:
             return (passage,)
         return (passage._replace(flips=(*passage.flips, *row[1:])),)
 
 
-def flipped(payload: bytes, places: Sequence[float]) -> bytes:
-    """The bytes with one bit flipped at each place, a part (0 to 1) of their length."""
+def flipped(payload: bytes, positions: Sequence[float]) -> bytes:
+    """Flip one bit at each position, a fraction (0 to 1) of the length."""
     data = bytearray(payload)
-    for place in places if data else ():
-        bit = min(int(place * 8 * len(data)), 8 * len(data) - 1)
+    for position in positions if data else ():
+        bit = min(int(position * 8 * len(data)), 8 * len(data) - 1)
         data[bit // 8] ^= 1 << bit % 8
     return bytes(data)
 
 
 def displaced(body: Mapping[str, NDArray[Any]], shift: tuple[float, float], turn: float) -> dict[str, NDArray[Any]]:
-    """Columns with their frame of reference moved by `shift` m (x, y) and turned by `turn` rad about the vertical."""
+    """Columns with their frame of reference moved by `shift` m (x, y) and rotated by `turn` rad about z."""
     c, s = math.cos(turn / 2.0), math.sin(turn / 2.0)
     w, x, y, z = body["rotation"]
-    turned = np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
-    return {**body, "origin": body["origin"] + np.array([*shift, 0.0]), "rotation": turned}
+    rotation = np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
+    return {**body, "origin": body["origin"] + np.array([*shift, 0.0]), "rotation": rotation}

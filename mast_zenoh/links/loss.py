@@ -1,4 +1,4 @@
-"""Rules by which messages do not come at all: independent loss, bursts, range, partition."""
+"""Rules that drop messages: independent loss, bursts, range, partition."""
 
 from __future__ import annotations
 
@@ -7,37 +7,36 @@ from collections.abc import Sequence
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.links.base import Passage, Rule, expect, expect_part
+from mast_zenoh.links.base import Passage, Rule, expect, expect_probability
 
 
 class Loss(Rule):
-    """Each message is lost by itself. probability: that it is."""
+    """Drops messages independently. probability: that a message is lost."""
 
     fate = "dropped"
     draws = True
 
     def __init__(self, probability: float, at: float = 0.0, until: float | None = None) -> None:
         super().__init__(at, until)
-        expect_part("probability", probability)
+        expect_probability("probability", probability)
         self.probability = probability
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """(count, 1) uniform from 0 to 1."""
+        """Uniform random numbers (count, 1)."""
         return rng.random((count, 1))
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         return () if row[0] < self.probability else (passage,)
 
 
 class GilbertElliott(Rule):
-    """Messages are lost in bursts: the channel is good or bad, and changes between two messages.
+    """Drops messages in bursts: the channel is good or bad, and may change between two messages.
 
     good_to_bad, bad_to_good: probabilities of a change from one message to the next
     loss_good, loss_bad:      probabilities that a message is lost in either state
 
-    A bad time lasts 1 / bad_to_good messages on average; good_to_bad / (good_to_bad + bad_to_good) of all messages
-    meet a bad channel, also the first one. The channel changes whether or not the rule is active.
+    A bad period lasts 1 / bad_to_good messages on average; a message, including the first, meets a bad channel with
+    probability good_to_bad / (good_to_bad + bad_to_good). The channel also changes while the rule is inactive.
     Source: E. N. Gilbert, "Capacity of a burst-noise channel", BSTJ 39 (1960); E. O. Elliott, "Estimates of error rates
     for codes on burst-noise channels", BSTJ 42 (1963).
     """
@@ -55,46 +54,45 @@ class GilbertElliott(Rule):
         until: float | None = None,
     ) -> None:
         super().__init__(at, until)
-        expect_part("good_to_bad", good_to_bad)
-        expect_part("bad_to_good", bad_to_good)
-        expect_part("loss_good", loss_good)
-        expect_part("loss_bad", loss_bad)
+        expect_probability("good_to_bad", good_to_bad)
+        expect_probability("bad_to_good", bad_to_good)
+        expect_probability("loss_good", loss_good)
+        expect_probability("loss_bad", loss_bad)
         self.change = (good_to_bad, bad_to_good)
         self.loss = (loss_good, loss_bad)
         self._bad: bool | None = None
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """(count, 2): 1 for each message that meets a bad channel, and a uniform number from 0 to 1."""
-        drawn = rng.random((count, 2))
-        for row in drawn:
+        """(count, 2): 1 for a bad channel, else 0; and a uniform random number."""
+        samples = rng.random((count, 2))
+        for row in samples:
             if self._bad is None:
                 total = sum(self.change)
                 self._bad = bool(total and row[0] < self.change[0] / total)
             elif row[0] < self.change[self._bad]:
                 self._bad = not self._bad
             row[0] = self._bad
-        return drawn
+        return samples
 
-    def again(self, row: Sequence[float], rng: np.random.Generator) -> Sequence[float]:
-        """A copy meets the channel of its message."""
+    def sample_copy(self, row: Sequence[float], rng: np.random.Generator) -> Sequence[float]:
+        """Random numbers for a copy, with the channel state of its message."""
         return (row[0], float(rng.random()))
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         return () if row[1] < self.loss[int(row[0])] else (passage,)
 
 
 class RangeLimit(Rule):
-    """Nothing comes through while the link's agent is out of reach of every gateway.
+    """Drops every message while the link's agent is out of range of every gateway.
 
-    range_m:  m, how far a gateway reaches
-    gateways: (k, 3) m, world frame, where they are; in a scenario they are the agents that stand, unless given
+    range_m:  m, range of a gateway
+    gateways: positions (k, 3) m, world frame; in a scenario, the static agents by default
 
-    The agent is where its newest pose of an earlier frame says; before there is one, everything comes through.
+    The agent's position is its newest pose from an earlier frame; before the first pose, nothing is dropped.
     """
 
     fate = "dropped"
-    locates = True
+    needs_position = True
 
     def __init__(
         self,
@@ -111,7 +109,6 @@ class RangeLimit(Rule):
         expect("gateways", gateways, bool(np.isfinite(self.gateways).all()), "finite positions (x, y, z)")
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         if passage.position is None:
             return (passage,)
         nearest = np.linalg.norm(self.gateways - passage.position, axis=1).min()
@@ -119,7 +116,7 @@ class RangeLimit(Rule):
 
 
 class Cut(Rule):
-    """Nothing comes through: a partition."""
+    """Drops every message: a partition."""
 
     fate = "dropped"
 
@@ -127,5 +124,4 @@ class Cut(Rule):
         super().__init__(at, until)
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         return ()

@@ -1,4 +1,4 @@
-"""Links as they are found on a road: rules by name. Where each figure comes from is in docs/links.md."""
+"""Named profiles of typical links. docs/links.md gives the sources of the numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, nearest
 
-#: Rules up (what an agent says) and down (what it hears), as a scenario writes them.
+#: Rules for messages from an agent (up) and to it (down), as in a scenario.
 PROFILES: dict[str, dict[str, list[dict[str, Any]]]] = {
     "perfect": {"up": [], "down": []},
     "wired": {
@@ -31,7 +31,7 @@ PROFILES: dict[str, dict[str, list[dict[str, Any]]]] = {
 
 
 def profile(name: str) -> dict[str, list[dict[str, Any]]]:
-    """The rules of a profile, up and down, the caller's own; raises ConfigurationError for an unknown name."""
+    """A copy of the rules of a profile, up and down; raises ConfigurationError for an unknown name."""
     if name not in PROFILES:
         raise ConfigurationError(f"no profile of a link named {name!r}{nearest(name, PROFILES)}")
     return copy.deepcopy(PROFILES[name])

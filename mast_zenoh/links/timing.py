@@ -1,4 +1,4 @@
-"""Rules by which messages come later: delay, bandwidth, reordering, holding back."""
+"""Rules that delay messages: delay, bandwidth, reordering, holding."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.links.base import LONGEST_S, NANOSECONDS, Passage, Rule, expect, expect_duration, expect_part
+from mast_zenoh.links.base import MAX_DELAY_S, NANOSECONDS, Passage, Rule, expect, expect_duration, expect_probability
 
 QUEUE_S = 0.5  #: s, default of `Bandwidth`, also of the fault
 
@@ -17,11 +17,11 @@ Distribution = Literal["constant", "normal", "gamma", "lognormal"]
 
 
 class Delay(Rule):
-    """Messages take time.
+    """Delays messages by a random time.
 
     mean_s, jitter_s: s, mean and standard deviation of the delay
-    distribution:     "constant" (no jitter), "gamma", "lognormal", or "normal", whose mean and deviation are those
-                      before it is cut off below 0
+    distribution:     "constant" (no jitter), "gamma", "lognormal", or "normal", truncated below 0 (mean_s and
+                      jitter_s are those before truncation)
     """
 
     fate = "delayed"
@@ -41,13 +41,13 @@ class Delay(Rule):
         if distribution == "constant":
             expect("jitter_s", jitter_s, jitter_s == 0.0, "0 s for a constant delay")
         elif distribution == "normal":
-            import scipy.special  # noqa: F401  # slow to load: not when the first message comes
+            import scipy.special  # noqa: F401  # slow to import: done before the first message
         else:
             expect("mean_s", mean_s, mean_s > 0.0 or jitter_s == 0.0, f"more than 0 s for {distribution} jitter")
         self.mean_s, self.jitter_s, self.distribution = mean_s, jitter_s, distribution
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """(count, 1) s."""
+        """Delays (count, 1) s."""
         mean, std = self.mean_s, self.jitter_s
         if std == 0.0:
             delay: Floats = np.full(count, mean)
@@ -56,28 +56,27 @@ class Delay(Rule):
         elif self.distribution == "lognormal":
             variance = math.log1p((std / mean) ** 2)
             delay = rng.lognormal(math.log(mean) - variance / 2.0, math.sqrt(variance), count)
-        else:  # normal, by the inverse of its distribution above 0
+        else:  # truncated normal, by inverse transform sampling
             from scipy.special import ndtr, ndtri
 
             below = ndtr(-mean / std)
             delay = mean + std * ndtri(below + rng.random(count) * (1.0 - below))
-        return np.clip(delay, 0.0, LONGEST_S).reshape(count, 1)
+        return np.clip(delay, 0.0, MAX_DELAY_S).reshape(count, 1)
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         return (passage._replace(delay_ns=passage.delay_ns + round(row[0] * NANOSECONDS)),)
 
 
 class Bandwidth(Rule):
-    """Messages are sent one after the other, bit by bit; who would have to wait too long is dropped (tail drop).
+    """Transmits messages one after the other; drops those that would wait too long (tail drop).
 
-    bits_per_s: of the wire; queue_s: s, how long a message may wait for its turn.
+    bits_per_s: of the wire; queue_s: s, longest time that a message may wait for transmission.
 
-    Only the payload is counted, without the headers of any protocol.
+    Only the payload counts, without protocol headers.
     """
 
     fate = "delayed"
-    weighs = True
+    needs_size = True
 
     def __init__(
         self, bits_per_s: float, queue_s: float = QUEUE_S, at: float = 0.0, until: float | None = None
@@ -87,22 +86,21 @@ class Bandwidth(Rule):
         expect_duration("queue_s", queue_s)
         self.bits_per_s = bits_per_s
         self._queue_ns = round(queue_s * NANOSECONDS)
-        self._free_ns = 0  # when the last one has gone
+        self._free_ns = 0  # when the last transmission ends
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
-        comes = passage.now_ns + passage.delay_ns
-        begins = max(comes, self._free_ns)
-        if begins - comes > self._queue_ns:
+        arrival = passage.now_ns + passage.delay_ns
+        start = max(arrival, self._free_ns)
+        if start - arrival > self._queue_ns:
             return ()
-        self._free_ns = begins + round(passage.size * 8.0 / self.bits_per_s * NANOSECONDS)
+        self._free_ns = start + round(passage.size * 8.0 / self.bits_per_s * NANOSECONDS)
         return (passage._replace(delay_ns=self._free_ns - passage.now_ns),)
 
 
 class Reorder(Rule):
-    """Some messages are held up while later ones overtake them.
+    """Delays some messages so that later ones overtake them.
 
-    probability: that a message is; by_s: s, for how long.
+    probability: that a message is delayed; by_s: s, its delay.
     """
 
     fate = "delayed"
@@ -110,34 +108,32 @@ class Reorder(Rule):
 
     def __init__(self, probability: float, by_s: float, at: float = 0.0, until: float | None = None) -> None:
         super().__init__(at, until)
-        expect_part("probability", probability)
+        expect_probability("probability", probability)
         expect_duration("by_s", by_s)
         self.probability = probability
         self._by_ns = round(by_s * NANOSECONDS)
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """(count, 1) uniform from 0 to 1."""
+        """Uniform random numbers (count, 1)."""
         return rng.random((count, 1))
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         if row[0] >= self.probability:
             return (passage,)
         return (passage._replace(delay_ns=passage.delay_ns + self._by_ns, overtakes=True),)
 
 
 class Hold(Rule):
-    """Nothing comes through before `until`, then everything, in order: what others see of a process that pauses."""
+    """Holds all messages until `until`, then delivers them in order, as if the process had paused."""
 
     fate = "delayed"
 
     def __init__(self, at: float = 0.0, until: float | None = None) -> None:
         super().__init__(at, until)
         if until is None:
-            raise ValueError("until: found None, expected the time at which what is held back is let go")
+            raise ValueError("until: found None, expected the time at which held messages are delivered")
         expect_duration("until - at", until - at)
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """See `Rule.apply`."""
         assert self._before_ns is not None
         return (passage._replace(delay_ns=max(passage.delay_ns, self._before_ns - passage.time_ns)),)

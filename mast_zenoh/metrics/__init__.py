@@ -1,17 +1,17 @@
-"""Metrics: what agents believe against the truth.
+"""Metrics: estimates of agents compared with the truth.
 
-    record      what an evaluator collects while a run goes on (mast_zenoh.evaluation puts all of this together)
-    boxes, overlap, assignment    which track is which truth object, for all frames in one call
+    record      truth and estimates of a run (mast_zenoh.evaluation runs the complete evaluation)
+    boxes, overlap, assignment    matching of tracks and truth objects, for all frames in one call
     scoring     counts per agent, estimator and frame
     ospa        distances between sets: OSPA, GOSPA
     scores      tables, and the summary in metrics.json
-    manipulations    what interposers did to objects, and which estimates it can influence
+    manipulations    manipulated objects, and the estimates that they can influence
     attribution, histories, causes, blame   the cause of every false and every missed object of every estimate
-    cut_off     which objects only agents that were cut off or down could have reported
-    achievement what each adversary achieved
-    driving, braking, consequences   what errors would have meant for driving
+    cut_off     objects known only to disconnected agents
+    achievement results of each adversary
+    driving, braking, consequences   effects of errors on driving
     user_metrics  user-defined metrics
-    increments  what an attack adds
+    increments  errors added by an attack
 
 See docs/metrics.md.
 """

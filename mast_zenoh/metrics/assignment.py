@@ -1,4 +1,4 @@
-"""Which track is which truth object: one-to-one, for all frames of a run in one call."""
+"""One-to-one matching of tracks and truth objects, for all frames of a run in one call."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Assigner(ABC):
     """Pairs truth objects with tracks."""
 
     def assign(self, truth: Boxes, tracks: Boxes) -> Ints:
-        """(m, 2) int64: rows of `truth` and of `tracks` that belong together, sorted by the former.
+        """(m, 2) int64: matched rows of `truth` and of `tracks`, sorted by the former.
 
         Only boxes of one group are paired, each at most once. The pairs do not depend on the order of the rows.
         """
@@ -29,7 +29,7 @@ class Assigner(ABC):
 
     @abstractmethod
     def _assign(self, truth: Boxes, tracks: Boxes) -> tuple[Ints, Ints]:
-        """Rows of the pairs, given boxes in their own order (`Boxes.sorted`), some on either side."""
+        """Rows of the pairs; both sides are sorted (`Boxes.sorted`) and not empty."""
 
 
 class CenterDistanceAssigner(Assigner):
@@ -37,9 +37,9 @@ class CenterDistanceAssigner(Assigner):
 
     gate_m: the farthest that the centres of a pair may be apart
 
-    As many pairs within `gate_m` as can be and, of these choices, the one of least total distance: the same as the
-    Hungarian method on the whole cost matrix of each frame with all costs beyond the gate prohibitive. Only objects
-    and tracks that compete are put through it.
+    Finds the most pairs within `gate_m` and, among these matchings, the least total distance. Equivalent to the
+    Hungarian method on the cost matrix of each frame with prohibitive costs beyond the gate, but only applied to
+    objects and tracks that compete.
     """
 
     def __init__(self, *, gate_m: float = 2.0) -> None:
@@ -52,14 +52,14 @@ class CenterDistanceAssigner(Assigner):
         distance = centre_distance(truth.position.take(i, 0), tracks.position.take(j, 0))
         near = (distance <= self.gate_m).nonzero()[0]
         i, j, distance = i.take(near), j.take(near), distance.take(near)
-        # So much for a pair that no other choice of fewer pairs costs less.
-        fewest = min(np.bincount(boxes.group).max() for boxes in (truth, tracks))
-        chosen = cheapest(i, j, distance - (self.gate_m * (fewest + 1) + 1.0))
+        # The bonus of a pair exceeds any possible difference in distance, so that more pairs always win.
+        max_pairs = min(np.bincount(boxes.group).max() for boxes in (truth, tracks))
+        chosen = cheapest(i, j, distance - (self.gate_m * (max_pairs + 1) + 1.0))
         return i[chosen], j[chosen]
 
 
 class IoU3DGreedyAssigner(Assigner):
-    """Greedy assignment on 3D overlap: the best pair first, then the best of what is left, down to `threshold`.
+    """Greedy assignment on 3D overlap: the best remaining pair first, down to `threshold`.
 
     threshold: intersection over union that a pair has at least, 0 to 1
     """
@@ -75,7 +75,7 @@ class IoU3DGreedyAssigner(Assigner):
         touching = centre_distance(truth.position[i], tracks.position[j]) <= reach[0][i] + reach[1][j]
         i, j = i[touching], j[touching]
         iou = iou_3d(truth.select(i), tracks.select(j))
-        good = iou >= self.threshold
-        i, j = i[good], j[good]
-        chosen = greedy(i, j, -iou[good])
+        overlapping = iou >= self.threshold
+        i, j = i[overlapping], j[overlapping]
+        chosen = greedy(i, j, -iou[overlapping])
         return i[chosen], j[chosen]

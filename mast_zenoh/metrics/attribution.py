@@ -19,8 +19,8 @@ from mast_zenoh.metrics.causes import (
     TRACKING,
     UNKNOWN,
     Hidden,
+    claimed_positions,
     joined,
-    shown,
 )
 from mast_zenoh.metrics.cut_off import Severed
 from mast_zenoh.metrics.histories import Histories
@@ -169,7 +169,7 @@ class _Case:
                 rows = ((done.kind == kind) & (done.culprit == culprit)).nonzero()[0]
                 if not len(rows):
                     continue
-                lies = shown(done.select(rows), self.period_s, self.coast, self.span)
+                lies = claimed_positions(done.select(rows), self.period_s, self.coast, self.span)
                 _, distance = nearest(places, lies, self.how.lie_m)
                 near.append((kind, culprit, distance))
                 closer = distance < best
@@ -247,7 +247,11 @@ class _Case:
         )
         # What no message can correct: the track of an object that only disconnected agents can report.
         of = np.where(astray >= 0, np.append(u.id[missed], -1)[astray], np.where(coasting, t.match[last], -1))
-        cut = np.isin(cause[lone], (LAG, DUPLICATE)) & ~self.own[t.series[lone]] & self.severed.has(of, t.frame[lone])
+        cut = (
+            np.isin(cause[lone], (LAG, DUPLICATE))
+            & ~self.own[t.series[lone]]
+            & self.severed.contains(of, t.frame[lone])
+        )
         cause[lone[cut]] = FAULT
 
     def _truths_beside(self, rows: Ints) -> Histories:
@@ -277,7 +281,7 @@ class _Case:
         tracked = self._tracked(u, lone)
         fresh = u.frame[lone] - u.begun()[lone] < round(self.how.begin_s / self.period_s)
         own = self.own[u.series[lone]]
-        cut = ~own & self.severed.has(u.id[lone], u.frame[lone], tracked=fresh)
+        cut = ~own & self.severed.contains(u.id[lone], u.frame[lone], tracked=fresh)
         stray = (t.outcome == FALSE) & np.isin(track_cause, (LAG, FAULT))
         off = nearest(u.places(lone), t.places(stray), self.how.astray_m)[0] >= 0
         cause[lone] = np.select([cut, fresh, off, ~tracked, own], [FAULT, LAG, LAG, SIGHT, TRACKING], FUSION)

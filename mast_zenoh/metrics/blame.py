@@ -13,12 +13,12 @@ from mast_zenoh.metrics.scores import Scores
 
 
 def causes_of(scores: Scores, cause: Ints, switch_cause: Ints, frames: Ints) -> list[dict[str, Any]]:
-    """Of each row of `scores.series` what its errors in these frames are due to.
+    """Counts of errors by cause for each row of `scores.series` in these frames.
 
-    cause, switch_cause: of `scores.judged` and `scores.switches`, as `Attribution.label` returns them
+    cause, switch_cause: of `scores.judged` and `scores.switches`, as returned by `Attribution.label`
 
-    {"causes": {"fp" | "fn" | "id_switches": {cause: number of rows}}, "fn_split" | "fp_split": {"fault", "attack",
-    "natural"}, objects per frame, "id_switches_split": the same, switches of the whole run}; causes that occur only.
+    Returns {"causes": {"fp" | "fn" | "id_switches": {cause: number of rows}}, "fn_split" | "fp_split": {"fault",
+    "attack", "natural"}, objects per frame, "id_switches_split": the same, switches of the whole run}.
     """
     n = len(scores.series)
     rows = np.flatnonzero(cause != UNKNOWN)
@@ -26,26 +26,26 @@ def causes_of(scores: Scores, cause: Ints, switch_cause: Ints, frames: Ints) -> 
     track, series = scores.judged.is_track[rows], scores.judged.series[rows]
     switched = np.isin(scores.frames[scores.switches.frame], frames)
     counts = {
-        "fp": _counted(series[track], cause[rows[track]], n),
-        "fn": _counted(series[~track], cause[rows[~track]], n),
-        "id_switches": _counted(scores.switches.series[switched], switch_cause[switched], n),
+        "fp": _count_causes(series[track], cause[rows[track]], n),
+        "fn": _count_causes(series[~track], cause[rows[~track]], n),
+        "id_switches": _count_causes(scores.switches.series[switched], switch_cause[switched], n),
     }
     totals = {"fn": len(frames), "fp": len(frames), "id_switches": 1}
     return [
-        {"causes": {what: {name: m for name, m in table[k].items() if m} for what, table in counts.items()}}
-        | {f"{what}_split": split(counts[what][k], total) for what, total in totals.items()}
+        {"causes": {error: {name: m for name, m in table[k].items() if m} for error, table in counts.items()}}
+        | {f"{error}_split": split(counts[error][k], total) for error, total in totals.items()}
         for k in range(n)
     ]
 
 
-def _counted(series: Ints, cause: Ints, n: int) -> list[dict[str, int]]:
-    """Of each of n series how many rows have each cause."""
+def _count_causes(series: Ints, cause: Ints, n: int) -> list[dict[str, int]]:
+    """Number of rows with each cause, for each of n series."""
     table = np.bincount(series * len(CAUSES) + cause, minlength=n * len(CAUSES)).reshape(n, len(CAUSES))
     return [dict(zip(CAUSES, row, strict=True)) for row in table.tolist()]
 
 
 def split(counts: Mapping[str, int], frames: int) -> dict[str, float | None]:
-    """{"fault", "attack", "natural"}: rows per frame, mean over `frames`; None without a frame.
+    """Mean number of rows per frame, by {"fault", "attack", "natural"}; None without frames.
 
     counts: rows by cause
     """

@@ -1,4 +1,4 @@
-"""Boxes of many frames at once, and which of them are near each other."""
+"""Boxes of many frames, and search for nearby pairs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mast_zenoh.kernels import kernel
 
 @dataclass(frozen=True, slots=True)
 class Boxes:
-    """n upright boxes. Boxes of different groups (frames, estimators) never meet.
+    """n upright boxes. Boxes of different groups (frames, estimators) are never paired.
 
     group:    (n,) int64, 0 or more
     id:       (n,) int64, identity of the object or track
@@ -34,7 +34,7 @@ class Boxes:
         return len(self.id)
 
     def select(self, index: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Boxes:
-        """The rows that a mask, an index array or a slice picks; the rows of a slice are not copied."""
+        """The rows selected by a mask, an index array or a slice; slices are views."""
         if isinstance(index, slice):
             return Boxes(*[getattr(self, field.name)[index] for field in fields(self)])
         rows = index.nonzero()[0] if index.dtype == bool else index
@@ -51,9 +51,9 @@ class Boxes:
         return cls(*(np.concatenate([getattr(part, field.name) for part in (empty, *parts)]) for field in fields(cls)))
 
     def sorted(self) -> tuple[Boxes, Ints]:
-        """The boxes by group, id and position, which is how ties are broken; (n,) rows that they were in.
+        """The boxes sorted by group, id and position, and (n,) their original rows.
 
-        The boxes themselves where they are in order already.
+        Returns the same object if already sorted.
         """
         if ascending(self.id, self.group):
             return self, np.arange(len(self), dtype=np.int64)
@@ -62,9 +62,9 @@ class Boxes:
 
 
 def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
-    """Rows (i, j) of all pairs of one group whose centres are at most `radius` m apart in the bird's-eye view.
+    """Rows (i, j) of all pairs in a group with centres at most `radius` m apart in the bird's-eye view.
 
-    Sorted by i, then j. May hold pairs that are farther apart by rounding: callers apply their own limit.
+    Sorted by i, then j. Rounding may add slightly more distant pairs: callers apply their own limit.
     """
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -75,18 +75,18 @@ def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
 def pairs_in_groups(
     a_group: Ints, a_position: Floats, b_group: Ints, b_position: Floats, radius: float
 ) -> tuple[Ints, Ints]:
-    """See `pairs_within`; there is a box on either side."""
-    # Groups are laid out one after the other along x, farther apart than the radius: for each box of `a` the
-    # candidates are one stretch of the boxes of `b`, sorted by x.
+    """Nearby pairs, see `pairs_within`; neither side is empty."""
+    # Groups are placed side by side along x, farther apart than the radius: for each box of `a` the candidates are a
+    # range of the boxes of `b`, sorted by x.
     x = [a_position[:, 0], b_position[:, 0]]
-    least = min(x[0].min(), x[1].min())
-    span = max(x[0].max(), x[1].max()) - least + 2.0 * radius + 1.0
-    key = [(group * span) + (at - least) for group, at in zip((a_group, b_group), x, strict=True)]
+    x_min = min(x[0].min(), x[1].min())
+    span = max(x[0].max(), x[1].max()) - x_min + 2.0 * radius + 1.0
+    key = [(group * span) + (at - x_min) for group, at in zip((a_group, b_group), x, strict=True)]
     reach = radius * (1.0 + 1e-9) + 1e-9 + 1e-15 * span * float(max(a_group.max(), b_group.max()) + 1)
     by_x = np.argsort(key[1], kind="stable")
-    there = key[1][by_x]
-    first = np.searchsorted(there, key[0] - reach, side="left")
-    count = np.searchsorted(there, key[0] + reach, side="right") - first
+    sorted_key = key[1][by_x]
+    first = np.searchsorted(sorted_key, key[0] - reach, side="left")
+    count = np.searchsorted(sorted_key, key[0] + reach, side="right") - first
     i = np.repeat(np.arange(len(a_group)), count)
     j = by_x[np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)]
     near = np.abs(a_position[i, 1] - b_position[j, 1]) <= reach
@@ -98,5 +98,5 @@ def pairs_in_groups(
 
 
 def centre_distance(a: Floats, b: Floats) -> Floats:
-    """(n,) m: bird's-eye distance of (n, 3) positions."""
+    """Bird's-eye distance (n,) m between positions (n, 3)."""
     return np.hypot(a[:, 0] - b[:, 0], a[:, 1] - b[:, 1])

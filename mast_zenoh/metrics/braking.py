@@ -1,4 +1,4 @@
-"""When a vehicle has to brake for what is in its corridor: rules by name, each with its source. Pure."""
+"""Braking rules: when a vehicle has to brake for objects in its corridor. Pure."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats
 
-#: m/s; a vehicle that is slower stands, and need not brake.
+#: m/s; a slower vehicle counts as stationary and need not brake.
 STANDING_MPS = 0.3
 
 
 def time_to_collision(gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Floats:
-    """(n,) s until gaps are closed at constant speeds; inf where they are not."""
+    """Time (n,) s until gaps close at constant speeds; inf if they do not."""
     closing = speed_mps - ahead_mps
     return np.where(closing > 1e-9, gap_m / np.maximum(closing, 1e-9), np.inf)
 
 
 class BrakingRule(ABC):
-    """Says when a vehicle has to brake for what is in its corridor."""
+    """Base class of braking rules."""
 
     @abstractmethod
     def brakes(self, gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Bools:
@@ -35,11 +35,11 @@ class SafeDistance(BrakingRule):
     """Brake when the gap is below the minimum safe longitudinal distance of Responsibility-Sensitive Safety.
 
     Source: Shalev-Shwartz, Shammah and Shashua, On a Formal Model of Safe and Scalable Self-driving Cars (2017),
-    Definition 1: the vehicle accelerates for its response time, then brakes with at least its least braking; the object
-    ahead brakes with the most there is. An object that approaches counts as one that stands.
+    Definition 1: the vehicle accelerates for its response time, then brakes with at least its minimum deceleration; the
+    object ahead brakes with its maximum deceleration. Approaching objects count as stationary.
 
-    response_s: s, response time;  acceleration: m/s2, most during the response time
-    braking:    m/s2, least of the vehicle after it;  braking_ahead: m/s2, most of the object ahead
+    response_s: s, response time;  acceleration: m/s2, maximum during the response time
+    braking:    m/s2, minimum of the vehicle after it;  braking_ahead: m/s2, maximum of the object ahead
     """
 
     def __init__(
@@ -60,10 +60,10 @@ class SafeDistance(BrakingRule):
         self.braking, self.braking_ahead = braking, braking_ahead
 
     def brakes(self, gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Bools:
-        response, faster = self.response_s, speed_mps + self.response_s * self.acceleration
-        own_m = speed_mps * response + self.acceleration * response**2 / 2.0 + faster**2 / (2.0 * self.braking)
-        its_m = np.maximum(ahead_mps, 0.0) ** 2 / (2.0 * self.braking_ahead)
-        return np.asarray((speed_mps > STANDING_MPS) & (gap_m < np.maximum(own_m - its_m, 0.0)))
+        response, final_speed = self.response_s, speed_mps + self.response_s * self.acceleration
+        own_m = speed_mps * response + self.acceleration * response**2 / 2.0 + final_speed**2 / (2.0 * self.braking)
+        ahead_m = np.maximum(ahead_mps, 0.0) ** 2 / (2.0 * self.braking_ahead)
+        return np.asarray((speed_mps > STANDING_MPS) & (gap_m < np.maximum(own_m - ahead_m, 0.0)))
 
 
 class TimeToCollision(BrakingRule):

@@ -1,4 +1,4 @@
-"""What the errors of the estimates would have meant for the vehicles that drove in the scene. Pure; docs/metrics.md."""
+"""Consequences of estimation errors for the vehicles in the scene. Pure; docs/metrics.md."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from mast_zenoh.metrics.record import LOCAL, MISSION, Record, Series, TruthTable
 from mast_zenoh.metrics.scores import FALSE, MISSED, Scores, Table
 
 TRUTH = "truth"
-#: The estimates by which a vehicle might drive.
+#: The estimates that a vehicle could use for driving.
 ESTIMATES = (LOCAL, MISSION)
 
 
 class Drive(NamedTuple):
-    """What one vehicle would do by one estimate, all of (f,) frames.
+    """The behaviour of one vehicle under one estimate in (f,) frames.
 
     objects, false, missed: (f,) in its corridor: tracks (or truth objects), false tracks, missed truth objects
-    overlapping:  (f,) tracks (or truth objects) that overlap the vehicle itself, and so are no obstacle
-    gap_m, ttc_s: (f,) of the nearest object, and the least of all; inf where there is none
+    overlapping:  (f,) tracks (or truth objects) that overlap the vehicle itself and are ignored
+    gap_m, ttc_s: (f,) least values over all objects; inf without objects
     brake:        (f,) bool
-    needless, omitted: (f,) bool, it brakes and the truth gives no reason to, or the reverse
-    attacked:     (f,) bool, what makes it brake needlessly, or not brake, is due to an attack
+    needless, omitted: (f,) bool, braking without a reason in the truth, or the reverse
+    attacked:     (f,) bool, the needless or omitted braking is due to an attack
     """
 
     objects: Ints
@@ -46,9 +46,9 @@ class Drive(NamedTuple):
 def drives(
     driving: Driving, record: Record, scores: Scores, labels: Labels, truth: TruthTable
 ) -> dict[tuple[str, str], Drive]:
-    """By (agent, estimate) what each vehicle among the agents would do; "truth" is one of the estimates.
+    """The behaviour of each vehicle among the agents, by (agent, estimate); "truth" is one of the estimates.
 
-    truth: of the frames of `scores`. An agent that is no object of the scene in all of its frames is no vehicle.
+    truth: of the frames of `scores`. Only agents that are objects of the scene in all frames are vehicles.
     """
     result: dict[tuple[str, str], Drive] = {}
     for column, agent in enumerate(record.agents):
@@ -71,7 +71,7 @@ def drives(
             false = _errors(scores, labels, series, FALSE, tracks.frame[ahead.row], table.boxes.id[ahead.row])
             missed = _errors(scores, labels, series, MISSED, real.frame[by_truth.row], ids)
             drive = _drive(ahead, tracks, len(scores.frames))
-            result[agent, estimate] = _compared(
+            result[agent, estimate] = _compare(
                 drive, result[agent, TRUTH], (ahead, tracks, *false), (by_truth, real, *missed)
             )
     return result
@@ -88,7 +88,7 @@ def _vehicle(truth: TruthTable, agent: int, n_frames: int) -> Vehicle | None:
 
 
 def _errors(scores: Scores, labels: Labels, series: int, outcome: int, frame: Ints, id_: Ints) -> tuple[Bools, Bools]:
-    """(n,) which objects of a series are wrong in this way, and which of them because of an attack."""
+    """(n,) which objects of a series have this outcome, and which of them because of an attack."""
     judged = scores.judged
     rows = np.flatnonzero((judged.series == series) & (judged.outcome == outcome))
     at = find((scores.frames[frame], id_), (judged.frame[rows], judged.id[rows]))
@@ -108,15 +108,15 @@ def _drive(ahead: Ahead, objects: Objects, n: int) -> Drive:
     return Drive(np.bincount(frame, minlength=n), none, none, overlapping, gap, ttc, brake, never, never, never)
 
 
-def _compared(
+def _compare(
     drive: Drive,
     by_truth: Drive,
     false: tuple[Ahead, Objects, Bools, Bools],
     missed: tuple[Ahead, Objects, Bools, Bools],
 ) -> Drive:
-    """What a vehicle would do by an estimate, with what is wrong about it.
+    """The behaviour under an estimate, compared with that under the truth.
 
-    false, missed: what is ahead by the estimate and by the truth, which of it is wrong, and which because of an attack
+    false, missed: objects ahead in the estimate and in the truth, which of them are errors, and which due to attacks
     """
     n = len(drive.brake)
 
@@ -135,22 +135,22 @@ def _compared(
     )
 
 
-def summary(found: dict[tuple[str, str], Drive], scored: slice) -> dict[str, dict[str, dict[str, Any]]]:
-    """By agent and estimate, over the scored frames: means of objects in the corridor, shares of frames."""
+def summary(by_estimate: dict[tuple[str, str], Drive], scored: slice) -> dict[str, dict[str, dict[str, Any]]]:
+    """By agent and estimate, over the scored frames: mean numbers of objects, and fractions of frames."""
     result: dict[str, dict[str, dict[str, Any]]] = {}
-    for (agent, estimate), drive in found.items():
+    for (agent, estimate), drive in by_estimate.items():
         part = Drive._make(column[scored] for column in drive)
         if not len(part.brake):
             continue
-        least = float(part.ttc_s.min())
-        told = {
+        min_ttc_s = float(part.ttc_s.min())
+        values = {
             "corridor_objects": float(part.objects.mean()),
             "overlapping_objects": float(part.overlapping.mean()),
-            "min_ttc_s": least if np.isfinite(least) else None,
+            "min_ttc_s": min_ttc_s if np.isfinite(min_ttc_s) else None,
             "brake_share": float(part.brake.mean()),
         }
         if estimate != TRUTH:
-            told |= {
+            values |= {
                 "corridor_false": float(part.false.mean()),
                 "corridor_missed": float(part.missed.mean()),
                 "needless_brake_share": float(part.needless.mean()),
@@ -158,13 +158,13 @@ def summary(found: dict[tuple[str, str], Drive], scored: slice) -> dict[str, dic
                 "needless_brake_share_attack": float((part.needless & part.attacked).mean()),
                 "missed_brake_share_attack": float((part.omitted & part.attacked).mean()),
             }
-        result.setdefault(agent, {})[estimate] = told
+        result.setdefault(agent, {})[estimate] = values
     return result
 
 
-def table(found: dict[tuple[str, str], Drive], frames: Ints) -> Table:
+def table(by_estimate: dict[tuple[str, str], Drive], frames: Ints) -> Table:
     """The columns of driving.parquet: a row per agent, estimate and frame."""
-    keys: Sequence[tuple[str, str]] = list(found)
+    keys: Sequence[tuple[str, str]] = list(by_estimate)
     count = len(frames)
     columns: Table = {
         "frame": np.tile(frames, len(keys)),
@@ -172,7 +172,7 @@ def table(found: dict[tuple[str, str], Drive], frames: Ints) -> Table:
         "estimate": np.repeat(np.array([estimate for _, estimate in keys], object), count),
     }
     for name in Drive._fields:
-        parts = [getattr(drive, name) for drive in found.values()]
+        parts = [getattr(drive, name) for drive in by_estimate.values()]
         columns[name] = np.concatenate(parts) if parts else np.zeros(0)
     for name in ("gap_m", "ttc_s"):
         columns[name] = np.where(np.isfinite(columns[name]), columns[name], np.nan)

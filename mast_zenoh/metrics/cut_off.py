@@ -1,4 +1,7 @@
-"""Whose tracks did not reach the broker in time, and which objects nobody else could tell of. Pure; docs/metrics.md."""
+"""Objects known only to disconnected agents, whose tracks did not reach the broker in time.
+
+Pure; docs/metrics.md.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +16,15 @@ from mast_zenoh.metrics.lookup import find, occurs
 from mast_zenoh.metrics.record import LOCAL, TruthTable
 from mast_zenoh.metrics.scores import MATCHED, Scores
 
-#: Roles without which no agent's tracks become a picture.
+#: Roles that are needed to make a picture.
 CENTRE = ("broker", "command_center")
 
 
 @dataclass(frozen=True, slots=True)
 class Severed:
-    """n objects, each in one frame, that only agents could have told of whose tracks did not get through.
+    """n objects, each in one frame, that only disconnected agents could have reported.
 
-    truth_id, frame: (n,) int64; tracked: (n,) whether such an agent's own tracks hold it, not only its sensor sees it
+    truth_id, frame: (n,) int64; tracked: (n,) whether such an agent tracks it, not only its sensor sees it
     """
 
     truth_id: Ints
@@ -30,14 +33,14 @@ class Severed:
 
     @classmethod
     def nothing(cls) -> Severed:
-        """All tracks got through."""
+        """The result without disconnected agents."""
         return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, bool))
 
-    def has(self, truth_id: Ints, frame: Ints, tracked: Bools | None = None) -> Bools:
-        """(m,) which of m objects in frames are among these; where (m,) `tracked` is set, only those in tracks."""
+    def contains(self, truth_id: Ints, frame: Ints, tracked: Bools | None = None) -> Bools:
+        """(m,) whether m objects in frames are among these; if (m,) `tracked` is set, only tracked ones count."""
         row = find((truth_id, frame), (self.truth_id, self.frame))
-        found = row >= 0
-        return found if tracked is None else found & (~tracked | np.append(self.tracked, False)[row])
+        is_severed = row >= 0
+        return is_severed if tracked is None else is_severed & (~tracked | np.append(self.tracked, False)[row])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,17 +72,17 @@ class CutOff:
         unheard: Bools,
         min_points: int = 5,
     ) -> Severed:
-        """The objects that an agent which is missing from the picture knows of, and that no other agent tracks.
+        """Objects known to an agent that is missing from the picture and not tracked by any other agent.
 
-        What an agent knows of are the objects in its own tracks. Of one that nobody hears, and in the second after it,
-        these are not known: there it is what its sensor sees.
+        An agent knows the objects in its own tracks. If these were not received, and during the recovery after that,
+        the objects that its sensor sees are used instead.
 
-        scores:     of it the agents' own tracks
+        scores:     the scores, for the agents' own tracks
         truth:      of (f,) `frames`, ascending
         period_s:   s from frame to frame
-        silent:     (f, a) of a agents: its tracks did not reach the broker, or not in time
-        unheard:    (f, a) nobody has heard its tracks in time, the evaluator neither
-        min_points: lidar points with which an agent sees an object
+        silent:     (f, a) of a agents: its tracks did not reach the broker in time
+        unheard:    (f, a) its tracks were not received in time by any node, including the evaluator
+        min_points: lidar points from which an agent sees an object
         """
         missing = self.missing(silent, unheard, period_s)
         if not missing.any():
@@ -91,34 +94,34 @@ class CutOff:
             series = scores.every_series.get((agent, LOCAL), -1)
             own = (judged.series == series) & ~judged.is_track & (judged.outcome == MATCHED)
             tracked[:, k] = occurs((ids, frames[row]), (judged.id[own], judged.frame[own]))
-        gone, mute = missing[row], self._extend_through_recovery(unheard, period_s)[row]
-        tells = np.asarray((gone & tracked).any(axis=1))
-        sees = (gone & mute & (truth.points >= min_points)).any(axis=1)
-        lost = (tells | sees) & ~(~gone & tracked).any(axis=1)
-        return Severed(ids[lost], frames[row[lost]], tells[lost])
+        disconnected, unheard_rows = missing[row], self._extend_through_recovery(unheard, period_s)[row]
+        tracked_by_missing = np.asarray((disconnected & tracked).any(axis=1))
+        seen_by_missing = (disconnected & unheard_rows & (truth.points >= min_points)).any(axis=1)
+        only_missing = (tracked_by_missing | seen_by_missing) & ~(~disconnected & tracked).any(axis=1)
+        return Severed(ids[only_missing], frames[row[only_missing]], tracked_by_missing[only_missing])
 
     def missing(self, silent: Bools, unheard: Bools, period_s: float) -> Bools:
-        """(f, a) bool: in these frames an agent's tracks are not in the picture, whatever it knows.
+        """(f, a) bool: whether an agent's tracks are missing from the picture in these frames.
 
-        Being unheard counts when it lasts longer than the broker goes on with the agent's last word: until then its
-        tracks may only be late.
+        Unheard frames count if they last longer than the broker uses the agent's last tracks; until then the tracks may
+        only be late.
         """
-        return self._extend_through_recovery(silent | (_runs(unheard) > self._keep(period_s)), period_s)
+        return self._extend_through_recovery(silent | (_runs(unheard) > self._age_frames(period_s)), period_s)
 
-    def _keep(self, period_s: float) -> int:
-        """Frames for which an agent's last word lasts."""
+    def _age_frames(self, period_s: float) -> int:
+        """Number of frames for which an agent's last tracks are used."""
         return int(self.max_age_s / period_s + 1e-6)
 
     def _extend_through_recovery(self, mask: Bools, period_s: float) -> Bools:
-        """(f, a) the mask, and after each run in it that outlasts an agent's last word another `recovery_s`."""
-        recovery = round(self.recovery_s / period_s)
+        """Extend each run of a mask (f, a) that outlasts the agent's last tracks by `recovery_s`."""
+        recovery_frames = round(self.recovery_s / period_s)
         frame = np.arange(len(mask))[:, None]
-        forgotten = np.where(_runs(mask) > self._keep(period_s), frame, -recovery - 1)
-        return np.asarray(mask | (frame - np.maximum.accumulate(forgotten, axis=0) <= recovery))
+        last_outage = np.where(_runs(mask) > self._age_frames(period_s), frame, -recovery_frames - 1)
+        return np.asarray(mask | (frame - np.maximum.accumulate(last_outage, axis=0) <= recovery_frames))
 
 
 def _runs(mask: Bools) -> Ints:
-    """(f, a) how long the run of set values in its column is that each value belongs to; 0 where it is not set."""
+    """(f, a) length of the run of set values in the column of each value; 0 if not set."""
     result = np.zeros(mask.shape, np.int64)
     for k, column in enumerate(mask.T):
         edge = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(np.int8)))
@@ -128,29 +131,29 @@ def _runs(mask: Bools) -> Ints:
 
 
 class Presence:
-    """Which nodes came and went while a run went on; one that came after its beginning was not there before."""
+    """Joining and leaving of nodes during a run; a node that joined later was absent before."""
 
     def __init__(self) -> None:
         self._changes: dict[str, list[tuple[int, bool]]] = {}
         self._roles: dict[str, str] = {}
 
-    def note(self, node: str, role: str, frame: int, there: bool) -> None:
-        """From a frame on a node is there, or is not."""
-        self._changes.setdefault(node, []).append((frame, there))
+    def note(self, node: str, role: str, frame: int, present: bool) -> None:
+        """Record that a node is present, or absent, from a frame on."""
+        self._changes.setdefault(node, []).append((frame, present))
         self._roles[node] = role
 
     def idle(self, frames: Ints) -> dict[str, Bools]:
-        """By node, (f,) bool: in which of (f,) frames it was not there."""
+        """By node, (f,) bool: whether it was absent in each of (f,) frames."""
         result = {}
         for node, changes in self._changes.items():
             away = np.full(len(frames), changes[0][1])
-            for frame, there in changes:
-                away[frames >= frame] = not there
+            for frame, present in changes:
+                away[frames >= frame] = not present
             result[node] = away
         return result
 
     def absent(self, agents: Sequence[str], frames: Ints) -> Bools:
-        """(f, a) bool: the agent's process is not there in these frames, or that of the broker or the centre."""
+        """(f, a) bool: whether the process of the agent, the broker or the command centre is absent in each frame."""
         result = np.zeros((len(frames), len(agents)), bool)
         for node, away in self.idle(frames).items():
             if self._roles[node] in CENTRE:

@@ -1,5 +1,6 @@
-"""What an estimate would mean for driving, open loop: along the path that a vehicle drove in the recorded scene, which
-objects stand in its corridor, how soon it would meet them, and whether it would have to brake. Pure; docs/metrics.md.
+"""Open-loop driving analysis: objects in a vehicle's corridor, times to collision, and braking.
+
+The corridor is along the path that the vehicle drove in the scene. Pure; docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from mast_zenoh.metrics.boxes import Boxes, pairs_in_groups
 from mast_zenoh.metrics.braking import BrakingRule, SafeDistance, time_to_collision
 from mast_zenoh.metrics.overlap import birdseye_intersection
 
-#: m, between points of the path; and from such a point to the centre of an object that may reach into the corridor.
+#: m, spacing of points of the path; and maximum distance of the centre of an object that may reach into the corridor.
 _STEP_M, _REACH_M = 1.0, 8.0
-#: m, in the bird's-eye view: what is centred nearer than this to the vehicle is the vehicle itself.
-_ITSELF_M = 2.0
-#: m2; outlines that have no more than this in common only touch.
+#: m, in the bird's-eye view; an object centred within this distance of the vehicle is the vehicle itself.
+_SELF_M = 2.0
+#: m2; outlines with a smaller intersection only touch.
 _TOUCH_M2 = 1e-6
 
 
@@ -47,7 +48,7 @@ class Ahead(NamedTuple):
 
     row: (k,) of the objects;  gap_m: (k,) m, along the path from the vehicle's front
     ttc_s: (k,) s, time to collision at constant speeds, inf: never;  brake: (k,) whether the vehicle has to brake
-    overlapping: (j,) rows of the objects that overlap the vehicle and so are none of these
+    overlapping: (j,) rows of the objects that overlap the vehicle and are not among these
     """
 
     row: Ints
@@ -59,12 +60,12 @@ class Ahead(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Driving:
-    """How driving is judged.
+    """Settings of the driving analysis.
 
-    rule:      when to brake; None: SafeDistance()
-    horizon_m: m, how far ahead along its path the vehicle looks
-    margin_m:  m, by which its corridor is wider than the vehicle on either side
-    Raises ValueError for a horizon or a margin that is no length.
+    rule:      braking rule; None: SafeDistance()
+    horizon_m: m, length of the corridor ahead
+    margin_m:  m, margin of the corridor on either side of the vehicle
+    Raises ValueError for an invalid horizon or margin.
     """
 
     rule: BrakingRule | None = None
@@ -78,47 +79,51 @@ class Driving:
             raise ValueError(f"margin_m: found {self.margin_m}, expected 0 or more")
 
     def ahead(self, vehicle: Vehicle, objects: Objects) -> Ahead:
-        """The objects in the corridor, which in each frame is the path that the vehicle drove from there on, and
-        straight on after its end, and which objects are left out because they overlap the vehicle itself: no vehicle
-        brakes for itself, and a collision that has happened is past braking."""
+        """The objects in the corridor, and those that overlap the vehicle itself.
+
+        The corridor follows the path that the vehicle drove from each frame on, and continues straight beyond its end.
+        Overlapping objects are left out: they are the vehicle itself, or a collision that has already happened.
+        """
         path, heading, along = _path(vehicle, self.horizon_m)
-        here = _arrived(vehicle)
-        row, point = _beside(objects, path, along, here)
+        driven = _distance_driven(vehicle)
+        row, point = _near_path(objects, path, along, driven)
         frame = objects.frame[row]
         c, s = np.cos(heading[point]), np.sin(heading[point])
         offset = objects.position[row, :2] - path[point]
-        ahead, aside = c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]
+        longitudinal, lateral = c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]
         turn = objects.yaw[row] - heading[point]
         half_length, half_width = objects.size[row, 0] / 2.0, objects.size[row, 1] / 2.0
-        half_long = half_length * np.abs(np.cos(turn)) + half_width * np.abs(np.sin(turn))
-        half_wide = half_length * np.abs(np.sin(turn)) + half_width * np.abs(np.cos(turn))
-        centre = along[point] + ahead - here[frame]
-        gap = centre - half_long - vehicle.length / 2.0
+        half_extent_along = half_length * np.abs(np.cos(turn)) + half_width * np.abs(np.sin(turn))
+        half_extent_across = half_length * np.abs(np.sin(turn)) + half_width * np.abs(np.cos(turn))
+        centre = along[point] + longitudinal - driven[frame]
+        gap = centre - half_extent_along - vehicle.length / 2.0
         overlaps = _overlaps(vehicle, objects, row)
-        inside = np.abs(aside) - half_wide <= vehicle.width / 2.0 + self.margin_m
+        inside = np.abs(lateral) - half_extent_across <= vehicle.width / 2.0 + self.margin_m
         inside &= (centre > 0.0) & (gap <= self.horizon_m) & ~overlaps
         kept = inside.nonzero()[0]
         overlapping, row, gap = row[overlaps], row[kept], np.maximum(gap[kept], 0.0)
         speed = np.hypot(*vehicle.velocity[objects.frame[row], :2].T)
-        theirs = c[kept] * objects.velocity[row, 0] + s[kept] * objects.velocity[row, 1]
+        ahead_speed = c[kept] * objects.velocity[row, 0] + s[kept] * objects.velocity[row, 1]
         rule = self.rule or SafeDistance()
-        return Ahead(row, gap, time_to_collision(gap, speed, theirs), rule.brakes(gap, speed, theirs), overlapping)
+        return Ahead(
+            row, gap, time_to_collision(gap, speed, ahead_speed), rule.brakes(gap, speed, ahead_speed), overlapping
+        )
 
 
 def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
-    """(k,) bool: whether each of k objects overlaps the vehicle in its frame, seen from above, or is centred on it."""
-    frame, nothing = objects.frame[row], np.zeros(len(row), np.int64)
+    """(k,) bool: whether each of k objects overlaps the vehicle in its frame, or is centred on it."""
+    frame, zeros = objects.frame[row], np.zeros(len(row), np.int64)
     size = np.tile([vehicle.length, vehicle.width, 0.0], (len(row), 1))
-    itself = Boxes(nothing, nothing, vehicle.position[frame], size, vehicle.heading[frame])
-    other = Boxes(nothing, nothing, objects.position[row], objects.size[row], objects.yaw[row])
-    apart = np.hypot(*(other.position - itself.position)[:, :2].T)
-    return np.asarray((apart <= _ITSELF_M) | (birdseye_intersection(itself, other) > _TOUCH_M2))
+    own = Boxes(zeros, zeros, vehicle.position[frame], size, vehicle.heading[frame])
+    other = Boxes(zeros, zeros, objects.position[row], objects.size[row], objects.yaw[row])
+    distance = np.hypot(*(other.position - own.position)[:, :2].T)
+    return np.asarray((distance <= _SELF_M) | (birdseye_intersection(own, other) > _TOUCH_M2))
 
 
-def _beside(objects: Objects, path: Floats, along: Floats, here: Floats) -> tuple[Ints, Ints]:
-    """Rows of the objects that are near the path, and for each the nearest point of the path from the vehicle on.
+def _near_path(objects: Objects, path: Floats, along: Floats, driven: Floats) -> tuple[Ints, Ints]:
+    """Rows of the objects near the path, and for each the nearest path point ahead of the vehicle.
 
-    along: (k,) m, arc lengths of the points;  here: (f,) m, arc length at which the vehicle is in each frame
+    along: (k,) m, arc lengths of the points;  driven: (f,) m, arc length of the vehicle in each frame
     """
     if not len(objects.frame):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -129,14 +134,14 @@ def _beside(objects: Objects, path: Floats, along: Floats, here: Floats) -> tupl
         np.column_stack([path, np.zeros(len(path))]),
         _REACH_M,
     )
-    coming = along[point] >= here[objects.frame[row]] - _STEP_M
-    row, point = row[coming], point[coming]
+    is_ahead = along[point] >= driven[objects.frame[row]] - _STEP_M
+    row, point = row[is_ahead], point[is_ahead]
     if not len(row):
         return row, point
     offset = objects.position[row, :2] - path[point]
-    apart = np.einsum("ij,ij->i", offset, offset)
-    start = np.diff(row, prepend=-1) != 0  # the pairs come by row
-    nearest = apart == np.minimum.reduceat(apart, start.nonzero()[0])[np.cumsum(start) - 1]
+    squared_distance = np.einsum("ij,ij->i", offset, offset)
+    start = np.diff(row, prepend=-1) != 0  # the pairs are sorted by row
+    nearest = squared_distance == np.minimum.reduceat(squared_distance, start.nonzero()[0])[np.cumsum(start) - 1]
     row, point = row[nearest], point[nearest]
     first = np.diff(row, prepend=-1) != 0
     return row[first], point[first]
@@ -145,17 +150,17 @@ def _beside(objects: Objects, path: Floats, along: Floats, here: Floats) -> tupl
 def _path(vehicle: Vehicle, horizon_m: float) -> tuple[Floats, Floats, Floats]:
     """Points (k, 2) m at equal steps along the whole path and straight on, headings (k,) rad and arc lengths (k,) m."""
     last = vehicle.heading[-1]
-    beyond = (horizon_m + vehicle.length) * np.array([np.cos(last), np.sin(last)])
-    corners = np.concatenate([vehicle.position[:, :2], vehicle.position[-1:, :2] + beyond])
-    length = np.concatenate([_arrived(vehicle), [0.0]])
-    length[-1] = length[-2] + np.hypot(*beyond)
+    extension = (horizon_m + vehicle.length) * np.array([np.cos(last), np.sin(last)])
+    corners = np.concatenate([vehicle.position[:, :2], vehicle.position[-1:, :2] + extension])
+    length = np.concatenate([_distance_driven(vehicle), [0.0]])
+    length[-1] = length[-2] + np.hypot(*extension)
     moved = np.diff(length, prepend=-1.0) > 1e-9
     along = np.arange(0.0, length[-1], _STEP_M)
     points = np.column_stack([np.interp(along, length[moved], corners[moved, axis]) for axis in (0, 1)])
-    way = np.gradient(points, axis=0)
-    return points, np.arctan2(way[:, 1], way[:, 0]), along
+    tangent = np.gradient(points, axis=0)
+    return points, np.arctan2(tangent[:, 1], tangent[:, 0]), along
 
 
-def _arrived(vehicle: Vehicle) -> Floats:
-    """(f,) m, how far along its path the vehicle is in each frame."""
+def _distance_driven(vehicle: Vehicle) -> Floats:
+    """Distance driven (f,) m along the path in each frame."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vehicle.position[:, :2], axis=0).T))])

@@ -1,4 +1,4 @@
-"""Tracks and truth objects over time: what became of each in the frames before and after. Pure."""
+"""Outcomes of tracks and truth objects over time. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.places import Places
 from mast_zenoh.metrics.scores import UNEVALUATED, Scores
 
-#: Ids below it are used as they are; an adversary may send any.
+#: Smaller ids are used directly; an adversary may send any.
 _PLAIN_IDS = 1 << 32
 
 
@@ -33,7 +33,7 @@ class Histories(NamedTuple):
 
     @classmethod
     def of(cls, scores: Scores, rows: Ints, span: int) -> Histories:
-        """Some rows of `scores.judged`, in the order given; span: more than the number of any frame."""
+        """The given rows of `scores.judged`, in order; span: greater than any frame number."""
         judged = scores.judged
         series, frame = judged.series[rows], judged.frame[rows]
         id_, position = judged.id[rows], judged.boxes.position[rows]
@@ -42,30 +42,30 @@ class Histories(NamedTuple):
 
     @classmethod
     def of_wrong(cls, scores: Scores, outcome: int, span: int, *, tracks: bool) -> Histories:
-        """All rows of those tracks, or truth objects, that have an outcome in any frame of a series."""
+        """All rows of the tracks, or truth objects, with a given outcome in any frame of a series."""
         judged = scores.judged
         ids = judged.id
         if len(ids) and not (ids.min() >= 0 and ids.max() < _PLAIN_IDS):
             ids = np.unique(ids, return_inverse=True)[1].reshape(-1)
         key = judged.series * (int(ids.max(initial=0)) + 1) + ids
         rows = np.flatnonzero(judged.is_track == tracks)
-        mine = key[rows]
-        rows = rows[np.isin(mine, mine[judged.outcome[rows] == outcome])]
+        row_keys = key[rows]
+        rows = rows[np.isin(row_keys, row_keys[judged.outcome[rows] == outcome])]
         return cls.of(scores, rows[np.lexsort((judged.frame[rows], key[rows]))], span)
 
     def places(self, rows: Bools | Ints) -> Places:
-        """The places of some rows; those of different series or frames never meet."""
+        """The positions of some rows; rows of different series or frames are never paired."""
         return Places(self.group[rows], self.position[rows])
 
     def adjacent(self, valid: Bools, stops: Bools, most: int, *, later: bool = False) -> Ints:
-        """(n,) the last row up to each row, of its series and id, that `stops`; later: the first from there on.
+        """(n,) the last row with `stops` up to each row, in its series and id; later: the next one from there on.
 
-        -1 where there is none, where it is not `valid`, or where it is more than `most` frames away.
+        -1 if there is none, if it is not `valid`, or if it is more than `most` frames away.
         """
-        turn = slice(None, None, -1) if later else slice(None)
+        direction = slice(None, None, -1) if later else slice(None)
         n = len(self.row)
-        place = np.maximum.accumulate(np.where(stops[turn], np.arange(n), -1)) if n else np.zeros(0, np.int64)
-        last = place[turn]
+        stop_row = np.maximum.accumulate(np.where(stops[direction], np.arange(n), -1)) if n else np.zeros(0, np.int64)
+        last = stop_row[direction]
         known = last >= 0
         last = np.where(known & later, n - 1 - last, last)
         same = known & (self.series[last] == self.series) & (self.id[last] == self.id) & valid[last]
@@ -73,7 +73,7 @@ class Histories(NamedTuple):
         return np.where(same, last, -1)
 
     def begun(self) -> Ints:
-        """(n,) frame since which the object of each row has been evaluated, or not, without a break."""
+        """(n,) first frame of the uninterrupted evaluated, or unevaluated, period of each row."""
         seen = self.outcome != UNEVALUATED
         first = np.ones(len(self.row), bool)
         first[1:] = (np.diff(self.series) != 0) | (np.diff(self.id) != 0) | (np.diff(self.frame) != 1)

@@ -1,4 +1,4 @@
-"""What an attack adds: over the baseline (IoB) and over what the agent would have known alone (IoE)."""
+"""Errors added by an attack: increments over the baseline (IoB) and over the ego's own tracks (IoE)."""
 
 from __future__ import annotations
 
@@ -27,18 +27,19 @@ def increments(
     """Increments of one attacked run, frame by frame, as mean and standard deviation over frames.
 
     baseline, attacked: tables per frame (`Scores.per_frame`) of two runs of the same scene and seed
-    agent:              whose picture is looked at
+    agent:              name of the agent
     compromised:        the agents whose wires were attacked
-    estimator, alone:   the agent's estimator under attack, and the one that nothing from outside can touch
-    first_frame:        frames before it are left out; None: all are taken, as in the paper
+    estimator, alone:   the agent's estimator under attack, and its independent one
+    first_frame:        earlier frames are left out; None: all are used, as in the paper
 
     Returns {"frames": n, "fn" | "fp" | "tp": {"iob": {"mean", "std"}, "ioe": {"mean", "std"}}, "compromised": {agent:
-    {"fn" | "fp": {"mean", "std"}}}, "cafn" | "cafp": {"mean", "std"}}. IoB is the attacked picture less the
-    baseline's in the same frame; IoE is the attacked picture less the agent's own tracks in the same run. These are the
-    paper's columns "ERCC". Its columns CAFN and CAFP, of the compromised agents, are the increments over the baseline
-    of the agents' OWN tracks (`alone`), pooled over agents and frames; the originals took them from the command centre.
-    Only frames that both runs have are compared; without any, means and deviations are None.
-    Raises ValueError naming the table and series when a run has no scores of a series that is needed.
+    {"fn" | "fp": {"mean", "std"}}}, "cafn" | "cafp": {"mean", "std"}}. IoB is the attacked picture minus the
+    baseline's in the same frame; IoE is the attacked picture minus the agent's own tracks in the same run. These are
+    the paper's columns "ERCC". Its columns CAFN and CAFP, of the compromised agents, are the increments over the
+    baseline of the agents' OWN tracks (`alone`), pooled over agents and frames; the originals used those of the
+    command centre.
+    Only frames in both runs are compared; without any, means and deviations are None.
+    Raises ValueError with the table and the series if a run has no scores of a required series.
     """
     before = _counts(baseline, "baseline", agent, estimator)
     after = _counts(attacked, "attacked", agent, estimator)
@@ -46,10 +47,10 @@ def increments(
     frames = _common(first_frame, before, after, own)
     result: dict[str, Any] = {"frames": len(frames)}
     for column, name in enumerate(COUNTS):
-        now = _at(after, frames)[:, column]
+        attacked_counts = _at(after, frames)[:, column]
         result[name] = {
-            "iob": mean_and_std(now - _at(before, frames)[:, column]),
-            "ioe": mean_and_std(now - _at(own, frames)[:, column]),
+            "iob": mean_and_std(attacked_counts - _at(before, frames)[:, column]),
+            "ioe": mean_and_std(attacked_counts - _at(own, frames)[:, column]),
         }
     result["compromised"] = {}
     pooled = [np.zeros((0, len(COUNTS)))]
@@ -61,22 +62,22 @@ def increments(
         result["compromised"][victim] = {
             name: mean_and_std(pooled[-1][:, column]) for column, name in enumerate(COUNTS) if name != "tp"
         }
-    together = np.concatenate(pooled)
-    result["cafn"], result["cafp"] = mean_and_std(together[:, 0]), mean_and_std(together[:, 1])
+    pooled_rows = np.concatenate(pooled)
+    result["cafn"], result["cafp"] = mean_and_std(pooled_rows[:, 0]), mean_and_std(pooled_rows[:, 1])
     return result
 
 
-def _counts(table: Table, which: str, agent: str, estimator: str) -> Table:
+def _counts(table: Table, label: str, agent: str, estimator: str) -> Table:
     """The rows of one series."""
     mask = (table["agent"] == agent) & (table["estimator"] == estimator)
     if not mask.any():
         known = sorted({f"{a}/{e}" for a, e in zip(table["agent"], table["estimator"], strict=True)})
-        raise ValueError(f"{which}: found {', '.join(known) or 'no series'}, expected one of {agent}/{estimator}")
+        raise ValueError(f"{label}: found {', '.join(known) or 'no series'}, expected one of {agent}/{estimator}")
     return {name: table[name][mask] for name in ("frame", *COUNTS)}
 
 
 def _common(first_frame: int | None, *tables: Table) -> Floats:
-    """The frames that all tables have, ascending."""
+    """The frames common to all tables, ascending."""
     frames = tables[0]["frame"]
     for table in tables[1:]:
         frames = np.intersect1d(frames, table["frame"])
@@ -84,7 +85,7 @@ def _common(first_frame: int | None, *tables: Table) -> Floats:
 
 
 def _at(table: Table, frames: Floats) -> Floats:
-    """(f, 3) counts fn, fp, tp in these frames."""
+    """Counts (f, 3) of fn, fp, tp in these frames."""
     order = np.argsort(table["frame"], kind="stable")
     rows = order[np.searchsorted(table["frame"][order], frames)]
     return np.column_stack([table[name][rows] for name in COUNTS]).astype(np.float64)

@@ -1,4 +1,4 @@
-"""What interposers did to objects: by whom, to which object, and which estimates it can influence. Pure."""
+"""Manipulations of objects by interposers, with the estimates that they can influence. Pure."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ INSERTED, REMOVED, MOVED, ALTERED = range(len(KINDS))
 class Manipulations:
     """n manipulations of objects.
 
-    culprits: c names of adversaries and other interposers that are no links, sorted
-    passage:  (n,) row of `reach`: the way of an interposer through a wire
-    culprit:  (n,) row of `culprits`; -1: a link, so that it counts as a fault
+    culprits: c names of adversaries and other interposers except links, sorted
+    passage:  (n,) row of `reach`: an interposer on a wire
+    culprit:  (n,) row of `culprits`; -1: a link, which counts as a fault
     kind:     (n,) index into KINDS
     frame:    (n,)
-    object:   (n,) the object: of an insertion its episode, else the id of the truth object; below 0: none is known
-    position: (n, 3) m, world frame: where the object is shown; of one that is not shown any more, where it was
-    velocity: (n, 3) m/s, world frame; zero where it is not known
-    lasts:    (n,) frames after its own in which it still counts
-    reach:    (p, s) bool: which of s series can have been influenced by what went through each of p passages
+    object:   (n,) episode of an insertion, else the id of the truth object; below 0: unknown
+    position: (n, 3) m, world frame: the claimed position, or the original one of a removed object
+    velocity: (n, 3) m/s, world frame; zero if unknown
+    lasts:    (n,) number of frames after its own in which it still counts
+    reach:    (p, s) bool: which of s series can be influenced through each of p passages
     """
 
     culprits: tuple[str, ...]
@@ -44,12 +44,12 @@ class Manipulations:
         return len(self.kind)
 
     def select(self, rows: Bools | Ints) -> Manipulations:
-        """The rows that a mask or an index array picks."""
+        """The rows selected by a mask or an index array."""
         columns = ("passage", "culprit", "kind", "frame", "object", "position", "velocity", "lasts")
         return Manipulations(self.culprits, self.reach, *(getattr(self, name)[rows] for name in columns))
 
 
 def none(n_series: int) -> Manipulations:
-    """No manipulation at all."""
+    """Manipulations without rows."""
     zero, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
     return Manipulations((), np.zeros((0, n_series), bool), zero, zero, zero, zero, zero, nowhere, nowhere, zero)

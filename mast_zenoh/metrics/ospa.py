@@ -1,4 +1,4 @@
-"""Distances between the set of truth objects and the set of tracks: OSPA and GOSPA, for all frames in one call.
+"""OSPA and GOSPA distances between truth objects and tracks, for all frames in one call.
 
 Sources: Schuhmacher, Vo and Vo, A consistent metric for performance evaluation of multi-object filters (2008);
 Rahmathullah, Garcia-Fernandez and Svensson, Generalized optimal sub-pattern assignment metric (2017).
@@ -19,11 +19,11 @@ from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
 class SetDistance:
     """Parameters of OSPA and GOSPA.
 
-    c: m, distance at which two objects count as different ones: what a missed or a false object costs
-    p: order of the mean: the greater, the more outliers weigh
+    c: m, cut-off distance: the cost of a missed or false object
+    p: order of the mean: larger values give outliers more weight
     alpha: of GOSPA, above 0 up to 2: a missed or false object costs c^p / alpha; at 2 it separates exactly into
            localisation, missed and false
-    Raises ValueError for values that make no sense.
+    Raises ValueError for invalid values.
     """
 
     c: float = 5.0
@@ -39,26 +39,26 @@ class SetDistance:
             raise ValueError(f"alpha: found {self.alpha}, expected more than 0, at most 2")
 
     def of(self, truth: Boxes, tracks: Boxes, n_groups: int) -> tuple[Floats, Floats]:
-        """OSPA and GOSPA of every group, both (n_groups,) m; 0 of two empty sets.
+        """OSPA and GOSPA of every group, both (n_groups,) m; 0 for two empty sets.
 
-        With X the smaller set of m and Y the greater of n objects, d the bird's-eye distance of centres, and the
+        With X the smaller set of m and Y the larger of n objects, d the bird's-eye distance of centres, and the
         least sum S over one-to-one assignments of X into Y of min(d, c)^p:
         OSPA = ((S + c^p (n - m)) / n)^(1/p), GOSPA = (S + c^p / alpha (n - m))^(1/p).
         """
         truth, tracks = (boxes.sorted()[0] for boxes in (truth, tracks))
         counts = [np.bincount(boxes.group, minlength=n_groups) for boxes in (truth, tracks)]
-        fewer, more = np.minimum(*counts), np.maximum(*counts)
-        cut = self.c**self.p
-        gained = self._gained(truth, tracks, n_groups)
-        ospa = np.divide(cut * more - gained, more, out=np.zeros(n_groups), where=more > 0)
-        gospa = cut * fewer - gained + cut / self.alpha * (more - fewer)
+        smaller, larger = np.minimum(*counts), np.maximum(*counts)
+        cutoff = self.c**self.p
+        saving = self._saving(truth, tracks, n_groups)
+        ospa = np.divide(cutoff * larger - saving, larger, out=np.zeros(n_groups), where=larger > 0)
+        gospa = cutoff * smaller - saving + cutoff / self.alpha * (larger - smaller)
         root = 1.0 / self.p
         return np.maximum(ospa, 0.0) ** root, np.maximum(gospa, 0.0) ** root
 
-    def _gained(self, truth: Boxes, tracks: Boxes, n_groups: int) -> Floats:
-        """(n_groups,) m^p: what the best assignment saves over one in which all pairs are c apart: c^p · m - S.
+    def _saving(self, truth: Boxes, tracks: Boxes, n_groups: int) -> Floats:
+        """(n_groups,) m^p: saving of the best assignment over one with all pairs c apart: c^p · m - S.
 
-        Only pairs nearer than c save anything.
+        Only pairs nearer than c contribute.
         """
         i, j = pairs_within(truth, tracks, self.c)
         distance = centre_distance(truth.position.take(i, 0), tracks.position.take(j, 0))

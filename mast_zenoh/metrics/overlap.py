@@ -8,12 +8,12 @@ from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics.boxes import Boxes
 
 _CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-#: m, how far outside a side a corner may lie and still count as on it; keeps coinciding boxes whole.
+#: m, tolerance for corners on a side, so that coinciding boxes overlap fully.
 _TOLERANCE = 1e-9
 
 
 def iou_3d(a: Boxes, b: Boxes) -> Floats:
-    """(n,) intersection over union of the volumes of box i of `a` and box i of `b`, 0 to 1; groups play no part.
+    """(n,) intersection over union of the volumes of box i of `a` and box i of `b`, 0 to 1; groups are ignored.
 
     The intersection is the exact area of the overlap of the rotated rectangles seen from above, times the overlap
     of the heights.
@@ -27,10 +27,10 @@ def iou_3d(a: Boxes, b: Boxes) -> Floats:
 
 
 def birdseye_intersection(a: Boxes, b: Boxes) -> Floats:
-    """(n,) m^2: area common to the outlines of box i of `a` and box i of `b`.
+    """(n,) m^2: intersection area of the outlines of box i of `a` and box i of `b`.
 
-    The common outline is convex; its corners are corners of one box in the other and crossings of sides. They are
-    found in the frame of `a`, brought into order round their middle, and measured.
+    The intersection is convex; its corners are corners of one box inside the other and crossings of sides. They are
+    computed in the frame of `a` and sorted by angle about their centroid.
     """
     half_a, half_b = a.size[:, None, :2] / 2.0, b.size[:, None, :2] / 2.0
     centre = _rotate((b.position - a.position)[:, None, :2], -a.yaw)
@@ -46,7 +46,7 @@ def birdseye_intersection(a: Boxes, b: Boxes) -> Floats:
 
 
 def _rotate(points: Floats, angle: Floats) -> Floats:
-    """(n, k, 2) points turned by (n,) angles."""
+    """Points (n, k, 2) rotated by angles (n,)."""
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
     return np.stack([c * points[..., 0] - s * points[..., 1], s * points[..., 0] + c * points[..., 1]], axis=-1)
 
@@ -56,7 +56,7 @@ def _inside(points: Floats, half: Floats) -> Bools:
 
 
 def _crossings(corners: Floats, half: Floats) -> tuple[Floats, Bools]:
-    """(n, 16, 2) where the sides of (n, 4, 2) outlines cross those of boxes of (n, 1, 2) half sizes, and if they do."""
+    """Crossings (n, 16, 2) of sides of outlines (n, 4, 2) with boxes of half sizes (n, 1, 2), and their validity."""
     along = np.roll(corners, -1, axis=1) - corners
     points, valid = [], []
     for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
@@ -70,16 +70,16 @@ def _crossings(corners: Floats, half: Floats) -> tuple[Floats, Bools]:
 
 
 def _convex_area(points: Floats, valid: Bools) -> Floats:
-    """(n,) area of the convex outlines of those of (n, k, 2) points that are valid; 0 without any."""
-    some = valid.any(axis=1)
+    """Area (n,) of the convex outlines of the valid ones of (n, k, 2) points; 0 without any."""
+    nonempty = valid.any(axis=1)
     points = np.where(valid[..., None], points, 0.0)
-    middle = points.sum(axis=1) / np.maximum(valid.sum(axis=1), 1)[:, None]
-    offset = points - middle[:, None, :]
+    centroid = points.sum(axis=1) / np.maximum(valid.sum(axis=1), 1)[:, None]
+    offset = points - centroid[:, None, :]
     angle = np.where(valid, np.arctan2(offset[..., 1], offset[..., 0]), np.inf)
     order = np.argsort(angle, axis=1)
     ring = np.take_along_axis(offset, order[..., None], axis=1)
-    # What is not a corner repeats the first one: sides of no length add no area.
+    # Invalid points repeat the first corner: sides of zero length add no area.
     ring = np.where(np.take_along_axis(valid, order, axis=1)[..., None], ring, ring[:, :1])
-    after = np.roll(ring, -1, axis=1)
-    area = np.sum(ring[..., 0] * after[..., 1] - ring[..., 1] * after[..., 0], axis=1) / 2.0
-    return np.where(some, np.abs(area), 0.0)
+    next_corner = np.roll(ring, -1, axis=1)
+    area = np.sum(ring[..., 0] * next_corner[..., 1] - ring[..., 1] * next_corner[..., 0], axis=1) / 2.0
+    return np.where(nonempty, np.abs(area), 0.0)

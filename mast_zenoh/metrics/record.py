@@ -1,4 +1,4 @@
-"""What an evaluator collects while a run goes on: truth, every agent's tracks, the picture."""
+"""Truth, every agent's tracks and the picture, collected during a run."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.boxes import Boxes
 
-#: What an agent believes from its own sensors alone, as it computed it, and as the broker received it.
+#: An agent's estimate from its own sensors alone, as computed, and as received by the broker.
 LOCAL, RECEIVED = "local", "received"
-#: The command centre's picture: as it was computed, by the frame that it is about, which all agents share; as an agent
-#: received it; and the newest one that the agent held in each frame, which may be about an earlier frame.
+#: The command centre's picture: as computed, by its frame, shared by all agents; as received by an agent; and the
+#: newest one available to the agent in each frame, which may be about an earlier frame.
 PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL = "picture", "picture_received", "picture_on_arrival"
-#: What an agent believes from its own sensors and the picture together.
+#: An agent's estimate from its own sensors and the picture together.
 MISSION = "mission"
-#: In the order in which an estimate is made from those before it.
+#: In order of computation: each estimate is made from earlier ones.
 ESTIMATORS = (LOCAL, RECEIVED, PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
 
 
 def place_of(estimator: str) -> int:
-    """Where an estimator stands among ESTIMATORS; others come last."""
+    """Index of an estimator in ESTIMATORS; others come last."""
     return ESTIMATORS.index(estimator) if estimator in ESTIMATORS else len(ESTIMATORS)
 
 
 class Series(NamedTuple):
-    """One estimate over time: an agent's name, empty for what all agents share, and the estimator's name."""
+    """One estimate over time: the name of the agent, empty for a shared estimate, and of the estimator."""
 
     agent: str
     estimator: str
@@ -44,7 +44,7 @@ class TruthTable:
     velocity:       (n, 3) m/s, world frame
     points:         (n, a) int32, lidar points of each agent on the object
     agent_position: (f, a, 3) m
-    agent_object:   (f, a) int64, id of the object that the agent is, -1: none
+    agent_object:   (f, a) int64, id of the agent's own object, -1: none
     """
 
     boxes: Boxes
@@ -55,7 +55,7 @@ class TruthTable:
 
     @property
     def seen(self) -> Ints:
-        """(n,) the most lidar points that any agent has on the object."""
+        """(n,) largest number of lidar points of any agent on the object."""
         return np.asarray(self.points.max(axis=1, initial=0))
 
 
@@ -72,7 +72,7 @@ class TrackTable:
 
 
 class Snapshot(NamedTuple):
-    """What metrics need of the objects of one message.
+    """The columns of one message's objects that metrics use.
 
     id (n,) int64, position (n, 3) m, size (n, 3) m, yaw (n,) rad, velocity (n, 3) m/s, score (n,); world frame
     """
@@ -86,18 +86,17 @@ class Snapshot(NamedTuple):
 
     @classmethod
     def of(cls, states: ObjectStates, *, views: bool = False) -> Snapshot:
-        """The snapshot of states; views: their columns are views of something larger, which is not to be kept alive."""
-        columns = _columns_kept(states)
+        """The snapshot of states; views: copy their columns, which are views of larger arrays."""
+        columns = _snapshot_columns(states)
         return cls(*([column.copy() for column in columns] if views else columns))
 
 
-_columns_kept = attrgetter(*Snapshot._fields)
-_NOTHING = Snapshot.of(ObjectStates.empty())
+_snapshot_columns = attrgetter(*Snapshot._fields)
+_EMPTY = Snapshot.of(ObjectStates.empty())
 
 
 class Record:
-    """Collects a run frame by frame. Of several messages about one frame in one series the first counts, as it does
-    for the nodes that receive them.
+    """Collects a run frame by frame. The first of several messages about a frame in a series counts.
 
     agents: names, in the order of the columns of `points` and `agent_position`
     """
@@ -114,7 +113,7 @@ class Record:
         """Truth of one frame, world frame.
 
         points: (n, a) lidar points of each object at each agent; agent_position: (a, 3) m; agent_object: (a,) ids of
-        the objects that the agents are, -1: none. Raises ValueError for shapes that do not fit the agents.
+        the agents' own objects, -1: none. Raises ValueError for shapes that do not fit the agents.
         """
         a = len(self.agents)
         for name, array, expected in (
@@ -128,7 +127,7 @@ class Record:
         self._truth[frame] = (boxes, points.copy(), agent_position.copy(), agent_object.copy())
 
     def expect(self, series: Sequence[Series]) -> None:
-        """These estimates are part of the run, whether or not a message of them ever comes."""
+        """Declare estimates that are part of the run, even without messages."""
         for each in series:
             self._tracks.setdefault(each, {})
             if each.estimator == PICTURE_RECEIVED:
@@ -137,9 +136,9 @@ class Record:
     def add(
         self, frame: int, series: Sequence[Series], objects: Snapshot, step: int | None = None, time_ns: int = 0
     ) -> None:
-        """An estimate of a frame, which belongs to several series: it is scored only once.
+        """Add an estimate of a frame that belongs to one or several series.
 
-        step: frame of the run in which it was sent, None: the one that it is about
+        step: frame of the run in which it was sent, None: `frame`
         time_ns: ns, of its header
         Raises ValueError for an unknown agent.
         """
@@ -151,15 +150,16 @@ class Record:
                 arrival = frame if step is None else step, frame, time_ns, objects
                 self._arrivals.setdefault(each.agent, []).append(arrival)
 
-    def hold_pictures(self, most_ns: Mapping[str, int], times_ns: Mapping[int, int]) -> None:
-        """Make the series PICTURE_ON_ARRIVAL from the pictures received: in each frame the one about the latest frame
-        that has arrived, unless its time is more than `most_ns` of the agent ago, or is yet to come.
+    def hold_pictures(self, max_age_ns: Mapping[str, int], times_ns: Mapping[int, int]) -> None:
+        """Compute the series PICTURE_ON_ARRIVAL: in each frame, the received picture about the latest frame.
 
-        times_ns: of the frames
+        Pictures older than `max_age_ns` of the agent, or from the future, are not used. times_ns: of the frames
         """
         frames = self.frames().tolist()
         for agent, arrivals in self._arrivals.items():
-            waiting = deque(sorted(arrivals, key=lambda arrival: arrival[:2]))  # of equals the first stays first
+            waiting = deque(
+                sorted(arrivals, key=lambda arrival: arrival[:2])
+            )  # stable: the first of equals stays first
             newest: tuple[int, int, Snapshot] | None = None
             held = self._tracks.setdefault(Series(agent, PICTURE_ON_ARRIVAL), {})
             for now in frames:
@@ -167,15 +167,15 @@ class Record:
                     _, about, time_ns, snapshot = waiting.popleft()
                     if newest is None or about > newest[0]:
                         newest = about, time_ns, snapshot
-                if newest is not None and 0 <= times_ns.get(now, 0) - newest[1] <= most_ns[agent]:
+                if newest is not None and 0 <= times_ns.get(now, 0) - newest[1] <= max_age_ns[agent]:
                     held[now] = newest[2]
 
     def frames(self) -> Ints:
-        """(f,) int64, ascending: the frames of which the truth is known."""
+        """The frames with truth (f,) int64, ascending."""
         return np.array(sorted(self._truth), np.int64)
 
     def series(self) -> list[Series]:
-        """The series of which anything is known, in the order of the agents, then by the estimator's name."""
+        """All series, in the order of the agents, then by estimator name."""
         place = {name: k for k, name in enumerate(("", *self.agents))}
         return sorted(self._tracks, key=lambda series: (place[series.agent], series.estimator))
 
@@ -183,7 +183,7 @@ class Record:
         """The truth of (f,) frames."""
         a = len(self.agents)
         parts = [self._truth[int(frame)] for frame in frames]
-        boxes, velocity, _ = _joined([part[0] for part in parts])
+        boxes, velocity, _ = _concatenate([part[0] for part in parts])
         return TruthTable(
             boxes=boxes,
             velocity=velocity,
@@ -193,19 +193,19 @@ class Record:
         )
 
     def same(self, one: Series, other: Series, frames: Ints) -> bool:
-        """Whether two series are the same messages in all of (f,) frames."""
-        mine, others = self._tracks[one], self._tracks[other]
-        return all(mine.get(frame) is others.get(frame) for frame in frames.tolist())
+        """Whether two series have the same messages in all of (f,) frames."""
+        messages, other_messages = self._tracks[one], self._tracks[other]
+        return all(messages.get(frame) is other_messages.get(frame) for frame in frames.tolist())
 
     def tracks(self, series: Sequence[Series], frames: Ints) -> TrackTable:
-        """The tracks of some series in (f,) frames; none where there was no message."""
+        """The tracks of some series in (f,) frames; no rows for frames without a message."""
         numbers = frames.tolist()
-        parts = [mine.get(frame, _NOTHING) for mine in map(self._tracks.__getitem__, series) for frame in numbers]
-        return TrackTable(*_joined(parts))
+        parts = [messages.get(frame, _EMPTY) for messages in map(self._tracks.__getitem__, series) for frame in numbers]
+        return TrackTable(*_concatenate(parts))
 
 
-def _joined(parts: list[Snapshot]) -> tuple[Boxes, Floats, Floats]:
+def _concatenate(parts: list[Snapshot]) -> tuple[Boxes, Floats, Floats]:
     """The boxes of all parts, group = number of the part; their velocities and scores."""
     group = np.repeat(np.arange(len(parts), dtype=np.int64), [len(part.id) for part in parts])
-    *columns, velocity, score = (np.concatenate(column) for column in zip(_NOTHING, *parts, strict=True))
+    *columns, velocity, score = (np.concatenate(column) for column in zip(_EMPTY, *parts, strict=True))
     return Boxes(group, *columns), velocity, score

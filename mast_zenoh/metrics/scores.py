@@ -1,4 +1,4 @@
-"""The scores of a run: tables per frame and per object, and the summary that goes into metrics.json."""
+"""The scores of a run: tables per frame and per object, and the summary for metrics.json."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from mast_zenoh.metrics.record import place_of
 Table = dict[str, NDArray[Any]]
 Texts = NDArray[Any]  # of str
 
-#: The columns of the table per frame, and what else a summary holds of an estimate.
+#: The columns of the table per frame, and the further entries of a summary.
 COLUMNS = (
     *("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"),
     *("completeness", "causes", "fn_split", "fp_split", "id_switches_split"),
 )
 
-#: What became of a box, by the code used in `scoring`.
+#: Outcomes of boxes, by their code in `scoring`.
 OUTCOMES = ("matched", "missed", "false", "unevaluated")
 MATCHED, MISSED, FALSE, UNEVALUATED = range(len(OUTCOMES))
 
@@ -41,9 +41,9 @@ class Seen:
     matched: Bools
 
     def completeness(self, n_series: int, frames: Ints) -> list[float | None]:
-        """Of each series the mean over its objects of the part of their frames in which they are matched, 0 to 1.
+        """For each series, the mean over its objects of the fraction of matched frames, 0 to 1.
 
-        frames: rows of `Scores.frames` that count; None: a series without objects
+        frames: rows of `Scores.frames` that count. None for a series without objects.
         """
         counts = np.zeros(max(int(table.max(initial=-1)) for table in (self.frame, frames)) + 1, bool)
         counts[frames] = True
@@ -53,19 +53,21 @@ class Seen:
         total = np.bincount(cell, minlength=n_series * len(ids)).reshape(shape)
         matched = np.bincount(cell, self.matched[rows], minlength=n_series * len(ids)).reshape(shape)
         return [
-            float(np.mean(mine[there > 0] / there[there > 0])) if there.any() else None
-            for mine, there in zip(matched, total, strict=True)
+            float(np.mean(matched_frames[evaluated_frames > 0] / evaluated_frames[evaluated_frames > 0]))
+            if evaluated_frames.any()
+            else None
+            for matched_frames, evaluated_frames in zip(matched, total, strict=True)
         ]
 
 
 class Judged(NamedTuple):
-    """n boxes and what became of each: truth objects in range and tracks, by series, frame, kind, outcome and id.
+    """n boxes with their outcomes: truth objects in range and tracks, by series, frame, kind, outcome and id.
 
     series:   (n,) row of `Scores.series`;  frame: (n,) number of the frame
-    is_track: (n,) bool, a track, or else a truth object
+    is_track: (n,) bool, a track instead of a truth object
     outcome:  (n,) index into OUTCOMES
-    boxes:    n boxes, world frame;  match_id: (n,) id of the box that it is matched with, -1: none
-    score:    (n,) of tracks, NaN of truth objects
+    boxes:    n boxes, world frame;  match_id: (n,) id of the matched box, -1: none
+    score:    (n,) of tracks, NaN for truth objects
     """
 
     series: Ints
@@ -78,12 +80,12 @@ class Judged(NamedTuple):
 
     @property
     def id(self) -> Ints:
-        """(n,) of the boxes."""
+        """Ids (n,) of the boxes."""
         return self.boxes.id
 
 
 class Switches(NamedTuple):
-    """k identity switches: a truth object is matched by another track than the one that matched it last.
+    """k identity switches: a truth object is matched by another track than before.
 
     series, frame: (k,) rows of `Scores.series` and `Scores.frames`; truth_id: (k,) of the object
     before, after: (k,) ids of the tracks
@@ -106,11 +108,11 @@ class Scores:
     squared_error: (s, f) m^2, summed over the pairs of the frame
     id_switches:   (s, f) int64
     ospa_m, gospa_m: (s, f) m, distances between the sets of truth objects and tracks
-    seen:          a row per series, frame and truth object evaluated in it
+    seen:          a row per series, frame and evaluated truth object
     switches:      a row per identity switch
     judged:        every box of every series
-    same_as:       further series, each with that of `series` whose messages, and so whose scores, are its own; they are
-                   in the table per frame and in the summary, but have no boxes of their own
+    same_as:       further series, each with the one of `series` that has the same messages and therefore scores; they
+                   are in the table per frame and in the summary, but have no separate boxes
     """
 
     series: tuple[tuple[str, str], ...]
@@ -129,7 +131,7 @@ class Scores:
 
     @property
     def every_series(self) -> dict[tuple[str, str], int]:
-        """All series, by agent and estimator, those that are the same as another one included: rows of `series`."""
+        """Rows of `series` by agent and estimator, including the series in `same_as`."""
         row = {each: k for k, each in enumerate(self.series)}
         every = row | {each: row[other] for each, other in self.same_as.items()}
         agents = {agent: k for k, agent in enumerate(dict.fromkeys(agent for agent, _ in self.series))}
@@ -155,9 +157,9 @@ class Scores:
         }
 
     def per_frame(self) -> Table:
-        """A row per series and frame: frame, agent, estimator, fn, fp, tp, rmse_m (NaN without a pair), id_switches,
+        """A row per series and frame.
 
-        ospa_m, gospa_m.
+        Columns: frame, agent, estimator, fn, fp, tp, rmse_m (NaN without a pair), id_switches, ospa_m, gospa_m.
         """
         f, every = len(self.frames), self.every_series
         rows = np.array(list(every.values()), np.int64)
@@ -179,14 +181,13 @@ class Scores:
         }
 
     def summary(self, scored: slice = slice(None)) -> dict[str, dict[str, dict[str, Any]]]:
-        """By agent and estimator: fn, fp, tp, ospa_m, gospa_m as {"mean", "std"} over frames; over the run rmse_m, of
+        """Summarise by agent and estimator: fn, fp, tp, ospa_m, gospa_m as {"mean", "std"} over frames.
 
-        all pairs, id_switches, in all, and completeness, the part of a truth object's evaluated frames in which it is
-        matched, mean over the objects.
+        Over the run: rmse_m of all pairs, the number of id_switches, and completeness, the mean over truth objects of
+        the fraction of their evaluated frames in which they are matched.
 
-        scored: which of `self.frames` count, such as all but those in which tracks have only begun. The standard
-        deviation is that of the frames themselves (divided by their number). What is not defined, without frames or
-        without pairs, is None, so that JSON holds null.
+        scored: the frames that count, such as all except the first ones. The standard deviation is that of the frames
+        themselves (divided by their number). Values that are undefined, without frames or pairs, are None (JSON null).
         """
         result: dict[str, dict[str, dict[str, Any]]] = {}
         complete = self.seen.completeness(len(self.series), np.arange(len(self.frames))[scored])
@@ -212,5 +213,5 @@ def means_and_stds(values: NDArray[Any]) -> list[dict[str, float | None]]:
 
 
 def mean_and_std(values: NDArray[Any]) -> dict[str, float | None]:
-    """Mean and standard deviation of (n,) values; None of none."""
+    """Mean and standard deviation of (n,) values; None without values."""
     return means_and_stds(values[None])[0]

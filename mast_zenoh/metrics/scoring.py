@@ -17,21 +17,21 @@ from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUA
 
 
 class Scorer:
-    """Compares what agents believe with the truth (docs/metrics.md).
+    """Compares estimates with the truth (docs/metrics.md).
 
-    For each agent and frame the truth is what lies within `range_m` of the agent (bird's-eye view) and is hit by at
+    For each agent and frame, the truth consists of the objects within `range_m` of the agent (bird's-eye view) with at
     least `min_points` lidar points of at least one agent; tracks beyond the same range are left out. A pair of the
     assigner is a true positive (TP), a truth object without a track a false negative (FN), a track without a truth
     object a false positive (FP). RMSE is over the bird's-eye centre distances of the pairs. An identity switch is
-    counted when the track that matches an object has another id than the one that matched it last.
+    counted when the track that matches an object has another id than the previous one.
 
     assigner:      matches tracks with truth; None: CenterDistanceAssigner()
     distance:      parameters of OSPA and GOSPA; None: SetDistance()
-    include_self:  whether the object that the agent is counts as truth for it. If not, a track of it is not false
-                   either: it goes unevaluated
-    ignore_unseen: whether tracks of objects that are not evaluated (nobody sees them, or they are out of range) go
+    include_self:  whether the agent's own object counts as truth for it. If not, a track of it is not false either but
+                   unevaluated
+    ignore_unseen: whether tracks of objects that are not evaluated (unseen by all agents, or out of range) are
                    unevaluated as well; by default they are false
-    Raises ValueError for values that make no sense.
+    Raises ValueError for invalid values.
     """
 
     def __init__(
@@ -54,39 +54,39 @@ class Scorer:
         self.ignore_unseen = ignore_unseen
 
     def score(self, record: Record) -> Scores:
-        """The scores of all frames of which the truth is known.
+        """Score all frames with truth.
 
-        A frame without a message of an estimator counts as one in which it believed nothing. The order of rows, and
-        the order in which messages came, do not matter. Estimates that are the same messages are scored once.
+        A frame without a message of an estimator counts as an empty estimate. The order of rows and of messages does
+        not matter. Estimates with the same messages are scored once.
         """
         frames = record.frames()
         table = record.truth(frames)
-        series, same_as = _distinct(record, frames)
+        series, same_as = _distinct_series(record, frames)
         tracks = record.tracks(series, frames)
         boxes, order = tracks.boxes.sorted()
         of_series = np.searchsorted(boxes.group, np.arange(len(series) + 1) * len(frames)).tolist()
 
-        # One series per agent and estimator; all are laid out in one row of groups and scored in one go.
+        # One series per agent and estimator; all are arranged as consecutive groups and scored at once.
         names, rows = [], []
         for a, agent in enumerate(record.agents):
             position = table.agent_position[:, a]
-            near, evaluated, excusing = self._split(table, a)
-            truth = [mask.nonzero()[0] for mask in (evaluated, near & ~evaluated, excusing)]
+            near, evaluated, excused_mask = self._truth_masks(table, a)
+            truth = [mask.nonzero()[0] for mask in (evaluated, near & ~evaluated, excused_mask)]
             for k, each in enumerate(series):
                 if each.agent in ("", agent):
-                    mine = slice(*of_series[k : k + 2])
-                    frame = boxes.group[mine] - k * len(frames)
-                    heard = self._near(boxes.position[mine], position.take(frame, 0)).nonzero()[0]
+                    series_rows = slice(*of_series[k : k + 2])
+                    frame = boxes.group[series_rows] - k * len(frames)
+                    in_range = self._near(boxes.position[series_rows], position.take(frame, 0)).nonzero()[0]
                     names.append((agent, each.estimator))
-                    rows.append((*truth, heard + (len(table.boxes) + mine.start)))
-        everything = Boxes.join([table.boxes, boxes])
-        seen, unevaluated, excused, believed = ([each[kind] for each in rows] for kind in range(4))
-        layout = _Layout.of(tuple(names), frames, everything, (seen, unevaluated, believed), excused)
-        score = tracks.score.take(order).take(_together(believed) - len(table.boxes))
+                    rows.append((*truth, in_range + (len(table.boxes) + series_rows.start)))
+        all_boxes = Boxes.join([table.boxes, boxes])
+        truth_rows, unevaluated, excused, track_rows = ([each[kind] for each in rows] for kind in range(4))
+        layout = _Layout.of(tuple(names), frames, all_boxes, (truth_rows, unevaluated, track_rows), excused)
+        score = tracks.score.take(order).take(_concatenate_rows(track_rows) - len(table.boxes))
         return _compare(self.assigner, self.distance, layout, score, same_as)
 
-    def _split(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
-        """Of the truth's rows: those near an agent, those it is measured by, those whose tracks are excused."""
+    def _truth_masks(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
+        """Masks of the truth rows: near an agent, evaluated for it, and excused (their tracks are not false)."""
         near = self._near(table.boxes.position, table.agent_position[table.boxes.group, agent])
         own = table.boxes.id == table.agent_object[table.boxes.group, agent]
         evaluated = near & (table.seen >= self.min_points)
@@ -96,12 +96,12 @@ class Scorer:
         return near, evaluated, excused
 
     def _near(self, position: Floats, agent_position: Floats) -> Bools:
-        """(n,) which places (n, 3) are in range of an agent that is at (n, 3)."""
+        """(n,) whether positions (n, 3) are in range of an agent at (n, 3)."""
         return centre_distance(position, agent_position) <= self.range_m
 
 
-def _distinct(record: Record, frames: Ints) -> tuple[list[Series], dict[tuple[str, str], tuple[str, str]]]:
-    """The series that differ, and of each other one, as (agent, estimator), that which it is the same as."""
+def _distinct_series(record: Record, frames: Ints) -> tuple[list[Series], dict[tuple[str, str], tuple[str, str]]]:
+    """The distinct series, and for each of the others the (agent, estimator) with the same messages."""
     series = record.series()
     same_as: dict[tuple[str, str], tuple[str, str]] = {}
     distinct: list[Series] = []
@@ -117,12 +117,11 @@ def _distinct(record: Record, frames: Ints) -> tuple[list[Series], dict[tuple[st
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Boxes of all series and frames in one row of groups; group = series · frames + frame.
+    """Boxes of all series and frames as consecutive groups; group = series · frames + frame.
 
-    boxes:   first what the series are measured by, then other objects in range, which are for the figures, then the
-             tracks in range
-    counts:  how many there are of these three
-    excused: objects whose tracks are not false although they are not measured by
+    boxes:   the evaluated objects, then other objects in range (for figures), then the tracks in range
+    counts:  number of each of these three
+    excused: objects that are not evaluated and whose tracks are not false
     """
 
     series: tuple[tuple[str, str], ...]
@@ -140,15 +139,15 @@ class _Layout:
         kinds: Sequence[Sequence[Ints]],
         excused: Sequence[Ints],
     ) -> _Layout:
-        """The layout of rows of `boxes`, given for each of the three kinds, and for the excused, by series."""
-        picked = _laid_out(boxes, [rows for kind in kinds for rows in kind], len(series), len(frames))
+        """The layout of rows of `boxes`, given by series for each of the three kinds and for the excused."""
+        picked = _arrange(boxes, [rows for kind in kinds for rows in kind], len(series), len(frames))
         of_seen, of_others, of_tracks = (sum(map(len, kind)) for kind in kinds)
         counts = of_seen, of_others, of_tracks
-        return cls(series, frames, picked, counts, _laid_out(boxes, excused, len(series), len(frames)))
+        return cls(series, frames, picked, counts, _arrange(boxes, excused, len(series), len(frames)))
 
     @property
     def truth(self) -> Boxes:
-        """What the series are measured by."""
+        """The evaluated objects."""
         return self.boxes.select(slice(0, self.counts[0]))
 
     @property
@@ -157,15 +156,15 @@ class _Layout:
         return self.boxes.select(slice(len(self.boxes) - self.counts[2], None))
 
 
-def _laid_out(boxes: Boxes, rows: Sequence[Ints], n_series: int, n_frames: int) -> Boxes:
-    """Rows of `boxes` by series, or by kind and series, as a layout has them."""
+def _arrange(boxes: Boxes, rows: Sequence[Ints], n_series: int, n_frames: int) -> Boxes:
+    """Arrange rows of `boxes` by series, or by kind and series, as in a layout."""
     series = np.repeat(np.arange(len(rows)) % max(n_series, 1), [len(each) for each in rows])
-    picked = boxes.select(_together(rows))
+    picked = boxes.select(_concatenate_rows(rows))
     return picked.in_group(series * n_frames + picked.group % max(n_frames, 1))
 
 
-def _together(rows: Sequence[Ints]) -> Ints:
-    """The rows of all series."""
+def _concatenate_rows(rows: Sequence[Ints]) -> Ints:
+    """Concatenate the rows of all series."""
     return np.concatenate([np.zeros(0, np.int64), *rows])
 
 
@@ -176,10 +175,10 @@ def _compare(
     score: Floats,
     same_as: dict[tuple[str, str], tuple[str, str]],
 ) -> Scores:
-    """The scores of what is laid out; score: (n,) of the tracks."""
+    """Score a layout; score: (n,) of the tracks."""
     truth, tracks, excused = layout.truth, layout.tracks, layout.excused
     pairs = assigner.assign(truth, tracks)
-    # Sums of fractions depend on the order of their terms: that of the ids, not that in which the messages came.
+    # Floating-point sums depend on the order of their terms, so pairs are sorted by id.
     pairs = pairs[row_order(truth.id[pairs[:, 0]], truth.group[pairs[:, 0]])]
     of_truth, of_track = np.full(len(truth), -1, np.int64), np.full(len(tracks), -1, np.int64)
     of_truth[pairs[:, 0]] = tracks.id[pairs[:, 1]]
@@ -191,10 +190,10 @@ def _compare(
 
     evaluated = tracks
     if len(excused):
-        left = np.flatnonzero(track_outcome == FALSE)
-        pardons = assigner.assign(excused, tracks.select(left))
-        track_outcome[left[pardons[:, 1]]] = UNEVALUATED
-        of_track[left[pardons[:, 1]]] = excused.id[pardons[:, 0]]
+        false_rows = np.flatnonzero(track_outcome == FALSE)
+        excused_pairs = assigner.assign(excused, tracks.select(false_rows))
+        track_outcome[false_rows[excused_pairs[:, 1]]] = UNEVALUATED
+        of_track[false_rows[excused_pairs[:, 1]]] = excused.id[excused_pairs[:, 0]]
         evaluated = tracks.select(track_outcome != UNEVALUATED)
 
     shape = len(layout.series), len(layout.frames)
@@ -203,8 +202,8 @@ def _compare(
         return np.bincount(group, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
 
     group = truth.group[pairs[:, 0]]
-    apart = centre_distance(truth.position.take(pairs[:, 0], 0), tracks.position.take(pairs[:, 1], 0))
-    squared_error: Floats = np.bincount(group, apart**2, minlength=shape[0] * shape[1]).astype(np.float64)
+    distance_m = centre_distance(truth.position.take(pairs[:, 0], 0), tracks.position.take(pairs[:, 1], 0))
+    squared_error: Floats = np.bincount(group, distance_m**2, minlength=shape[0] * shape[1]).astype(np.float64)
     ospa, gospa = distance.of(truth, evaluated, shape[0] * shape[1])
     switched, before = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])
     return Scores(
@@ -230,7 +229,7 @@ def _compare(
 
 
 def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> tuple[Ints, Ints]:
-    """The pairs whose object was matched last, in the same series, by a track of another id, and that other id."""
+    """Pairs whose object was previously matched, in the same series, by a track of another id; and that id."""
     series = group // max(n_frames, 1)
     order = np.lexsort((group, truth_id, series))
     same = (np.diff(series[order]) == 0) & (np.diff(truth_id[order]) == 0)
@@ -240,15 +239,17 @@ def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> tup
 
 
 def _judged(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints], score: Floats) -> Judged:
-    """All boxes in the order of `Judged`; truth, track: outcome and matched id."""
+    """All boxes sorted as in `Judged`; truth, track: outcome and matched id."""
     boxes, others = layout.boxes, layout.counts[1]
     is_track = np.arange(len(boxes)) >= len(boxes) - len(score)
     outcome = np.concatenate([truth[0], np.full(others, UNEVALUATED), track[0]])
     match = np.concatenate([truth[1], np.full(others, -1), track[1]])
     scores = np.concatenate([np.full(len(boxes) - len(score), np.nan), score])
-    place = (boxes.group * 2 + is_track) * len(OUTCOMES) + outcome
-    order = row_order(boxes.id, place, ties=tuple(boxes.position.T[::-1]))
+    sort_key = (boxes.group * 2 + is_track) * len(OUTCOMES) + outcome
+    order = row_order(boxes.id, sort_key, ties=tuple(boxes.position.T[::-1]))
     boxes = boxes.select(order)
     series, frame = np.divmod(boxes.group, max(len(layout.frames), 1))
-    at = layout.frames[frame] if len(frame) else frame
-    return Judged(series, at, is_track.take(order), outcome.take(order), boxes, match.take(order), scores.take(order))
+    frame_number = layout.frames[frame] if len(frame) else frame
+    return Judged(
+        series, frame_number, is_track.take(order), outcome.take(order), boxes, match.take(order), scores.take(order)
+    )

@@ -1,4 +1,4 @@
-"""User-defined metrics: computed for every estimate of every agent, in all tables. Pure; see docs/metrics.md."""
+"""User-defined metrics, computed for every estimate of every agent. Pure; see docs/metrics.md."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table, Texts, mean_and_s
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One estimate of one agent over a run of f frames: n boxes, of the truth and of the tracks.
+    """One estimate of one agent over a run of f frames: n boxes of truth objects and tracks.
 
-    agent, estimator: their names;  frames: (f,) int64;  period_s: s from frame to frame
-    scored:   (f,) bool, the frames over which summaries are made
+    agent, estimator: their names;  frames: (f,) int64;  period_s: s, frame period
+    scored:   (f,) bool, the frames that count in summaries
     frame:    (n,) int64, row of `frames`
-    is_track: (n,) bool, a track, or else a truth object
+    is_track: (n,) bool, a track instead of a truth object
     outcome:  (n,) str, "matched", "missed", "false" or "unevaluated"
-    id, match_id: (n,) int64, of the box and of the one that it is matched with, -1: none
+    id, match_id: (n,) int64, of the box and of its match, -1: none
     position: (n, 3) m and size (n, 3) m, world frame;  yaw: (n,) rad;  score: (n,), NaN for truth objects
     range_m:  (n,) m, from the agent, in the bird's-eye view
     cause:    (n,) str, of false tracks and missed objects, one of CAUSES
@@ -50,15 +50,17 @@ class Estimate:
     cause: Texts
 
     def count(self, boxes: Bools) -> Floats:
-        """(f,) how many of the boxes that a mask (n,) picks are in each frame."""
+        """Number (f,) of boxes selected by a mask (n,) in each frame."""
         return np.bincount(self.frame[boxes], minlength=len(self.frames)).astype(np.float64)
 
 
 class Metric(ABC):
-    """A user-defined metric: a subclass of FrameMetric or RunMetric, in a scenario's file or beside it, that the
-    scenario names: `evaluator=dict(metrics=[dict(type="MyMetric")])`.
+    """Base class of user-defined metrics; subclass FrameMetric or RunMetric instead.
 
-    name: in tables; by default the class's, in lower case with underscores
+    The class is in a scenario's file or in a file beside it, and named in the scenario:
+    `evaluator=dict(metrics=[dict(type="MyMetric")])`.
+
+    name: name in tables; by default that of the class, in lower case with underscores
     unit: of its values, for figures and tables
     """
 
@@ -67,16 +69,16 @@ class Metric(ABC):
 
     @property
     def label(self) -> str:
-        """What the metric is called in tables."""
+        """Name of the metric in tables."""
         return self.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", type(self).__name__).lower()
 
     @abstractmethod
     def value(self, estimate: Estimate) -> Floats | float | None:
-        """(f,) values, one for each frame, or one for the run. Raises ValueError for what is neither."""
+        """Values (f,), one per frame, or a single one for the run. Raises ValueError for anything else."""
 
 
-class ReturnedWrong(ValueError):
-    """What a metric returned is no value of its kind. about: the user's method that returned it."""
+class InvalidMetricValue(ValueError):
+    """A metric returned an invalid value. about: the user's method that returned it."""
 
     def __init__(self, text: str, about: Callable[..., Any]) -> None:
         super().__init__(text)
@@ -88,27 +90,27 @@ class FrameMetric(Metric):
 
     @abstractmethod
     def per_frame(self, estimate: Estimate) -> Floats:
-        """(f,) values, NaN where the metric is not defined."""
+        """Values (f,), NaN where the metric is undefined."""
 
     def value(self, estimate: Estimate) -> Floats:
-        found = self.per_frame(estimate)
+        returned = self.per_frame(estimate)
         try:
-            values = np.asarray(found, np.float64)
+            values = np.asarray(returned, np.float64)
         except (ValueError, TypeError) as error:
             name = type(self).__name__
-            text = f"{name}.per_frame: found {_sample(found)}, expected numbers: {error}"
-            raise ReturnedWrong(text, type(self).per_frame) from None
+            text = f"{name}.per_frame: found {_describe(returned)}, expected numbers: {error}"
+            raise InvalidMetricValue(text, type(self).per_frame) from None
         if values.shape != estimate.frames.shape:
             name = type(self).__name__
             text = f"{name}.per_frame: found shape {values.shape}, expected {estimate.frames.shape}"
-            raise ReturnedWrong(text, type(self).per_frame)
+            raise InvalidMetricValue(text, type(self).per_frame)
         return values
 
 
-def _sample(found: object) -> str:
-    """What a metric returned, in a few words: its type, and that of its first value."""
-    first = next(iter(found), None) if isinstance(found, (list, tuple, np.ndarray)) else None
-    return type(found).__name__ if first is None else f"a {type(found).__name__} of {type(first).__name__}"
+def _describe(returned: object) -> str:
+    """A short description of a returned value: its type, and that of its first element."""
+    first = next(iter(returned), None) if isinstance(returned, (list, tuple, np.ndarray)) else None
+    return type(returned).__name__ if first is None else f"a {type(returned).__name__} of {type(first).__name__}"
 
 
 class RunMetric(Metric):
@@ -116,14 +118,14 @@ class RunMetric(Metric):
 
     @abstractmethod
     def per_run(self, estimate: Estimate) -> float | None:
-        """The value, over the scored frames; None: it is not defined."""
+        """The value over the scored frames; None: undefined."""
 
     def value(self, estimate: Estimate) -> float | None:
         value = self.per_run(estimate)
         if value is not None and not isinstance(value, (int, float, np.floating, np.integer)):
             name = type(self).__name__
             text = f"{name}.per_run: found {type(value).__name__}, expected a number or None"
-            raise ReturnedWrong(text, type(self).per_run)
+            raise InvalidMetricValue(text, type(self).per_run)
         return None if value is None else float(value)
 
 
@@ -146,7 +148,7 @@ class ErrorsNearby(FrameMetric):
 
 
 class LongestMiss(RunMetric):
-    """The longest time for which one object was missed without a break, s."""
+    """The longest uninterrupted time for which one object was missed, s."""
 
     unit = "s"
 
@@ -161,18 +163,18 @@ class LongestMiss(RunMetric):
 
 
 def check(metrics: Sequence[Metric], known: Sequence[str]) -> None:
-    """Raises ValueError for two metrics of one name, and for one that is called like one of ours."""
+    """Raise ValueError for duplicate names of metrics, and for names of built-in ones."""
     labels = [metric.label for metric in metrics]
     for metric, label in zip(metrics, labels, strict=True):
         if label.endswith("_iob") or label.startswith("success_"):
-            raise ValueError(f"metrics: found {label!r}: studies have names of that form of their own")
+            raise ValueError(f"metrics: found {label!r}: names of this form are reserved for studies")
         if label in known:
             raise ValueError(
-                f"metrics: {type(metric).__name__} is called {label!r}, like one that is always computed: "
-                "that one is meant by the name, expected another `name`, or another name of the class"
+                f"metrics: {type(metric).__name__} is called {label!r}, which is the name of a built-in metric: "
+                "expected another `name`, or another name of the class"
             )
         if labels.count(label) > 1:
-            raise ValueError(f"metrics: found {label!r} twice, expected a name of its own for each metric")
+            raise ValueError(f"metrics: found {label!r} twice, expected a unique name for each metric")
 
 
 def values(
@@ -184,7 +186,7 @@ def values(
     scored: Bools,
     period_s: float,
 ) -> tuple[dict[str, list[Any]], dict[str, BaseException]]:
-    """By the name of a metric its value for each of `scores.series`: (f,) floats, or a float or None; and its error.
+    """Values by metric name for each of `scores.series`: (f,) floats, or a float or None; and errors by name.
 
     A metric that raises is undefined for every series: NaN in every frame, or None. Its first error is returned.
     """
@@ -199,7 +201,7 @@ def values(
                 result[metric.label].append(metric.value(estimate))
             except KeyboardInterrupt:
                 raise
-            except BaseException as error:  # GeneratorExit and CancelledError are no Exception
+            except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
                 errors[metric.label] = error
     for metric in metrics:
         if metric.label in errors:
@@ -224,7 +226,7 @@ def _estimate(
     frame = np.searchsorted(scores.frames, judged.frame[rows])
     at = truth.agent_position[frame, agents.index(agent)]
     frames, counted = scores.frames.copy(), scored.copy()
-    for shared in (frames, counted):  # with the other metrics
+    for shared in (frames, counted):  # between metrics
         shared.flags.writeable = False
     return Estimate(
         agent=agent,
@@ -250,18 +252,18 @@ def add_to(
     summary: dict[str, dict[str, dict[str, Any]]],
     table: Table,
     scores: Scores,
-    found: dict[str, list[Any]],
+    metric_values: dict[str, list[Any]],
     scored: Bools,
 ) -> None:
-    """Put the values of user-defined metrics into the summary and the table per frame of all estimates."""
-    every = scores.every_series
-    for label, of_series in found.items():
-        for (agent, estimator), row in every.items():
-            value = of_series[row]
+    """Add the values of user-defined metrics to the summary and the table per frame."""
+    every_series = scores.every_series
+    for label, series_values in metric_values.items():
+        for (agent, estimator), row in every_series.items():
+            value = series_values[row]
             if isinstance(value, np.ndarray):
-                known = value[scored & np.isfinite(value)]
-                summary[agent][estimator][label] = mean_and_std(known)
+                finite = value[scored & np.isfinite(value)]
+                summary[agent][estimator][label] = mean_and_std(finite)
             else:
                 summary[agent][estimator][label] = value
-        if all(isinstance(value, np.ndarray) for value in of_series) and every:
-            table[label] = np.concatenate([of_series[row] for row in every.values()])
+        if all(isinstance(value, np.ndarray) for value in series_values) and every_series:
+            table[label] = np.concatenate([series_values[row] for row in every_series.values()])

@@ -1,4 +1,4 @@
-"""Unpacks tar archives within limits: no archive may fill the disk or the memory, or write outside its folder."""
+"""Unpacks tar archives safely: limits on size and member count, no writes outside the folder."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from typing import IO, Any, cast
 
 from mast_zenoh.errors import SceneError
 
-#: Members of an archive, of any kind.
+#: Limit on the members of an archive, of any kind.
 MAX_MEMBERS = 200_000
 
-#: Bytes of the headers of one member: a header may hold a path of any length, and is read into memory.
+#: Limit on the header bytes of one member: a header may hold a path of any length, and is read into memory.
 _MAX_HEADER = 64 << 10
 
 _COMPRESSIONS: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
-_BROKEN = (tarfile.TarError, EOFError, OSError, ValueError, ArithmeticError, lzma.LZMAError, zlib.error)
+_READ_ERRORS = (tarfile.TarError, EOFError, OSError, ValueError, ArithmeticError, lzma.LZMAError, zlib.error)
 
 
 def unpack(path: Path, folder: Path, suffixes: tuple[str, ...], max_bytes: int) -> None:
-    """Unpack those files of a tar archive whose names have one of the suffixes; pass over the others.
+    """Unpack the files of a tar archive whose names end in one of the suffixes.
 
     path:      the archive, plain or compressed by gzip, bzip2 or xz
-    max_bytes: limit for all unpacked files together
+    max_bytes: limit on the total size of the unpacked files
 
-    Raises SceneError at the first file that would exceed a limit or leave the folder, that is a link or a device, or
-    that cannot be read. The files before it have been unpacked by then.
+    Raises SceneError at the first file that exceeds a limit, leaves the folder, is a link or a device, or cannot be
+    read. Earlier files have been unpacked by then.
     """
     total = 0
     try:
@@ -41,16 +41,16 @@ def unpack(path: Path, folder: Path, suffixes: tuple[str, ...], max_bytes: int) 
                     if not member.name.endswith(suffixes) or member.isdir():
                         continue
                     if not member.isfile() or member.issparse():
-                        raise SceneError(f"{path}: {_special(member)}")
+                        raise SceneError(f"{path}: {_describe_special(member)}")
                     total += member.size
                     if total > max_bytes:
                         raise SceneError(
                             f"{path}: too large: {_mb(total)} unpacked up to and including {member.name}, expected at "
                             f"most {_mb(max_bytes)}; if you trust the archive, raise the scene's max_unpacked_mb"
                         )
-                    bounded.left = member.size
+                    bounded.budget = member.size
                     archive.extract(member, folder, filter="data")
-    except _BROKEN as error:
+    except _READ_ERRORS as error:
         raise SceneError(f"{path}: cannot be unpacked: {error}") from error
 
 
@@ -64,17 +64,17 @@ def _decompressed(path: Path) -> IO[bytes]:
 
 
 class _Bounded:
-    """The file that tarfile reads; left: bytes that it may read before the limit is set anew. Seeking is free."""
+    """The file that tarfile reads; `budget` is the number of bytes that it may still read. Seeking is not limited."""
 
     def __init__(self, content: IO[bytes], path: Path) -> None:
-        self.left = _MAX_HEADER
+        self.budget = _MAX_HEADER
         self._content = content
         self._path = path
 
     def read(self, size: int) -> bytes:
-        self.left -= size
-        if self.left < 0:
-            raise SceneError(f"{self._path}: a header of more than {_MAX_HEADER} bytes, expected at most so many")
+        self.budget -= size
+        if self.budget < 0:
+            raise SceneError(f"{self._path}: a header exceeds the limit of {_MAX_HEADER} bytes")
         return self._content.read(size)
 
     def seek(self, offset: int) -> int:
@@ -85,24 +85,24 @@ class _Bounded:
 
 
 def _members(archive: tarfile.TarFile, bounded: _Bounded, path: Path) -> Iterator[tarfile.TarInfo]:
-    """The members one by one; none is kept."""
+    """Yield the members one at a time without keeping them in memory."""
     count = 0
-    bounded.left = _MAX_HEADER
+    bounded.budget = _MAX_HEADER
     while (member := archive.next()) is not None:
         count += 1
         if count > MAX_MEMBERS:
-            raise SceneError(f"{path}: more than {MAX_MEMBERS:,} files and folders, expected at most so many")
+            raise SceneError(f"{path}: the archive exceeds the limit of {MAX_MEMBERS:,} files and folders")
         yield member
-        archive.members.clear()  # type: ignore[attr-defined]  # typeshed does not know it
+        archive.members.clear()  # type: ignore[attr-defined]  # missing in typeshed
         archive.pax_headers.clear()  # type: ignore[attr-defined]  # a dict
-        bounded.left = _MAX_HEADER
+        bounded.budget = _MAX_HEADER
 
 
-def _special(member: tarfile.TarInfo) -> str:
+def _describe_special(member: tarfile.TarInfo) -> str:
     if member.islnk() or member.issym():
         kind = f"a link to {member.linkname!r}"
     else:
-        kind = "a sparse file" if member.issparse() else "no file"
+        kind = "a sparse file" if member.issparse() else "not a regular file"
     return f"{member.name} is {kind}, expected plain files: pack with tar --dereference --hard-dereference"
 
 

@@ -18,12 +18,12 @@ from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
-#: The recording car. Its frame has its origin in the rear axle; the ego's box is about its body.
+#: The recording car. The origin of its frame is the rear axle; the ego's box encloses the body.
 _EGO_ID = 0
 _EGO_SIZE = np.array([4.877, 2.0, 1.473])
 _AXLE_HEIGHT_M = 0.33
 _EGO_CENTRE = np.array([1.42, 0.0, _EGO_SIZE[2] / 2 - _AXLE_HEIGHT_M])
-#: Its two roof lidars, 32 channels each, taken as one.
+#: Its two roof lidars, 32 channels each, modelled as one.
 _EGO_LIDAR = LidarSensor(
     mount_position=np.array([1.35, 0.0, 1.64]), elevation_min_deg=-25.0, elevation_max_deg=15.0, max_range_m=200.0
 )
@@ -32,10 +32,10 @@ _EGO_CAMERA = Camera(mount_position=np.array([1.6, 0.0, 1.4]))
 _POLES, _MAX_POLES = 4, 16
 _POLE_HEIGHT_M = 15.0
 _POLE_PITCH_DEG = 30.0
-_POLE_ASIDE_M = 16.0  # from the ego's path
-_POLE_BEYOND_M = 20.0  # how far the path is drawn out at both ends
-_GROUND_M = 25.0  # the boxes within this of a place say how high its ground is,
-_GROUND_BOXES = 20  # or so many of the nearest
+_POLE_OFFSET_M = 16.0  # from the ego's path
+_PATH_EXTENSION_M = 20.0  # by which the path is extended at both ends
+_GROUND_RADIUS_M = 25.0  # the ground's height is estimated from the boxes within this distance,
+_MIN_GROUND_BOXES = 20  # and from at least this many
 _DETECTOR = DetectionModel()
 
 
@@ -45,12 +45,12 @@ class AV2Log(Scene):
     path:             the folder of a log, with annotations*.feather and city_SE3_egovehicle.feather
     n_infrastructure: virtual poles along the ego's path, 15 m above the ground there, looking 30 degrees down, 0 to 16;
                       None: 4
-    n_mobile:         further mobile agents: 0, a log has the sensors of one car; None: 0
-    detector:         what makes detections of what the lidars see
+    n_mobile:         further mobile agents: always 0, since a log has the sensors of one car; None: 0
+    detector:         the model that generates detections from lidar visibility
 
-    The world's origin is on the ground below the ego's first position. What the ego sees are the lidar returns counted
-    in the data set; what the poles see comes from ray casting against the other boxes, there being no buildings in the
-    data. Traffic signs, cones and the like are left out (`av2_files.LEFT_OUT`).
+    The world's origin is on the ground below the ego's first position. The ego's visibility is the number of lidar
+    returns in the data set; that of the poles comes from ray casting against the other boxes (the data has no
+    buildings). Traffic signs, cones and similar objects are left out (`av2_files.LEFT_OUT`).
     """
 
     def __init__(
@@ -75,31 +75,30 @@ class AV2Log(Scene):
         return (self.path,)
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        """See `Scene.record`."""
         annotations, poses = find_log(self.path)
         boxes = read_boxes(annotations)
         count = len(boxes.times_ns) if frames is None else frames
         if not 1 <= count <= len(boxes.times_ns):
-            raise ConfigurationError(f"{self.path}: {count} frames asked for, the log has {len(boxes.times_ns)}")
+            raise ConfigurationError(f"{self.path}: {count} frames requested, the log has {len(boxes.times_ns)}")
         city, rotation = read_poses(poses, boxes.times_ns)
         ego = city - city[0] + [0.0, 0.0, _AXLE_HEIGHT_M]
         world, returns = _world(annotations.parent.name, boxes, ego, rotation)
         poles = _poles(world, ego, heading(rotation), self.n_infrastructure)
         world, ground = _with_agents(world, ego, rotation, poles)
-        world = _first(world, count)
+        world = _truncate(world, count)
         points = see(world, range(1, len(world.agents)))
         points[:, 0] = returns[: len(points)]
         return recorded(world, points, *detect(world, points, self.detector, seed, ground[:count]))
 
 
 def _world(name: str, boxes: Boxes, ego: Floats, rotation: Floats) -> tuple[World, Floats]:
-    """The traffic, the ego among it, without agents; and how many returns the ego has of each (N,)."""
+    """The traffic including the ego, without agents; and the ego's lidar returns from each object (N,)."""
     frames = len(boxes.times_ns)
     frame = np.concatenate([np.arange(frames), boxes.frame])
     track = np.concatenate([np.full(frames, _EGO_ID), boxes.track])
-    carried = np.einsum("nij,nj->ni", rotation[boxes.frame], boxes.position) + ego[boxes.frame]
-    position = np.concatenate([ego + rotation @ _EGO_CENTRE, carried])
-    # The ego is number 0: it comes first among the rows of its frame.
+    box_position = np.einsum("nij,nj->ni", rotation[boxes.frame], boxes.position) + ego[boxes.frame]
+    position = np.concatenate([ego + rotation @ _EGO_CENTRE, box_position])
+    # The ego has id 0, so it is the first row of its frame.
     order = np.lexsort((track, frame))
     columns = {
         "id": track,
@@ -128,71 +127,71 @@ def _world(name: str, boxes: Boxes, ego: Floats, rotation: Floats) -> tuple[Worl
 
 
 def _poles(world: World, ego: Floats, yaw: Floats, count: int) -> list[tuple[Floats, float, float]]:
-    """Position (3,) m, heading rad and ground m of the poles, left and right of the ego's path, facing its middle.
+    """Position (3,) m, heading rad and ground m of poles on both sides of the ego's path, facing its middle.
 
-    The k-th pole is the same whatever their number.
+    The k-th pole does not depend on the number of poles.
     """
-    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=1) * _POLE_BEYOND_M
-    path = np.concatenate([[ego[0, :2] - ahead[0]], ego[:, :2], [ego[-1, :2] + ahead[-1]]])
+    extension = np.stack([np.cos(yaw), np.sin(yaw)], axis=1) * _PATH_EXTENSION_M
+    path = np.concatenate([[ego[0, :2] - extension[0]], ego[:, :2], [ego[-1, :2] + extension[-1]]])
     step = np.hypot(*np.diff(path, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(step)])
+    distance = np.concatenate([[0.0], np.cumsum(step)])
     bottoms = world.truth.position - world.truth.size * [0.0, 0.0, 0.5]
 
-    def at(part: float) -> Floats:
-        return np.array([np.interp(part * along[-1], along, path[:, k]) for k in (0, 1)])
+    def at(fraction: float) -> Floats:
+        return np.array([np.interp(fraction * distance[-1], distance, path[:, k]) for k in (0, 1)])
 
     poles = []
     for k in range(count):
-        part = 0.1 + 0.8 * _spread(k)
-        direction = at(part + 0.02) - at(part - 0.02)
-        aside = np.array([-direction[1], direction[0]]) / np.hypot(*direction) * _POLE_ASIDE_M
-        place = at(part) + (aside if k % 2 == 0 else -aside)
-        ground = _ground(bottoms, place)
-        facing = at(0.5) - place
-        poles.append((np.array([*place, ground + _POLE_HEIGHT_M]), float(np.arctan2(facing[1], facing[0])), ground))
+        fraction = 0.1 + 0.8 * _van_der_corput(k)
+        direction = at(fraction + 0.02) - at(fraction - 0.02)
+        offset = np.array([-direction[1], direction[0]]) / np.hypot(*direction) * _POLE_OFFSET_M
+        position = at(fraction) + (offset if k % 2 == 0 else -offset)
+        ground = _ground(bottoms, position)
+        facing = at(0.5) - position
+        poles.append((np.array([*position, ground + _POLE_HEIGHT_M]), float(np.arctan2(facing[1], facing[0])), ground))
     return poles
 
 
-def _spread(k: int) -> float:
-    """0, 1, 1/2, 1/4, 3/4, …: numbers that fill 0 to 1 ever more densely."""
+def _van_der_corput(k: int) -> float:
+    """The k-th term of 0, 1, 1/2, 1/4, 3/4, …: a sequence that fills 0 to 1 evenly."""
     if k < 2:
         return float(k)
     level = 1 << ((k - 1).bit_length() - 1)
     return (2 * (k - 1 - level) + 1) / (2 * level)
 
 
-def _ground(bottoms: Floats, place: Floats) -> float:
-    """m, height of the ground at `place` (2,): the median of what stands on it nearby, else of the nearest things."""
-    distance = np.hypot(*(bottoms[:, :2] - place).T)
-    nearest = np.sort(distance)[:_GROUND_BOXES][-1]
-    return float(np.median(bottoms[distance <= max(_GROUND_M, nearest), 2]))
+def _ground(bottoms: Floats, position: Floats) -> float:
+    """Ground height (m) at `position` (2,): the median of the bottoms of nearby boxes, else of the nearest ones."""
+    distance = np.hypot(*(bottoms[:, :2] - position).T)
+    nearest = np.sort(distance)[:_MIN_GROUND_BOXES][-1]
+    return float(np.median(bottoms[distance <= max(_GROUND_RADIUS_M, nearest), 2]))
 
 
 def _with_agents(
     world: World, ego: Floats, rotation: Floats, poles: list[tuple[Floats, float, float]]
 ) -> tuple[World, Floats]:
-    """The scene with its agents, and the ground (F, A) m about each."""
+    """The scene with its agents, and the ground height (F, A) m at each agent."""
     frames = len(ego)
     agents = [SceneAgent("ego", "mobile", _EGO_ID, _EGO_LIDAR, _EGO_CAMERA)]
     for k in range(len(poles)):
         pole = Camera(mount_position=np.zeros(3))
         agents.append(SceneAgent(f"infra_{k + 1}", "static", -1, LidarSensor.infrastructure(), pole))
-    turned = [rotation_from_yaw_pitch(yaw, np.radians(_POLE_PITCH_DEG)) for _, yaw, _ in poles]
-    position = np.stack([ego, *(np.tile(place, (frames, 1)) for place, _, _ in poles)], axis=1)
-    velocity = np.zeros_like(position)
-    velocity[:, 0] = world.truth.velocity[world.truth.id == _EGO_ID]
+    pole_rotation = [rotation_from_yaw_pitch(yaw, np.radians(_POLE_PITCH_DEG)) for _, yaw, _ in poles]
+    agent_position = np.stack([ego, *(np.tile(pole_position, (frames, 1)) for pole_position, _, _ in poles)], axis=1)
+    agent_velocity = np.zeros_like(agent_position)
+    agent_velocity[:, 0] = world.truth.velocity[world.truth.id == _EGO_ID]
     complete = replace(
         world,
         agents=tuple(agents),
-        agent_position=position,
-        agent_rotation=np.stack([rotation, *(np.tile(matrix, (frames, 1, 1)) for matrix in turned)], axis=1),
-        agent_velocity=velocity,
+        agent_position=agent_position,
+        agent_rotation=np.stack([rotation, *(np.tile(matrix, (frames, 1, 1)) for matrix in pole_rotation)], axis=1),
+        agent_velocity=agent_velocity,
     )
     ground = np.stack([ego[:, 2] - _AXLE_HEIGHT_M, *(np.full(frames, level) for _, _, level in poles)], axis=1)
     return complete, ground
 
 
-def _first(world: World, count: int) -> World:
+def _truncate(world: World, count: int) -> World:
     """The first `count` frames."""
     return replace(
         world,

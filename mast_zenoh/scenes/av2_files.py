@@ -1,4 +1,7 @@
-"""Reading the files of an Argoverse 2 sensor log (Wilson et al.: Argoverse 2, NeurIPS Datasets and Benchmarks 2021)."""
+"""Reads the files of an Argoverse 2 sensor log.
+
+Wilson et al.: Argoverse 2, NeurIPS Datasets and Benchmarks 2021.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ _CATEGORIES = {
     "pedestrian": ("PEDESTRIAN", "OFFICIAL_SIGNALER", "STROLLER", "WHEELCHAIR"),
 }
 CLASS_OF_CATEGORY = {category: CLASS_INDEX[name] for name, group in _CATEGORIES.items() for category in group}
-#: What does not take part in traffic, and the ego, whose box is made from its pose.
+#: Objects that are not road users, and the ego, whose box is derived from its pose.
 LEFT_OUT = (
     "BOLLARD",
     "CONSTRUCTION_BARREL",
@@ -52,7 +55,7 @@ LEFT_OUT = (
 class Boxes:
     """N annotated boxes in the frame of the recording car, by time and then by track.
 
-    frame: (N,) row of `times_ns` (F,);  track: (N,) number of the track, from 1, in the order of their names
+    frame: (N,) row of `times_ns` (F,);  track: (N,) number of the track, from 1, in the order of their UUIDs
     position: (N, 3) m;  rotation: (N, 3, 3) active;  size: (N, 3) m l w h;  class_id: (N,);  points: (N,) lidar returns
     """
 
@@ -83,23 +86,23 @@ def read_poses(path: Path, times_ns: Ints) -> tuple[Floats, Floats]:
     """Position (F, 3) m and active rotation (F, 3, 3) of the recording car in the city at `times_ns` (F,)."""
     columns = _read(path, _POSE)
     order = np.argsort(columns["timestamp_ns"], kind="stable")
-    known = columns["timestamp_ns"][order]
-    if np.any(np.diff(known) == 0):
-        raise SceneError(f"{path}: timestamp_ns {known[np.flatnonzero(np.diff(known) == 0)[0]]} is there twice")
-    at = np.searchsorted(known, times_ns)
-    missing = (at == len(known)) | (known[np.minimum(at, len(known) - 1)] != times_ns)
+    pose_times = columns["timestamp_ns"][order]
+    if np.any(np.diff(pose_times) == 0):
+        raise SceneError(f"{path}: timestamp_ns {pose_times[np.flatnonzero(np.diff(pose_times) == 0)[0]]} occurs twice")
+    rows = np.searchsorted(pose_times, times_ns)
+    missing = (rows == len(pose_times)) | (pose_times[np.minimum(rows, len(pose_times) - 1)] != times_ns)
     if missing.any():
         raise SceneError(f"{path}: no pose at timestamp_ns {times_ns[missing][0]} of the annotations")
-    return _poses(path, {name: values[order[at]] for name, values in columns.items()})
+    return _poses(path, {name: values[order[rows]] for name, values in columns.items()})
 
 
 def read_boxes(path: Path) -> Boxes:
-    """The annotated road users of a log; what is `LEFT_OUT` is left out, an unknown category has an unknown class."""
+    """The annotated road users of a log, without those `LEFT_OUT`; unknown categories get class 0 (unknown)."""
     columns = _read(path, _BOX)
     times = np.unique(columns["timestamp_ns"])
     if len(times) == 0:
-        raise SceneError(f"{path}: no row")
-    # Times come from all rows: a frame in which nobody is about is a frame.
+        raise SceneError(f"{path}: the file has no rows")
+    # Times come from all rows: a frame without road users still counts.
     keep = ~np.isin(columns["category"], LEFT_OUT)
     columns = {name: values[keep] for name, values in columns.items()}
     track = np.unique(columns["track_uuid"], return_inverse=True)[1].astype(np.int64) + 1
@@ -107,13 +110,13 @@ def read_boxes(path: Path) -> Boxes:
     order = np.lexsort((track, frame))
     frame, track = frame[order], track[order]
     columns = {name: values[order] for name, values in columns.items()}
-    twice = np.flatnonzero((np.diff(frame) == 0) & (np.diff(track) == 0))
-    if len(twice):
-        name, time = columns["track_uuid"][twice[0]], times[frame[twice[0]]]
-        raise SceneError(f"{path}: track {name} is there twice at timestamp_ns {time}")
+    duplicates = np.flatnonzero((np.diff(frame) == 0) & (np.diff(track) == 0))
+    if len(duplicates):
+        name, time = columns["track_uuid"][duplicates[0]], times[frame[duplicates[0]]]
+        raise SceneError(f"{path}: track {name} occurs twice at timestamp_ns {time}")
     size = np.stack([columns[name] for name in ("length_m", "width_m", "height_m")], axis=1)
     if len(size) and (size.min() <= 0 or columns["num_interior_pts"].min() < 0):
-        raise SceneError(f"{path}: a size is not more than 0, or num_interior_pts is negative")
+        raise SceneError(f"{path}: a size is 0 or less, or num_interior_pts is negative")
     position, rotation = _poses(path, columns)
     class_id = np.array([CLASS_OF_CATEGORY.get(name, 0) for name in columns["category"]], np.uint8)
     return Boxes(times, frame, track, position, rotation, size, class_id, columns["num_interior_pts"])
@@ -121,7 +124,7 @@ def read_boxes(path: Path) -> Boxes:
 
 def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:
     """The expected columns of a feather file, complete and finite."""
-    # Imported here because it takes long, and most processes of a run read no feather file.
+    # Imported here because it is slow and few processes of a run need it.
     import pyarrow
     from pyarrow import feather
 
@@ -155,6 +158,6 @@ def _poses(path: Path, columns: dict[str, NDArray[Any]]) -> tuple[Floats, Floats
     length = np.linalg.norm(quaternion, axis=1)
     if np.any(np.abs(length - 1.0) > 1e-3):
         row = int(np.abs(length - 1.0).argmax())
-        raise SceneError(f"{path}: the quaternion {quaternion[row].tolist()} has not the length 1")
+        raise SceneError(f"{path}: the quaternion {quaternion[row].tolist()} does not have length 1")
     position = np.stack([columns[name] for name in ("tx_m", "ty_m", "tz_m")], axis=1).astype(np.float64)
     return position, rotation_from_quaternion(quaternion)

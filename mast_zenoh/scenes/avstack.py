@@ -14,38 +14,38 @@ from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import beside
 from mast_zenoh.scenes.avstack_decode import Calibration, ObjectState, read_calibration, read_objects, read_seen
-from mast_zenoh.scenes.avstack_layout import Layout, opened
+from mast_zenoh.scenes.avstack_layout import Layout, open_layout
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.observe import World, detect, recorded, see
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 
-#: The id of agent 0 as an object; agent k, where it is an object, has this plus k. The layout numbers agents and
-#: objects apart, both from 0, and its original reader gives the ego this id.
+#: Object id of agent 0; agent k, if it is an object, has this plus k. The layout numbers agents and objects
+#: separately, both from 0, and its original reader gives the ego this id.
 EGO_ID = 99999
 
-_SEEN_POINTS = 5  # returns from which an object counts as seen
-_MISFIT_M = 0.05  # m, between what a calibration says of a sensor's place and what the agent's state says
+_MIN_SEEN_POINTS = 5  # returns of an object that counts as seen
+_MAX_MOUNT_ERROR_M = 0.05  # between a sensor's position in its calibration and according to the agent's state
 _DETECTOR = DetectionModel()
-#: Columns of a camera's frame (x right, y down, z forward) from those of ours (x forward, y left, z up).
+#: Converts a camera's optical axes (x right, y down, z forward) to ours (x forward, y left, z up).
 _OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 class AVstackScene(Scene):
-    """A scene in the CARLA multi-agent layout, with what lies beside it (docs/scenes.md).
+    """A scene in the CARLA multi-agent layout, with its accompanying files (docs/scenes.md).
 
     path:             a run folder, a folder above a single run, or a tar archive of either
-    n_infrastructure: how many of the static agents, the first ones; None: all
-    n_mobile:         how many of the mobile agents besides the ego, the first ones; None: all
-    replay:           take the detections in `detections.jsonl`, if there is one; else they are made by `detector`
-    detector:         what makes detections of what the lidars see
-    max_unpacked_mb:  limit for what is unpacked of an archive, 10^6 bytes
+    n_infrastructure: number of static agents to use, the first ones; None: all
+    n_mobile:         number of mobile agents besides the ego to use, the first ones; None: all
+    replay:           use the detections in `detections.jsonl` if it exists; otherwise `detector` generates them
+    detector:         the model that generates detections from lidar visibility
+    max_unpacked_mb:  limit on the files unpacked from an archive, 10^6 bytes
 
-    The first mobile agent is "ego", further ones are "mobile_k", static ones "infra_k", k being their number in the
-    files. An object's lidar returns come from `visibility.jsonl`; else the objects in a lidar's object files are seen,
-    with as many returns as ray casting gives, at least 5 and scaled by their visible fraction; else, where a lidar has
-    no object files, from ray casting alone.
+    The first mobile agent is "ego", further ones are "mobile_k", static ones "infra_k", where k is their number in the
+    files. An object's lidar returns come from `visibility.jsonl`. Without it, the objects in a lidar's object files
+    are seen, with the returns that ray casting gives, scaled by their visible fraction, at least 5. For a lidar without
+    object files, ray casting alone decides.
     """
 
     def __init__(
@@ -72,15 +72,14 @@ class AVstackScene(Scene):
         return (self.path,)
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        """See `Scene.record`."""
-        with opened(self.path, self.max_unpacked_mb) as layout:
+        with open_layout(self.path, self.max_unpacked_mb) as layout:
             return self._record(layout, seed, frames)
 
     def _record(self, layout: Layout, seed: int, frames: int | None) -> Recording:
         numbers = list(layout.frames())
         if frames is not None:
             if not 1 <= frames <= len(numbers):
-                raise ConfigurationError(f"{self.path}: {frames} frames asked for, the scene has {len(numbers)}")
+                raise ConfigurationError(f"{self.path}: {frames} frames requested, the scene has {len(numbers)}")
             numbers = numbers[:frames]
         times, actors, objects = _read_states(layout, numbers)
         agents = self._agents(actors[0], layout.run)
@@ -97,15 +96,16 @@ class AVstackScene(Scene):
         mobile = [number for number, state in actors.items() if state.size is not None]
         static = [number for number, state in actors.items() if state.size is None]
         if not mobile:
-            raise SceneError(f"{run / 'objects'}: no actor has a box, expected the ego at least")
+            raise SceneError(f"{run / 'objects'}: no actor has a box, expected at least the ego")
         ego, *others = mobile
-        for name, wanted, present, kind in (
+        for name, count, candidates, kind in (
             ("n_mobile", self.n_mobile, others, "mobile agents besides the ego"),
             ("n_infrastructure", self.n_infrastructure, static, "static agents"),
         ):
-            if wanted is not None and not 0 <= wanted <= len(present):
+            if count is not None and not 0 <= count <= len(candidates):
                 raise ConfigurationError(
-                    f"{self.path}: {name} is {wanted}, expected 0 to {len(present)}: so many {kind} are in the scene"
+                    f"{self.path}: {name} is {count}, expected 0 to {len(candidates)}: "
+                    f"the scene has {len(candidates)} {kind}"
                 )
         return [ego, *others[: self.n_mobile], *static[: self.n_infrastructure]]
 
@@ -113,7 +113,7 @@ class AVstackScene(Scene):
 def _read_states(
     layout: Layout, numbers: list[int]
 ) -> tuple[Ints, list[dict[int, ObjectState]], list[dict[int, ObjectState]]]:
-    """Times (F,) ns, and for every frame the actors by number and the objects by id, actors with a box among them."""
+    """Times (F,) ns, and for every frame the actors by number and the objects by id, including actors with a box."""
     times: list[float] = []
     all_actors: list[dict[int, ObjectState]] = []
     all_objects: list[dict[int, ObjectState]] = []
@@ -151,20 +151,20 @@ def _world(
     actors: list[dict[int, ObjectState]],
     objects: list[dict[int, ObjectState]],
 ) -> tuple[World, Floats]:
-    """The scene without visibility and detections; and the ground (F, A) m about each agent."""
-    start = np.cumsum([0, *map(len, objects)])
-    flat = [(number, state) for frame in objects for number, state in frame.items()]
-    position = np.array([state.centre for _, state in flat])
-    velocity = np.array([np.full(3, np.nan) if state.velocity is None else state.velocity for _, state in flat])
-    ids = np.array([number for number, _ in flat], np.int64)
+    """The scene without visibility and detections; and the ground height (F, A) m at each agent."""
+    truth_start = np.cumsum([0, *map(len, objects)])
+    rows = [(number, state) for frame in objects for number, state in frame.items()]
+    position = np.array([state.centre for _, state in rows])
+    velocity = np.array([np.full(3, np.nan) if state.velocity is None else state.velocity for _, state in rows])
+    ids = np.array([number for number, _ in rows], np.int64)
     truth = truth_states(
         {
             "id": ids,
             "position": position,
-            "velocity": fill_velocity(ids, position, velocity, np.repeat(times, np.diff(start))),
-            "size": np.array([state.size for _, state in flat]),
-            "yaw": np.array([state.yaw for _, state in flat]),
-            "class_id": np.array([state.class_id for _, state in flat], np.uint8),
+            "velocity": fill_velocity(ids, position, velocity, np.repeat(times, np.diff(truth_start))),
+            "size": np.array([state.size for _, state in rows]),
+            "yaw": np.array([state.yaw for _, state in rows]),
+            "class_id": np.array([state.class_id for _, state in rows], np.uint8),
         }
     )
     agent_position = np.array([[frame[number].position for number in agents] for frame in actors])
@@ -184,7 +184,7 @@ def _world(
         period_ns=int(np.median(np.diff(times))) if len(times) > 1 else 100_000_000,
         times_ns=times,
         truth=truth,
-        truth_start=start,
+        truth_start=truth_start,
         agent_position=agent_position,
         agent_rotation=agent_rotation,
         agent_velocity=agent_velocity,
@@ -192,15 +192,15 @@ def _world(
         building_height=buildings[1],
     )
     bottoms = truth.position[:, 2] - truth.size[:, 2] / 2
-    level = np.array([np.median(bottoms[a:b]) for a, b in itertools.pairwise(start)])
-    return world, np.repeat(level[:, None], len(agents), axis=1)
+    ground = np.array([np.median(bottoms[a:b]) for a, b in itertools.pairwise(truth_start)])
+    return world, np.repeat(ground[:, None], len(agents), axis=1)
 
 
 def _agent(
     layout: Layout,
     numbers: list[int],
     number: int,
-    first: bool,
+    is_ego: bool,
     state: ObjectState,
     position: Floats,
     rotation: Floats,
@@ -209,15 +209,16 @@ def _agent(
     mobile = state.size is not None
     lidars = layout.sensors("lidar", number)
     if not lidars:
-        raise SceneError(f"{layout.run / 'data'}: no folder lidar-<k>-{number} of agent {number}")
+        raise SceneError(f"{layout.run / 'data'}: no folder lidar-<k>-{number} for agent {number}")
     files = layout.calibrations(lidars[0], numbers)
     mount_position, mount_rotation = _mount(read_calibration(files[numbers[0]]), position[0], rotation[0])
     for k, path in enumerate(files.values()):
-        found, expected = read_calibration(path).position, position[k] + rotation[k] @ mount_position
-        if np.abs(found - expected).max() > _MISFIT_M:
+        calibrated, expected = read_calibration(path).position, position[k] + rotation[k] @ mount_position
+        if np.abs(calibrated - expected).max() > _MAX_MOUNT_ERROR_M:
             raise SceneError(
-                f"{path}: the lidar is at {np.round(found, 2).tolist()}, expected {np.round(expected, 2).tolist()}: "
-                "it is mounted on the agent, and not elsewhere than in the first frame"
+                f"{path}: the lidar is at {np.round(calibrated, 2).tolist()}, "
+                f"expected {np.round(expected, 2).tolist()}: "
+                "its mount must not change after the first frame"
             )
     lidar = LidarSensor() if mobile else LidarSensor.infrastructure()
     camera = Camera()
@@ -227,10 +228,12 @@ def _agent(
         calibration = read_calibration(path)
         if calibration.focal is None or calibration.width is None or calibration.height is None:
             raise SceneError(f"{path}: img_shape is missing, expected the calibration of a camera")
-        place, turn = _mount(calibration, position[0], rotation[0])
-        camera = Camera(place, turn @ _OPTICAL, calibration.width, calibration.height, calibration.focal)
+        camera_position, camera_rotation = _mount(calibration, position[0], rotation[0])
+        camera = Camera(
+            camera_position, camera_rotation @ _OPTICAL, calibration.width, calibration.height, calibration.focal
+        )
     return SceneAgent(
-        "ego" if first else f"mobile_{number}" if mobile else f"infra_{number}",
+        "ego" if is_ego else f"mobile_{number}" if mobile else f"infra_{number}",
         "mobile" if mobile else "static",
         EGO_ID + number if mobile else -1,
         replace(lidar, mount_position=mount_position, mount_rotation=mount_rotation),
@@ -239,21 +242,21 @@ def _agent(
 
 
 def _mount(calibration: Calibration, position: Floats, rotation: Floats) -> tuple[Floats, Floats]:
-    """Where a sensor is in its agent's frame, from where both are in the world.
+    """A sensor's pose in its agent's frame, from both poses in the world.
 
-    Some writers give the sensor in the agent's frame, some in the world: their product is the same.
+    Some writers give the sensor's pose relative to the agent, others to the world: resolved, both are the same.
     """
     return rotation.T @ (calibration.position - position), rotation.T @ calibration.rotation
 
 
 def _points(layout: Layout, world: World, numbers: list[int], agents: list[int]) -> NDArray[np.int32]:
-    """(N, A) lidar returns, from the best that there is."""
+    """(N, A) lidar returns, from the best source available."""
     truth: ObjectStates = world.truth
     file = layout.beside("visibility.jsonl")
     if file is not None:
         return beside.read_visibility(file, numbers, agents, truth.id, world.truth_start)
-    cast = see(world)
-    points = cast.copy()
+    cast_points = see(world)
+    points = cast_points.copy()
     listed: set[int] = set()
     for column, number in enumerate(agents):
         files = layout.seen(layout.sensors("lidar", number)[0], numbers)
@@ -267,8 +270,8 @@ def _points(layout: Layout, world: World, numbers: list[int], agents: list[int])
                 fraction = seen.get(int(truth.id[row]), -1.0)
                 if fraction != -1.0:
                     share = 1.0 if fraction is None else fraction
-                    points[row, column] = max(_SEEN_POINTS, round(share * int(cast[row, column])))
-    # Writers that never list the agents among the objects say nothing about whether they are seen.
+                    points[row, column] = max(_MIN_SEEN_POINTS, round(share * int(cast_points[row, column])))
+    # If a data set never lists the agents as objects, their visibility comes from ray casting.
     unlisted = (truth.id >= EGO_ID) & ~np.isin(truth.id, sorted(listed))
-    points[unlisted] = cast[unlisted]
+    points[unlisted] = cast_points[unlisted]
     return points

@@ -1,7 +1,7 @@
-"""Decoding the JSON of the CARLA multi-agent layout, in which every nested object is a string of JSON again.
+"""Decodes the JSON of the CARLA multi-agent layout, whose nested objects are JSON strings.
 
-Only what is needed is decoded. Quaternions are passive there (they turn components in the parent's frame into
-components in the body's), rotations are active here, so that the vector part changes its sign.
+Only the fields in use are decoded. The layout's quaternions are passive (they convert components from the parent's
+frame to the body's), whereas rotations here are active, so the vector part changes sign.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _CLASSES = {
     "motorbike": "motorcycle",
 }
 
-#: Values of `occlusion` that say that a sensor sees nothing of an object: invalid and complete. 0, 1 and 2 are none,
-#: partial and most, 99 is unknown.
+#: Values of `occlusion` of an object that a sensor does not see: invalid and complete. 0, 1 and 2 mean none, partial
+#: and most, 99 means unknown.
 _HIDDEN = (-1, 3)
 
 
@@ -39,7 +39,7 @@ class ObjectState:
 
     position: (3,) m of its reference point; rotation: (3, 3) active, body to world
     velocity: (3,) m/s; None: not stored
-    centre: (3,) m of its box; size: (3,) m l w h; yaw: rad of the box; all None where it has none (a pole)
+    centre: (3,) m of its box; size: (3,) m l w h; yaw: rad of the box; all None without a box (a pole)
     """
 
     id: int
@@ -58,12 +58,12 @@ class ObjectState:
 
 
 def class_of(name: str) -> int:
-    """The index into CLASSES of a type's name; 0 (unknown) for what is not known."""
+    """The index into CLASSES of a type name; 0 (unknown) for other names."""
     return CLASS_INDEX.get(_CLASSES.get(name.lower(), name.lower()), 0)
 
 
 def read_objects(path: Path, frame: int) -> tuple[float, list[ObjectState]]:
-    """Time s and states of a file in `objects/`. Raises SceneError naming the file and the object in it."""
+    """Time s and states in a file of `objects/`. Raises SceneError with the file and the index of the object."""
     time, texts = _container(path, frame)
     states = []
     for index, text in enumerate(texts):
@@ -75,9 +75,9 @@ def read_objects(path: Path, frame: int) -> tuple[float, list[ObjectState]]:
 
 
 def read_seen(path: Path, frame: int) -> dict[int, float | None]:
-    """What a file in `objects_sensor/` says that a sensor sees: id, and its visible fraction (None: not said).
+    """Ids in a file of `objects_sensor/` with their visible fractions (None: not stored).
 
-    An object that is wholly occluded or of which nothing is visible is left out.
+    Completely occluded objects are left out.
     """
     seen: dict[int, float | None] = {}
     _, texts = _container(path, frame)
@@ -98,7 +98,7 @@ def read_seen(path: Path, frame: int) -> dict[int, float | None]:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Where a sensor is in the world, through the agent that carries it, and a camera's image.
+    """The pose of a sensor in the world, and the image size and focal length of a camera.
 
     position: (3,) m;  rotation: (3, 3) active, sensor to world;  focal, width, height: px, None for a lidar
     """
@@ -111,7 +111,7 @@ class Calibration:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """A `calib-…` file. Raises SceneError naming it."""
+    """Read a `calib-…` file. Raises SceneError with its path."""
     data = _read(path)
     try:
         calibration = data["calibration"]
@@ -129,15 +129,15 @@ def _object_state(data: dict[str, Any]) -> ObjectState:
     attitude, _ = _referenced(data["attitude"], "attitude")
     velocity = None
     if data.get("velocity") is not None:
-        speed, speed_frame = _referenced(data["velocity"], "velocity")
-        velocity = speed_frame[1] @ _vector(speed["x"], 3)
+        velocity_data, velocity_frame = _referenced(data["velocity"], "velocity")
+        velocity = velocity_frame[1] @ _vector(velocity_data["x"], 3)
     rotation = frame[1] @ _active(attitude["qw"], attitude["qv"])
     centre = size = yaw = None
     if data.get("box") is not None:
         box = _decode(data["box"])["box3d"]
         corner, box_frame = _referenced(box["position"], "position")
-        turned, turned_frame = _referenced(box["attitude"], "attitude")
-        box_rotation = turned_frame[1] @ _active(turned["qw"], turned["qv"])
+        box_attitude, attitude_frame = _referenced(box["attitude"], "attitude")
+        box_rotation = attitude_frame[1] @ _active(box_attitude["qw"], box_attitude["qv"])
         height, width, length = _vector(box["hwl"], 3)
         if min(height, width, length) <= 0:
             raise ValueError(f"hwl is {box['hwl']}, expected more than 0")
@@ -152,14 +152,14 @@ def _object_state(data: dict[str, Any]) -> ObjectState:
 
 
 def _referenced(text: str, name: str) -> tuple[dict[str, Any], tuple[Floats, Floats]]:
-    """A position, a velocity or an attitude, and the pose of the frame that it is given in."""
+    """A position, velocity or attitude, and the pose of its reference frame."""
     data = _decode(text)[name]
     return data, _pose(data["reference"])
 
 
 @lru_cache(maxsize=256)
 def _pose(reference: str) -> tuple[Floats, Floats]:
-    """Position (3,) m and active rotation (3, 3) in the world of a frame of reference, through all its parents."""
+    """Position (3,) m and active rotation (3, 3) of a reference frame in the world, through all its parents."""
     data = _decode(reference)["reference"]
     position, rotation = _vector(data["x"], 3), _active(data["qw"], data["qv"])
     if data["reference"] is None:
@@ -172,7 +172,7 @@ def _active(qw: Any, qv: Any) -> Floats:
     """(3, 3) active rotation of a passive quaternion."""
     quaternion = np.concatenate([_vector([qw], 1), -_vector(qv, 3)])
     if abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-3:
-        raise ValueError(f"quaternion {[qw, *qv]} has not the length 1")
+        raise ValueError(f"quaternion {[qw, *qv]} does not have length 1")
     return rotation_from_quaternion(quaternion)
 
 
@@ -181,7 +181,7 @@ def _vector(values: Sequence[Any], length: int) -> Floats:
     if len(vector) != length:
         raise ValueError(f"{list(values)} has {len(vector)} numbers, expected {length}")
     if not np.isfinite(vector).all():
-        raise ValueError(f"{list(values)} holds a number that is not finite")
+        raise ValueError(f"{list(values)} contains a number that is not finite")
     return vector
 
 
@@ -204,10 +204,10 @@ def _read(path: Path) -> Any:
 
 
 def _decode(text: str) -> Any:
-    return json.loads(text, parse_constant=_no_constant)
+    return json.loads(text, parse_constant=_reject_constant)
 
 
-def _no_constant(name: str) -> NoReturn:
+def _reject_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not a finite number")
 
 

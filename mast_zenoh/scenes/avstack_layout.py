@@ -1,11 +1,11 @@
-"""Where the files of a scene in the CARLA multi-agent layout lie.
+"""Finds the files of a scene in the CARLA multi-agent layout.
 
     <run>/objects/objectstate-{actors,npcs}-<frame>-<time>.txt
     <run>/objects_sensor/<sensor>-<k>-<agent>/objectstate-objects-<frame>-<time>.txt
     <run>/data/<sensor>-<k>-<agent>/calib-timestamp_<time>-frame_<frame>.txt
 
-and, beside the run or in a folder above it, what the layout does not know: `detections.jsonl`, `visibility.jsonl`,
-`buildings.json`, `scene.json`.
+The files `detections.jsonl`, `visibility.jsonl`, `buildings.json` and `scene.json`, which are not part of the layout,
+may be in the run folder or in a folder above it.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from pathlib import Path
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.archive import unpack
 
-_DEPTH = 3  # folders down from the given one in which a run is looked for
+_MAX_DEPTH = 3  # levels of subfolders that are searched for a run
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A run folder, and the folders in which files beside it may lie, nearest first."""
+    """A run folder, and the folders that may hold its accompanying files, nearest first."""
 
     run: Path
-    around: tuple[Path, ...]
+    search_folders: tuple[Path, ...]
 
     def beside(self, name: str) -> Path | None:
-        """The nearest file of that name beside the run."""
-        return next((folder / name for folder in self.around if (folder / name).is_file()), None)
+        """The nearest accompanying file of that name; None: there is none."""
+        return next((folder / name for folder in self.search_folders if (folder / name).is_file()), None)
 
     def frames(self) -> dict[int, Path]:
-        """The actors' file of every frame, in order. Refuses gaps and frames without a file of the others."""
+        """The actors' file of every frame, in order. Raises SceneError for gaps and for missing files."""
         actors = object_files(self.run / "objects", "actors")
         others = object_files(self.run / "objects", "npcs")
         if not actors:
             raise SceneError(f"{self.run / 'objects'}: no file objectstate-actors-<frame>-<time>.txt")
-        same_frames(self.run / "objects", "npcs", others, list(actors))
-        same_frames(self.run / "objects", "actors", actors, list(others))
+        check_frames(self.run / "objects", "npcs", others, list(actors))
+        check_frames(self.run / "objects", "actors", actors, list(others))
         numbers = list(actors)
         stride = numbers[1] - numbers[0] if len(numbers) > 1 else 1
         for before, after in itertools.pairwise(numbers):
@@ -52,7 +52,7 @@ class Layout:
         return actors
 
     def sensors(self, kind: str, agent: int) -> list[str]:
-        """Names of an agent's sensors of a kind ("lidar", "camera") that have data, e.g. "lidar-0-3"."""
+        """Names of an agent's sensors of a kind ("lidar", "camera") with data, e.g. "lidar-0-3"."""
         folder = self.run / "data"
         names = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
         return [name for name in names if (parts := name.split("-"))[0] == kind and parts[-1] == str(agent)]
@@ -60,50 +60,49 @@ class Layout:
     def calibrations(self, sensor: str, frames: Sequence[int]) -> dict[int, Path]:
         """The calibration of a sensor in every frame."""
         folder = self.run / "data" / sensor
-        found: dict[int, Path] = {}
+        files: dict[int, Path] = {}
         for path in folder.glob("calib-timestamp_*-frame_*.txt"):
-            found[_number(path, path.stem.rpartition("frame_")[2])] = path
-        same_frames(folder, "calib", found, frames)
-        return {frame: found[frame] for frame in frames}
+            files[_frame_number(path, path.stem.rpartition("frame_")[2])] = path
+        check_frames(folder, "calib", files, frames)
+        return {frame: files[frame] for frame in frames}
 
     def seen(self, sensor: str, frames: Sequence[int]) -> dict[int, Path] | None:
-        """The file of objects that a sensor sees in every frame; None when there is no folder of that sensor."""
+        """The file of visible objects of a sensor in every frame; None without a folder for that sensor."""
         folder = self.run / "objects_sensor" / sensor
         if not folder.is_dir():
             return None
-        found = object_files(folder, "objects")
-        same_frames(folder, "objects", found, frames)
-        return {frame: found[frame] for frame in frames}
+        files = object_files(folder, "objects")
+        check_frames(folder, "objects", files, frames)
+        return {frame: files[frame] for frame in frames}
 
 
 @contextlib.contextmanager
-def opened(path: Path, max_unpacked_mb: float) -> Iterator[Layout]:
+def open_layout(path: Path, max_unpacked_mb: float) -> Iterator[Layout]:
     """The layout at `path`: a run folder, a folder above a single run, or a tar archive of either.
 
-    An archive is unpacked into a temporary folder, never outside it, without the images and point clouds, and is gone
-    when the context ends. Raises SceneError when there is no run or more than one, or more to unpack than
-    `max_unpacked_mb` (10^6 bytes).
+    An archive is unpacked into a temporary folder, without the images and point clouds; the folder is deleted when the
+    context ends. Raises SceneError without exactly one run, or if the files exceed `max_unpacked_mb` (10^6 bytes).
     """
     if path.is_dir():
-        yield find(path)
+        yield find_layout(path)
         return
     if not path.is_file():
         raise SceneError(f"{path}: no such file or folder")
     with tempfile.TemporaryDirectory(prefix="mast-scene-") as folder:
         unpack(path, Path(folder), (".txt", ".json", ".jsonl"), int(max_unpacked_mb * 1e6))
-        # Messages are to name the archive, not a folder that is gone when they are read.
+        # Error messages name the archive, not the temporary folder.
         try:
-            yield find(Path(folder))
+            yield find_layout(Path(folder))
         except SceneError as error:
             raise SceneError(str(error).replace(folder, str(path))) from error
 
 
-def find(path: Path) -> Layout:
+def find_layout(path: Path) -> Layout:
     """The layout in a folder: the folder itself, or the only run below it."""
     if (path / "objects").is_dir():
         return Layout(path, (path, path.parent))
     level, runs = [path], []
-    for _ in range(_DEPTH):
+    for _ in range(_MAX_DEPTH):
         level = sorted(child for folder in level for child in folder.iterdir() if child.is_dir())
         runs += [folder for folder in level if (folder / "objects").is_dir()]
         level = [folder for folder in level if folder not in runs]
@@ -118,25 +117,25 @@ def find(path: Path) -> Layout:
 
 def object_files(folder: Path, kind: str) -> dict[int, Path]:
     """The files `objectstate-<kind>-<frame>-<time>.txt` of a folder by frame, in order."""
-    found: dict[int, Path] = {}
+    files: dict[int, Path] = {}
     for path in folder.glob(f"objectstate-{kind}-*.txt"):
         parts = path.stem.split("-")
         if len(parts) != 4:
             raise SceneError(f"{path}: the name has {len(parts)} parts, expected objectstate-{kind}-<frame>-<time>.txt")
-        found[_number(path, parts[2])] = path
-    return dict(sorted(found.items()))
+        files[_frame_number(path, parts[2])] = path
+    return dict(sorted(files.items()))
 
 
-def _number(path: Path, text: str) -> int:
+def _frame_number(path: Path, text: str) -> int:
     if not text.isdecimal():
-        raise SceneError(f"{path}: {text!r} in the name is no frame number")
+        raise SceneError(f"{path}: {text!r} in the name is not a frame number")
     return int(text)
 
 
-def same_frames(folder: Path, kind: str, found: dict[int, Path], frames: Sequence[int]) -> None:
-    """Raises SceneError, naming the first one, when a frame has no file of a kind."""
-    missing = [frame for frame in frames if frame not in found]
+def check_frames(folder: Path, kind: str, files: dict[int, Path], frames: Sequence[int]) -> None:
+    """Raise SceneError with the first frame that has no file of a kind."""
+    missing = [frame for frame in frames if frame not in files]
     if missing:
         raise SceneError(
-            f"{folder}: no {kind} file of frame {missing[0]} ({len(missing)} of {len(frames)} frames are without one)"
+            f"{folder}: no {kind} file for frame {missing[0]} (missing for {len(missing)} of {len(frames)} frames)"
         )

@@ -1,4 +1,4 @@
-"""What a scene is."""
+"""Base class of scenes."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from mast_zenoh.scenes.recording import Recording
 
 
 class Scene(ABC):
-    """Where the truth comes from. A subclass takes its parameters as keywords and makes a `Recording` of itself."""
+    """A source of ground truth. A subclass takes its parameters as keywords and prepares a `Recording`."""
 
     @abstractmethod
     def record(self, seed: int, frames: int | None) -> Recording:
-        """The scene's first `frames` frames (None: all it has or its usual number), a function of (self, seed) alone.
+        """Record the scene's first `frames` frames (None: all, or its default number).
 
-        Raises SceneError when data is missing, truncated or inconsistent, naming file, place and reason, and
-        ConfigurationError when a parameter makes no sense.
+        The result depends on (self, seed) alone. Raises SceneError with file, place and reason when data is missing,
+        truncated or inconsistent, and ConfigurationError for an invalid parameter.
         """
 
     def inputs(self) -> Sequence[Path]:
-        """The files and folders that the recording is made from; the disk cache watches their identity."""
+        """Files and folders that the recording depends on; the disk cache is invalidated when they change."""
         return ()

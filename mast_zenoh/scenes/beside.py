@@ -1,4 +1,4 @@
-"""Files that may lie beside a recorded scene: detections, visibility, buildings. Formats: docs/scenes.md."""
+"""Optional files accompanying a recorded scene: detections, visibility, buildings (docs/scenes.md)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.avstack_decode import class_of
 
-_HEIGHT_M = 12.0  # of buildings, where nothing is said
+_DEFAULT_HEIGHT_M = 12.0  # of buildings
 
 
 def read_detections(
@@ -23,8 +23,8 @@ def read_detections(
 ) -> tuple[Detections, Ints, Ints]:
     """`detections`, `detection_start` and `detection_truth_id` of a recording, from `detections.jsonl`.
 
-    frames: F numbers of frames; agents: A numbers of agents; sensor_rotation: (F, A, 3, 3) active, sensor to world, for
-    detections that give an attitude in the sensor's frame instead of a yaw.
+    frames: F frame numbers; agents: A agent numbers; sensor_rotation: (F, A, 3, 3) active, sensor to world, for
+    detections with an attitude in the sensor's frame instead of a yaw.
     """
     rows: dict[tuple[int, int], tuple[Detections, Ints]] = {}
     for place, frame, agent, data in _lines(path, frames, agents, "detections"):
@@ -47,7 +47,7 @@ def _detections(data: Sequence[Mapping[str, Any]], sensor_rotation: Floats) -> t
     covariance = np.array([d.get("covariance", np.zeros((3, 3))) for d in data], np.float64).reshape(n, 3, 3)
     for name, values in (("x, y, z, l, w, h", numbers), ("yaw", yaw), ("covariance", covariance)):
         if not np.isfinite(values).all():
-            raise ValueError(f"{name} holds a number that is not finite")
+            raise ValueError(f"{name} contains a number that is not finite")
     if n and numbers[:, 3:].min() <= 0:
         raise ValueError("l, w, h: expected more than 0")
     if n and (score.min() < 0 or score.max() > 1):
@@ -58,11 +58,11 @@ def _detections(data: Sequence[Mapping[str, Any]], sensor_rotation: Floats) -> t
 
 
 def _yaw(q: Sequence[float], sensor_rotation: Floats) -> float:
-    """Yaw about the world's vertical less the sensor's, from a passive attitude (w, x, y, z) in the sensor's frame."""
+    """Yaw about the world's vertical minus the sensor's, from a passive attitude (w, x, y, z) in the sensor's frame."""
     if len(q) != 4:
         raise ValueError(f"q has {len(q)} numbers, expected 4")
-    turned = sensor_rotation @ rotation_from_quaternion(np.array(q, np.float64) * [1.0, -1.0, -1.0, -1.0])
-    return float(heading(turned) - heading(sensor_rotation))
+    rotation = sensor_rotation @ rotation_from_quaternion(np.array(q, np.float64) * [1.0, -1.0, -1.0, -1.0])
+    return float(heading(rotation) - heading(sensor_rotation))
 
 
 def read_visibility(
@@ -70,7 +70,7 @@ def read_visibility(
 ) -> NDArray[np.int32]:
     """(N, A) lidar returns of each truth row at each agent, from `visibility.jsonl`.
 
-    ids (N,) and start (F + 1,): the truth rows. Objects that are not listed have none.
+    ids (N,) and start (F + 1,): the truth rows. Objects that are not listed have no returns.
     """
     points = np.zeros((len(ids), len(agents)), np.int32)
     for place, frame, agent, data in _lines(path, frames, agents, "objects"):
@@ -93,10 +93,10 @@ def read_buildings(path: Path, scene: Path | None) -> tuple[tuple[Floats, ...], 
     All have the height `building_height_m` of `scene.json` if there is one, else 12 m.
     """
     data = _load(path)
-    head = _load(scene) if scene is not None else {}
+    settings = _load(scene) if scene is not None else {}
     outlines = []
     try:
-        height = float(head.get("building_height_m", _HEIGHT_M))
+        height = float(settings.get("building_height_m", _DEFAULT_HEIGHT_M))
         for index, polygon in enumerate(data):
             outline = np.array(polygon, np.float64)
             if outline.ndim != 2 or outline.shape[1:] != (2,) or not np.isfinite(outline).all():
@@ -114,48 +114,51 @@ def read_buildings(path: Path, scene: Path | None) -> tuple[tuple[Floats, ...], 
 def _lines(
     path: Path, frames: Sequence[int], agents: Sequence[int], key: str
 ) -> Iterator[tuple[str, int, int, list[Any]]]:
-    """Place in the file, row of the frame, row of the agent and the list under `key`, of every line that is asked for.
+    """Yield file position, frame row, agent row and the list under `key` for the requested frames and agents.
 
-    Refuses a line that is there twice, and a frame of an agent that has none.
+    Raises SceneError if a frame of an agent occurs twice or not at all.
     """
     frame_row = {frame: k for k, frame in enumerate(frames)}
     agent_row = {agent: k for k, agent in enumerate(agents)}
-    found: dict[tuple[int, int], int] = {}
+    line_numbers: dict[tuple[int, int], int] = {}
     try:
         with path.open(encoding="utf-8") as file:
             for number, line in enumerate(file, start=1):
                 place = f"{path}: line {number}"
                 try:
-                    data = json.loads(line, parse_constant=_no_constant)
-                    at = (int(data["frame"]), int(data["agent"]))
+                    data = json.loads(line, parse_constant=_reject_constant)
+                    frame_agent = (int(data["frame"]), int(data["agent"]))
                     entries = data[key]
                     if not isinstance(entries, list):
-                        raise ValueError(f"{key} is no list")
+                        raise ValueError(f"{key} is not a list")
                 except (ValueError, KeyError, TypeError) as error:
                     raise SceneError(f"{place}: {_reason(error)}") from error
-                if at in found:
-                    raise SceneError(f"{place}: frame {at[0]} of agent {at[1]} is in line {found[at]} already")
-                found[at] = number
-                if at[0] in frame_row and at[1] in agent_row:
-                    yield place, frame_row[at[0]], agent_row[at[1]], entries
+                if frame_agent in line_numbers:
+                    raise SceneError(
+                        f"{place}: frame {frame_agent[0]} of agent {frame_agent[1]} "
+                        f"is already in line {line_numbers[frame_agent]}"
+                    )
+                line_numbers[frame_agent] = number
+                if frame_agent[0] in frame_row and frame_agent[1] in agent_row:
+                    yield place, frame_row[frame_agent[0]], agent_row[frame_agent[1]], entries
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: {error}") from error
     for frame in frames:
         for agent in agents:
-            if (frame, agent) not in found:
+            if (frame, agent) not in line_numbers:
                 raise SceneError(
-                    f"{path}: no line of frame {frame}, agent {agent}; an empty list says nothing was found"
+                    f"{path}: no line for frame {frame}, agent {agent}; use an empty list if nothing was detected"
                 )
 
 
 def _load(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_constant)
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_reject_constant)
     except (OSError, ValueError) as error:
         raise SceneError(f"{path}: {error}") from error
 
 
-def _no_constant(name: str) -> NoReturn:
+def _reject_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not a finite number")
 
 

@@ -11,28 +11,30 @@ _GAP = 3.0  # m, between two buildings
 
 
 def rows_of_buildings(arms: tuple[Arm, ...], random: np.random.Generator) -> tuple[tuple[Floats, ...], Floats]:
-    """Outlines, each (4, 2) m, and heights (B,) m: a row on either side of every arm, as dense as chance has it.
+    """Outlines, each (4, 2) m, and heights (B,) m: a row of random density on either side of every arm.
 
-    None stands on a road, a pavement or in another one.
+    No building overlaps a road, a pavement or another building.
     """
-    taken = [_rectangle(arm, 0.0, REACH + 60.0, -arm.half_width - PAVEMENT, arm.half_width + PAVEMENT) for arm in arms]
+    occupied = [
+        _rectangle(arm, 0.0, REACH + 60.0, -arm.half_width - PAVEMENT, arm.half_width + PAVEMENT) for arm in arms
+    ]
     outlines: list[Floats] = []
     heights: list[float] = []
     for a, arm in enumerate(arms):
         for side, mouth in ((1.0, corners(arms, a, PAVEMENT)[0]), (-1.0, corners(arms, a - 1, PAVEMENT)[-1])):
-            away = np.array([np.cos(arm.angle), np.sin(arm.angle)])
-            x = float(mouth @ away) + random.uniform(0.5, 5.0)
-            built = random.uniform(0.7, 1.0)  # how much of this side is built on
+            direction = np.array([np.cos(arm.angle), np.sin(arm.angle)])
+            x = float(mouth @ direction) + random.uniform(0.5, 5.0)
+            density = random.uniform(0.7, 1.0)  # fraction of this side that is built on
             while x < PAVEMENT_END:
                 length, depth = random.uniform(10.0, 26.0), random.uniform(9.0, 18.0)
                 front = arm.half_width + PAVEMENT + random.choice([0.5, 0.5, 4.0])
-                height, used = random.choice([4.5, 7.5, 10.5, 13.5, 19.5]), random.random() < built
+                height, is_built = random.choice([4.5, 7.5, 10.5, 13.5, 19.5]), random.random() < density
                 low, high = sorted((side * front, side * (front + depth)))
                 outline = _rectangle(arm, x, x + length, low, high)
-                if not used:
+                if not is_built:
                     x += length
-                elif not any(_overlap(outline, other) for other in taken):
-                    taken.append(_rectangle(arm, x - _GAP, x + length + _GAP, low - _GAP, high + _GAP))
+                elif not any(_overlap(outline, other) for other in occupied):
+                    occupied.append(_rectangle(arm, x - _GAP, x + length + _GAP, low - _GAP, high + _GAP))
                     outlines.append(outline)
                     heights.append(float(height))
                     x += length + random.choice([_GAP, _GAP, 9.0])
@@ -49,8 +51,8 @@ def _overlap(one: Floats, other: Floats) -> bool:
     """Whether two convex outlines overlap: no side of either separates them."""
     for outline in (one, other):
         side = np.roll(outline, -1, axis=0) - outline
-        across = np.stack([-side[:, 1], side[:, 0]])
-        first, second = one @ across, other @ across
+        normal = np.stack([-side[:, 1], side[:, 0]])
+        first, second = one @ normal, other @ normal
         if np.any((first.max(axis=0) <= second.min(axis=0)) | (second.max(axis=0) <= first.min(axis=0))):
             return False
     return True

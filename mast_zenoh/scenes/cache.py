@@ -1,4 +1,4 @@
-"""Prepared scenes on disk: a scene is made once per (configuration, seed, frames, code, data) and replayed."""
+"""Disk cache of prepared scenes, one per (configuration, seed, frames, code, data)."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.version import __version__
 
-#: Bytes that the cache may hold; what was used longest ago goes first.
+#: Maximum size of the cache, bytes; the least recently used files are removed first.
 LIMIT = 2_000_000_000
 
 
 def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None) -> Recording:
-    """The recording of a scene, from the disk cache if it is there, else made and put there.
+    """The recording of a scene, from the disk cache or else recorded and cached.
 
     cache_key: the scene's configuration as text, the same for equal scenes; None: do not cache.
     A scene of which a notebook defines a part is not cached either: nothing says whether its code has changed.
 
-    The cache lies in $XDG_CACHE_HOME/mast-zenoh/scenes (or ~/.cache/...). Files appear whole or not at all, so two
-    processes may prepare one scene at the same time; a broken or missing file means that the scene is made again.
-    A cache that cannot be written is no error. Raises what `Scene.record` raises.
+    The cache is in $XDG_CACHE_HOME/mast-zenoh/scenes (or ~/.cache/...). Files are written atomically, so two processes
+    may prepare the same scene at the same time. If a file is broken or missing, the scene is recorded again. A cache
+    that cannot be written is not an error. Raises what `Scene.record` raises.
     """
     if cache_key is None or _of_session(scene):
         return scene.record(seed, frames)
@@ -47,9 +47,9 @@ def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None) 
 
 
 def cache_folder() -> Path:
-    """Where prepared scenes lie."""
+    """The folder of the prepared scenes."""
     base = os.environ.get("XDG_CACHE_HOME", "")
-    # The XDG specification has relative paths ignored.
+    # The XDG specification says to ignore relative paths.
     root = Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache"
     return root / "mast-zenoh" / "scenes"
 
@@ -72,12 +72,12 @@ def _prune(folder: Path) -> None:
         with contextlib.suppress(OSError):  # another process may have removed it just now
             stat = path.stat()
             entries.append((stat.st_mtime_ns, stat.st_size, path))
-    held = sum(size for _, size, _ in entries)
+    total = sum(size for _, size, _ in entries)
     for _, size, path in sorted(entries):
-        if held <= LIMIT:
+        if total <= LIMIT:
             return
         path.unlink(missing_ok=True)
-        held -= size
+        total -= size
 
 
 def _digest(scene: Scene, seed: int, frames: int | None, cache_key: str) -> str:
@@ -91,20 +91,20 @@ def _digest(scene: Scene, seed: int, frames: int | None, cache_key: str) -> str:
 
 
 def _identity(path: Path) -> list[str]:
-    """Path, size and time of change of a file, or of everything below a folder."""
-    found = [str(path.absolute())]
+    """Path, size and modification time of a file, or of everything below a folder."""
+    lines = [str(path.absolute())]
     if path.is_file():
-        return [*found, _line(path, path.stat())]
-    # Every run of a scene comes by here, and a data set has thousands of files: no Path is made of any.
+        return [*lines, _line(path, path.stat())]
+    # Called in every run, and a data set has thousands of files: creating Path objects would be slow.
     folders = [str(path)]
     while folders:
         with contextlib.suppress(OSError), os.scandir(folders.pop()) as entries:
             for entry in entries:
                 with contextlib.suppress(OSError):
-                    found.append(_line(entry.path, entry.stat()))
+                    lines.append(_line(entry.path, entry.stat()))
                 if entry.is_dir(follow_symlinks=False):
                     folders.append(entry.path)
-    return sorted(found)
+    return sorted(lines)
 
 
 def _line(path: Path | str, stat: os.stat_result) -> str:
@@ -113,7 +113,7 @@ def _line(path: Path | str, stat: os.stat_result) -> str:
 
 @cache
 def _code() -> str:
-    """A hash of the code that makes scenes: a change of it makes every prepared scene stale."""
+    """A hash of the code that prepares scenes: a change invalidates every prepared scene."""
     files = [Path(module.__file__ or "") for module in (geometry, states, streams)]
     for file in (__file__, sensing.__file__):
         files += Path(file or "").parent.glob("*.py")
@@ -128,7 +128,7 @@ def _of_session(scene: Scene) -> bool:
 
 
 def _own_code(scene: Scene) -> str:
-    """A hash of the modules that the scene and its parts, a detector say, are written in: they may be a user's own."""
+    """A hash of the modules that define the scene and its parts, such as the detector: they may be user code."""
     modules = {type(part).__module__ for part in (scene, *vars(scene).values())}
     names = [getattr(sys.modules.get(module), "__file__", None) for module in sorted(modules)]
     return _hash_of([Path(name) for name in names if name])

@@ -1,4 +1,4 @@
-"""A generated scene: a signalised junction with traffic, seen by an ego that drives through and by poles around it."""
+"""A generated scene: a signalised junction with traffic, an ego driving through and poles around it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from mast_zenoh.streams import stream
 
 _DETECTOR = DetectionModel()
 _WARM_UP_S = 60.0  # until queues and gaps have formed
-_SEARCH_S = 45.0  # in which a start is looked for, so that the ego drives through
-_WINDOW_S = 15.0  # for which the ego is looked at
+_SEARCH_S = 45.0  # range of start times, searched for one in which the ego crosses the junction
+_WINDOW_S = 15.0  # duration considered when choosing the ego
 _POLE_HEIGHT_M = 15.0
 _POLE_PITCH_DEG = 30.0
 _POLES, _MAX_POLES, _MAX_MOBILE = 4, 16, 20
@@ -29,17 +29,17 @@ _POLES, _MAX_POLES, _MAX_MOBILE = 4, 16, 20
 class Intersection(Scene):
     """A signalised junction of about 200 x 200 m; needs no data.
 
-    scene_index:      which junction: arms, lanes, buildings, how much traffic; 0, 1, 2, …
+    scene_index:      which junction (arms, lanes, buildings, traffic density): 0, 1, 2, …
     n_infrastructure: poles with a lidar 15 m up, looking 30 degrees down, 0 to 16; the first stand near the stop lines;
                       None: 4
     n_mobile:         further agents among the motor vehicles, 0 to 20; None: 0
-    n_vehicles:       motor vehicles, of which the ego is one; None: as the junction has it, about 20
-    n_bicycles, n_pedestrians: None: as the junction has it
+    n_vehicles:       motor vehicles including the ego; None: depends on the junction, about 20
+    n_bicycles, n_pedestrians: None: depends on the junction
     rate_hz:          frames per second
-    detector:         what makes detections of what the lidars see
+    detector:         the model that generates detections from lidar visibility
 
-    150 frames unless `record` is asked for another number. The seed decides the traffic and the detections, never the
-    junction; the number of agents decides neither.
+    `record` makes 150 frames by default at 10 Hz. The seed determines the traffic and the detections, never the
+    junction; the number of agents affects neither.
     """
 
     def __init__(
@@ -82,7 +82,6 @@ class Intersection(Scene):
         self.detector = detector
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        """See `Scene.record`."""
         frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
         if frames < 1:
             raise ConfigurationError(f"Intersection: {frames} frames, expected at least 1")
@@ -95,9 +94,9 @@ class Intersection(Scene):
         movers, kinds = road_users(
             network,
             {
-                "vehicle": self._of("n_vehicles", max(round(lanes * density), 1 + _MAX_MOBILE)),
-                "bicycle": self._of("n_bicycles", int(layout.integers(3, 7))),
-                "pedestrian": self._of("n_pedestrians", int(layout.integers(7, 14))),
+                "vehicle": self._count("n_vehicles", max(round(lanes * density), 1 + _MAX_MOBILE)),
+                "bicycle": self._count("n_bicycles", int(layout.integers(3, 7))),
+                "pedestrian": self._count("n_pedestrians", int(layout.integers(7, 14))),
             },
             stream(seed, "intersection", self.scene_index, "movers"),
         )
@@ -116,9 +115,9 @@ class Intersection(Scene):
         points = see(world)
         return recorded(world, points, *detect(world, points, self.detector, seed))
 
-    def _of(self, name: str, usual: int) -> int:
-        wanted: int | None = getattr(self, name)
-        return usual if wanted is None else wanted
+    def _count(self, name: str, default: int) -> int:
+        configured: int | None = getattr(self, name)
+        return default if configured is None else configured
 
     def _drive(self, network: Network, movers: Movers, seed: int, frames: int) -> tuple[Motion, int, list[int]]:
         """The motion in the recorded frames, the ego, and the other motor vehicles, those at the junction first."""
@@ -127,19 +126,19 @@ class Intersection(Scene):
         traffic = Traffic(network, movers, seed, f"intersection/{self.scene_index}")
         traffic.run(round(_WARM_UP_S * self.rate_hz), steps, dt)
         window, search = round(_WINDOW_S * self.rate_hz), round(_SEARCH_S * self.rate_hz)
-        # What is chosen depends on the window alone, so that fewer frames are the beginning of more.
+        # The choice depends on the window alone, so that a shorter recording is the start of a longer one.
         motion = traffic.run(search + max(window, frames), steps, dt)
         motorised = np.flatnonzero(movers.user == ROAD)
         cars = motorised[movers.size_class[motorised] == 0]
-        begin, ego = _passage(network, motion.frames(slice(search + window)), cars, window)
-        motion = motion.frames(slice(begin, begin + frames))
+        start, ego = _choose_ego(network, motion.frames(slice(search + window)), cars, window)
+        motion = motion.frames(slice(start, start + frames))
         distance = np.hypot(*np.moveaxis(motion.position[:window, motorised], -1, 0)).mean(axis=0)
         others = [int(row) for row in motorised[np.argsort(distance, kind="stable")] if row != ego]
         return motion, ego, others
 
 
 def _arms(scene_index: int, random: np.random.Generator) -> tuple[Arm, ...]:
-    """Four arms, three as a T, or three as a Y, turned, bent and as wide as chance has it."""
+    """Four arms, or three as a T or a Y, with random rotation, angles and widths."""
     kind = ("cross", "tee", "cross", "cross", "wye")[scene_index % 5]
     degrees, bend = {
         "cross": ((0.0, 90.0, 180.0, 270.0), 9.0),
@@ -151,32 +150,34 @@ def _arms(scene_index: int, random: np.random.Generator) -> tuple[Arm, ...]:
     return arms_of(list(np.radians(angles)), [main, cross, main, cross][: len(degrees)])
 
 
-def _passage(network: Network, motion: Motion, cars: Ints, window: int) -> tuple[int, int]:
-    """The frame to begin with and the ego: a car that crosses the junction in the window, well under way."""
+def _choose_ego(network: Network, motion: Motion, cars: Ints, window: int) -> tuple[int, int]:
+    """The first frame and the ego: a moving car that crosses the junction in the window."""
     crossing: Bools = network.origin[motion.path[:, cars]] >= 0
     travelled = np.concatenate([np.zeros((1, len(cars))), np.cumsum(motion.speed[:, cars], axis=0)])
-    begins = np.arange(0, len(motion.speed) - window + 1, 5)
+    starts = np.arange(0, len(motion.speed) - window + 1, 5)
     best: tuple[float, int, int] | None = None
-    for begin in begins:
-        inside = crossing[begin : begin + window]
-        middle = (inside * np.arange(window)[:, None]).sum(axis=0) / np.maximum(inside.sum(axis=0), 1)
-        # Best: across at 60 % of the window, and far travelled; a car that does not cross comes last.
-        worth = travelled[begin + window] - travelled[begin]
-        worth = worth / travelled[-1].max(initial=1e-9) - np.abs(middle / window - 0.6) - 10.0 * ~inside.any(axis=0)
-        k = int(worth.argmax())
-        if best is None or worth[k] > best[0]:
-            best = float(worth[k]), int(begin), int(cars[k])
+    for start in starts:
+        inside = crossing[start : start + window]
+        crossing_frame = (inside * np.arange(window)[:, None]).sum(axis=0) / np.maximum(inside.sum(axis=0), 1)
+        # Best: crosses at 60 % of the window and travels far; cars that do not cross come last.
+        score = travelled[start + window] - travelled[start]
+        score = (
+            score / travelled[-1].max(initial=1e-9) - np.abs(crossing_frame / window - 0.6) - 10.0 * ~inside.any(axis=0)
+        )
+        k = int(score.argmax())
+        if best is None or score[k] > best[0]:
+            best = float(score[k]), int(start), int(cars[k])
     assert best is not None
     return best[1], best[2]
 
 
 def _poles(arms: tuple[Arm, ...], count: int) -> list[tuple[Floats, float]]:
-    """Position (2,) m and heading rad of the poles: on the pavements, near the stop lines first, facing the middle."""
-    places = []
-    for beyond, side in ((8.0, 1.0), (24.0, -1.0), (40.0, 1.0), (56.0, -1.0), (72.0, 1.0), (88.0, -1.0)):
-        local = [np.array([[arm.stop + beyond, side * (arm.half_width + 1.2)]]) for arm in arms]
-        places += [arm.world(point)[0] for arm, point in zip(arms, local, strict=True)]
-    return [(place, float(np.arctan2(-place[1], -place[0]))) for place in places[:count]]
+    """Position (2,) m and heading rad of the poles, on pavements, nearest the stop lines first, facing the centre."""
+    positions = []
+    for setback, side in ((8.0, 1.0), (24.0, -1.0), (40.0, 1.0), (56.0, -1.0), (72.0, 1.0), (88.0, -1.0)):
+        local = [np.array([[arm.stop + setback, side * (arm.half_width + 1.2)]]) for arm in arms]
+        positions += [arm.world(point)[0] for arm, point in zip(arms, local, strict=True)]
+    return [(position, float(np.arctan2(-position[1], -position[0]))) for position in positions[:count]]
 
 
 def _world(
@@ -194,7 +195,7 @@ def _world(
     heights = movers.size[:, 2]
     agents = []
     for k, row in enumerate(motorised):
-        # The lidar stands on the roof; a bus is higher than a car.
+        # The lidar is on the roof; a bus is higher than a car.
         mount = np.array([0.0, 0.0, max(1.8, float(heights[row]) + 0.2)])
         camera = Camera(mount_position=mount - [0.0, 0.0, 0.2])
         agents.append(
@@ -208,20 +209,20 @@ def _world(
     rotation = np.zeros((frames, len(agents), 3, 3))
     velocity = np.zeros((frames, len(agents), 3))
     heading = np.stack([np.cos(motion.yaw), np.sin(motion.yaw), np.zeros_like(motion.yaw)], axis=-1)
-    moving = heading * motion.speed[..., None]
+    mover_velocity = heading * motion.speed[..., None]
     for k, row in enumerate(motorised):
         position[:, k, :2] = motion.position[:, row]
         rotation[:, k] = [rotation_from_yaw(float(yaw)) for yaw in motion.yaw[:, row]]
-        velocity[:, k] = moving[:, row]
-    for k, (place, yaw) in enumerate(poles, start=len(motorised)):
-        position[:, k] = (*place, _POLE_HEIGHT_M)
+        velocity[:, k] = mover_velocity[:, row]
+    for k, (pole_position, yaw) in enumerate(poles, start=len(motorised)):
+        position[:, k] = (*pole_position, _POLE_HEIGHT_M)
         rotation[:, k] = rotation_from_yaw_pitch(yaw, np.radians(_POLE_PITCH_DEG))
     centre = np.concatenate([motion.position, np.broadcast_to(heights[:, None] / 2, (frames, n, 1))], axis=-1)
     truth: ObjectStates = truth_states(
         {
             "id": np.tile(np.arange(n, dtype=np.int64), frames),
             "position": centre.reshape(-1, 3),
-            "velocity": moving.reshape(-1, 3),
+            "velocity": mover_velocity.reshape(-1, 3),
             "size": np.tile(movers.size, (frames, 1)),
             "yaw": (motion.yaw.reshape(-1) + np.pi) % (2 * np.pi) - np.pi,
             "class_id": np.tile(np.array([CLASS_INDEX[name] for name in classes], np.uint8), frames),

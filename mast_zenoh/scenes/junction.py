@@ -2,7 +2,7 @@
 
 Traffic drives on the right. In the frame of an arm, x points away from the centre and y to the left of that, so that
 lanes towards the centre have y > 0. Every lane away from the centre ends in a turning loop, out of sight of the
-junction, and comes back as the lane towards it: nothing ever leaves the scene, so it can be as long as one likes.
+junction, and returns as the lane towards it: nothing ever leaves the scene, so a recording can have any length.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ REACH = 105.0  # m, where the turning loops begin
 LOOP_SHIFT = 30.0  # m, over which lanes spread before the turning loop
 PAVEMENT_END = 85.0
 PAVEMENT = 6.0  # m, width of a pavement
-OPPOSITE_DEG = 20.0  # arms within this of half a turn apart have no corner between them
+OPPOSITE_DEG = 20.0  # arms that are opposite to within this angle have no corner between them
 
-#: Who uses a path.
+#: Kinds of road users of a path.
 ROAD, BIKE, CROSSER, WALKER = range(4)
 
 
@@ -47,10 +47,10 @@ class Arm:
         return (slot + 0.5) * LANE if slot < self.lanes else self.lanes * LANE + BIKE_LANE / 2
 
     def world(self, local: Floats) -> Floats:
-        """(k, 2) points of the arm's frame in the world."""
+        """Transform points (k, 2) from the arm's frame to the world."""
         c, s = np.cos(self.angle), np.sin(self.angle)
-        turned: Floats = local @ np.array([[c, s], [-s, c]])
-        return turned
+        rotated: Floats = local @ np.array([[c, s], [-s, c]])
+        return rotated
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +58,10 @@ class Lane:
     """One path of the plan.
 
     user:   ROAD, BIKE, CROSSER or WALKER
-    path:   where it goes
-    follow: rows of the lanes one may go on to
-    arm:    of an approach: the arm it belongs to; of a connector: the arm it comes from
-    target: of a connector: the arm it goes to (that of its crossing, for pedestrians); -1 for an approach
+    path:   its centre line
+    follow: rows of the lanes that continue it
+    arm:    of an approach: its arm; of a connector: the arm that it comes from
+    target: of a connector: the arm that it leads to (that of its crossing, for pedestrians); -1 for an approach
     turn:   rad, of a connector, positive to the left
     """
 
@@ -74,16 +74,16 @@ class Lane:
 
     @property
     def connector(self) -> bool:
-        """Whether the path crosses the junction or a road, and so needs the right of way."""
+        """Whether the path crosses the junction or a road and therefore needs the right of way."""
         return self.target >= 0
 
 
 def arms_of(angles: list[float], lanes: list[int]) -> tuple[Arm, ...]:
     """The arms at `angles` rad (ascending) with `lanes` each way; stop lines are set back behind the crossings."""
-    bare = [Arm(angle, count, 0.0) for angle, count in zip(angles, lanes, strict=True)]
+    unplaced = [Arm(angle, count, 0.0) for angle, count in zip(angles, lanes, strict=True)]
     arms = []
-    for i, arm in enumerate(bare):
-        left, right = bare[(i + 1) % len(bare)], bare[i - 1]
+    for i, arm in enumerate(unplaced):
+        left, right = unplaced[(i + 1) % len(unplaced)], unplaced[i - 1]
         mouth = 4.0
         for other, gap in ((left, left.angle - arm.angle), (right, arm.angle - right.angle)):
             gap %= 2 * np.pi
@@ -108,7 +108,7 @@ def plan(arms: tuple[Arm, ...]) -> tuple[Lane, ...]:
             end = arms[b].world(np.array([[arms[b].stop, -arms[b].offset(exit_slot)]]))[0]
             path = Path.through(bend(start, arms[a].angle + np.pi, end, arms[b].angle))
             lanes.append(Lane(lanes[row].user, path, (approach[b, exit_slot],), a, b, _turn(arms, a, b)))
-            lanes[row] = _leading_to(lanes[row], len(lanes) - 1)
+            lanes[row] = _with_successor(lanes[row], len(lanes) - 1)
     for a, arm in enumerate(arms):
         lanes += _crossing(arm, a, len(lanes))
     for a in range(len(arms)):
@@ -116,7 +116,7 @@ def plan(arms: tuple[Arm, ...]) -> tuple[Lane, ...]:
     return tuple(lanes)
 
 
-def _leading_to(lane: Lane, row: int) -> Lane:
+def _with_successor(lane: Lane, row: int) -> Lane:
     return Lane(lane.user, lane.path, (*lane.follow, row), lane.arm, lane.target, lane.turn)
 
 
@@ -125,7 +125,7 @@ def _turn(arms: tuple[Arm, ...], a: int, b: int) -> float:
 
 
 def _exits(arms: tuple[Arm, ...], a: int, slot: int) -> list[tuple[int, int]]:
-    """(arm, slot) to go to from a lane: straight from every lane, left from the inner, right from the outer."""
+    """Exits (arm, slot) of a lane: straight from every lane, left from the inner one, right from the outer one."""
     arm = arms[a]
     turns = {b: _turn(arms, a, b) for b in range(len(arms)) if b != a}
     ahead = [b for b, turn in turns.items() if abs(turn) < np.radians(35)]
@@ -155,13 +155,13 @@ def _approach(arm: Arm, slot: int) -> Path:
 
 
 def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
-    """Two tracks over the road, with a landing on either pavement; those who have crossed turn and come back."""
+    """Two tracks over the road, joined by a landing on either pavement where pedestrians turn round."""
     x, half, track = arm.stop - 1.5 - CROSSING / 2, arm.half_width + 0.2, 0.9
     over = straight(np.array([x + track, -half]), np.array([x + track, half]))
     out, back = np.array([x + track, half + 0.5]), np.array([x - track, half])
     landing = np.concatenate([straight(over[-1], out), arc(np.array([x, half + 0.5]), track, 0.0, np.pi), back[None]])
     paths = []
-    for mirror in (1.0, -1.0):  # the way back is the way there, turned about the middle of the road
+    for mirror in (1.0, -1.0):  # the way back is the way there, rotated about the middle of the road
         middle = np.array([x, 0.0])
         paths += [(over - middle) * mirror + middle, (landing - middle) * mirror + middle]
     lanes = []
@@ -171,24 +171,24 @@ def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
     return lanes
 
 
-def corners(arms: tuple[Arm, ...], a: int, beyond: float) -> Floats:
-    """(1 or 2, 2) m, where the left side of arm `a` becomes the right side of the next, `beyond` m behind the kerbs.
+def corners(arms: tuple[Arm, ...], a: int, setback: float) -> Floats:
+    """(1 or 2, 2) m, where the left side of arm `a` becomes the right side of the next, `setback` m behind the kerbs.
 
-    One point where they meet, two where the arms lie opposite each other and nothing meets.
+    One point if the sides meet, two if the arms are opposite each other.
     """
-    here, after = arms[a], arms[(a + 1) % len(arms)]
-    gap = (after.angle - here.angle) % (2 * np.pi)
-    y, z = here.half_width + beyond, after.half_width + beyond
+    arm, next_arm = arms[a], arms[(a + 1) % len(arms)]
+    gap = (next_arm.angle - arm.angle) % (2 * np.pi)
+    y, z = arm.half_width + setback, next_arm.half_width + setback
     if abs(gap - np.pi) > np.radians(OPPOSITE_DEG):
-        return here.world(np.array([[(z + y * np.cos(gap)) / np.sin(gap), y]]))
-    ends = here.world(np.array([[here.stop + 3.0, y]])), after.world(np.array([[after.stop + 3.0, -z]]))
+        return arm.world(np.array([[(z + y * np.cos(gap)) / np.sin(gap), y]]))
+    ends = arm.world(np.array([[arm.stop + 3.0, y]])), next_arm.world(np.array([[next_arm.stop + 3.0, -z]]))
     return np.concatenate(ends)
 
 
 def _pavement(arms: tuple[Arm, ...], a: int) -> Floats:
-    """The loop of those who walk round the corner between arm `a` and the next, and back."""
-    here, after = arms[a], arms[(a + 1) % len(arms)]
-    beyond = 3.5
-    start = here.world(np.array([[PAVEMENT_END, here.half_width + beyond]]))
-    end = after.world(np.array([[PAVEMENT_END, -after.half_width - beyond]]))
-    return oval(rounded(np.concatenate([start, corners(arms, a, beyond), end]), 5.0), 0.9)
+    """The loop of pedestrians who walk round the corner between arm `a` and the next, and back."""
+    arm, next_arm = arms[a], arms[(a + 1) % len(arms)]
+    setback = 3.5
+    start = arm.world(np.array([[PAVEMENT_END, arm.half_width + setback]]))
+    end = next_arm.world(np.array([[PAVEMENT_END, -next_arm.half_width - setback]]))
+    return oval(rounded(np.concatenate([start, corners(arms, a, setback), end]), 5.0), 0.9)

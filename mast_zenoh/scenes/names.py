@@ -6,29 +6,31 @@ from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, nearest
 
-#: Short name to the type of the scene that takes the rest as its path.
+#: Scene types by short name; the text after the colon is their path.
 _WITH_PATH = {"avstack": "AVstackScene", "av2": "AV2Log"}
 _KNOWN = ("intersection", "intersection:INDEX", "avstack:PATH", "av2:PATH")
 
 
 def parse_scene(text: str) -> dict[str, Any]:
-    """The configuration of the scene that a short name stands for.
+    """The configuration of a scene from its short name.
 
     `intersection` and `intersection:INDEX` (a generated junction), `avstack:PATH` (CARLA multi-agent layout),
-    `av2:PATH` (Argoverse 2 log). Raises ConfigurationError for anything else, naming what is known.
+    `av2:PATH` (Argoverse 2 log). Raises ConfigurationError, listing the known names, for anything else.
     """
-    name, colon, rest = text.partition(":")
+    name, colon, argument = text.partition(":")
     if name == "intersection" and not colon:
         return {"type": "Intersection"}
-    if name == "intersection" and rest.isdecimal():
-        return {"type": "Intersection", "scene_index": int(rest)}
-    if name in _WITH_PATH and rest:
-        return {"type": _WITH_PATH[name], "path": rest}
+    if name == "intersection" and argument.isdecimal():
+        return {"type": "Intersection", "scene_index": int(argument)}
+    if name in _WITH_PATH and argument:
+        return {"type": _WITH_PATH[name], "path": argument}
     if name == "sumo":
         raise ConfigurationError(f"scene {text!r}: SUMO networks cannot be read; known: {', '.join(_KNOWN)}")
     if name in _WITH_PATH:
-        raise ConfigurationError(f"scene {text!r}: names no path, expected {name}:PATH")
+        raise ConfigurationError(f"scene {text!r}: no path, expected {name}:PATH")
     if name == "intersection":
-        raise ConfigurationError(f"scene {text!r}: {rest!r} is not an index, expected intersection:INDEX, 0 or more")
+        raise ConfigurationError(
+            f"scene {text!r}: {argument!r} is not an index, expected intersection:INDEX, 0 or more"
+        )
     hint = nearest(name, ("intersection", *_WITH_PATH))
     raise ConfigurationError(f"scene {text!r}: unknown name {name!r}{hint} (known: {', '.join(_KNOWN)})")

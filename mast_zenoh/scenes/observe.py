@@ -1,4 +1,4 @@
-"""What the agents of a scene see and detect, for scenes that do not bring it along."""
+"""Simulates what the agents of a scene see and detect."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mast_zenoh.streams import stream
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A scene before anybody looks at it; the fields are those of `Recording`.
+    """A scene without visibility and detections; the fields are those of `Recording`.
 
     The rows of each frame are in the order of their ids.
     """
@@ -73,12 +73,12 @@ def see(world: World, columns: Sequence[int] | None = None) -> NDArray[np.int32]
 def detect(
     world: World, points: NDArray[np.int32], detector: Detector, seed: int, ground: Floats | None = None
 ) -> tuple[Detections, Ints, Ints]:
-    """What every agent detects in every frame: `detections`, `detection_start` and `detection_truth_id`.
+    """Detect objects in every frame: `detections`, `detection_start` and `detection_truth_id`.
 
-    Each (agent, frame) draws from a stream of its own, so that one agent more changes nothing for the others.
-    ground: (F, A) m, z of the ground about each agent; None: 0.
+    Each (agent, frame) has its own random stream, so adding an agent does not affect the others.
+    ground: (F, A) m, z of the ground at each agent; None: 0.
     """
-    found: list[Detections] = []
+    batches: list[Detections] = []
     ids: list[Ints] = []
     for frame in range(len(world.times_ns)):
         rows = world.rows(frame)
@@ -92,9 +92,9 @@ def detect(
                 0.0 if ground is None else float(ground[frame, column]),
                 stream(seed, "detector", agent.name, frame),
             )
-            found.append(detections)
+            batches.append(detections)
             ids.append(truth_id)
-    flat = Detections(*(np.concatenate([getattr(part, name) for part in found]) for name in DETECTION_COLUMNS))
+    flat = Detections(*(np.concatenate([getattr(part, name) for part in batches]) for name in DETECTION_COLUMNS))
     return flat, np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
 
 

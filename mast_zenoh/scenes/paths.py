@@ -1,4 +1,4 @@
-"""Curves in the plane that things move along, and a table of them for batched look-up. Pure geometry."""
+"""Planar curves that road users move along, and a table of them for batched look-up."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ SPACING = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A curve sampled evenly.
+    """An evenly sampled curve.
 
     points:    (k, 2) m
-    yaw:       (k,) rad, direction of travel, without jumps of a full turn
+    yaw:       (k,) rad, direction of travel, unwrapped
     curvature: (k,) 1/m, positive to the left
     length:    m
     """
@@ -30,17 +30,17 @@ class Path:
 
     @classmethod
     def through(cls, points: Floats) -> Path:
-        """The path along a dense polyline (m, 2); consecutive points that coincide are one point."""
+        """The path along a dense polyline (m, 2); consecutive duplicate points are merged."""
         steps = np.hypot(*np.diff(points, axis=0).T)
         keep = np.concatenate([[True], steps > 1e-9])
         points = points[keep]
-        travelled = np.concatenate([[0.0], np.cumsum(steps[steps > 1e-9])])
-        length = float(travelled[-1])
+        distance = np.concatenate([[0.0], np.cumsum(steps[steps > 1e-9])])
+        length = float(distance[-1])
         at = np.linspace(0.0, length, max(4, int(np.ceil(length / SPACING)) + 1))
-        even = np.stack([np.interp(at, travelled, points[:, 0]), np.interp(at, travelled, points[:, 1])], axis=1)
-        tangent = np.gradient(even, at, axis=0)
+        samples = np.stack([np.interp(at, distance, points[:, 0]), np.interp(at, distance, points[:, 1])], axis=1)
+        tangent = np.gradient(samples, at, axis=0)
         yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
-        return cls(even, yaw, np.gradient(yaw, at), length)
+        return cls(samples, yaw, np.gradient(yaw, at), length)
 
 
 def straight(start: Floats, end: Floats) -> Floats:
@@ -56,25 +56,27 @@ def arc(centre: Floats, radius: float, begin: float, sweep: float) -> Floats:
 
 
 def bend(start: Floats, heading: float, end: Floats, end_heading: float) -> Floats:
-    """(k, 2) m, a smooth turn between two poses, straight at both ends, as wide as it can be.
+    """(k, 2) m, a smooth turn between two poses, straight at both ends, with the smallest peak curvature.
 
-    A quintic Hermite curve without curvature at its ends; of several strengths of the end tangents, the one whose
-    largest curvature is smallest.
+    A quintic Hermite curve with zero curvature at its ends; the length of the end tangents is chosen from several.
     """
     t = np.linspace(0.0, 1.0, 161)[:, None]
-    into, out = np.array([np.cos(heading), np.sin(heading)]), np.array([np.cos(end_heading), np.sin(end_heading)])
+    start_tangent, end_tangent = (
+        np.array([np.cos(heading), np.sin(heading)]),
+        np.array([np.cos(end_heading), np.sin(end_heading)]),
+    )
     chord = float(np.hypot(*(end - start)))
     best: tuple[float, Floats] | None = None
     for strength in np.linspace(0.9, 2.1, 13) * chord:
         curve = (
             start * (1 - 10 * t**3 + 15 * t**4 - 6 * t**5)
             + end * (10 * t**3 - 15 * t**4 + 6 * t**5)
-            + strength * into * (t - 6 * t**3 + 8 * t**4 - 3 * t**5)
-            + strength * out * (-4 * t**3 + 7 * t**4 - 3 * t**5)
+            + strength * start_tangent * (t - 6 * t**3 + 8 * t**4 - 3 * t**5)
+            + strength * end_tangent * (-4 * t**3 + 7 * t**4 - 3 * t**5)
         )
-        sharpest = float(np.abs(Path.through(curve).curvature).max())
-        if best is None or sharpest < best[0]:
-            best = sharpest, curve
+        peak_curvature = float(np.abs(Path.through(curve).curvature).max())
+        if best is None or peak_curvature < best[0]:
+            best = peak_curvature, curve
     assert best is not None
     return best[1]
 
@@ -92,10 +94,10 @@ def rounded(corners: Floats, radius: float) -> Floats:
 
 
 def oval(middle: Floats, half_width: float) -> Floats:
-    """(k, 2) m, a closed loop around the line `middle` (m, 2) at a distance of `half_width` m, to be walked rightwards.
+    """(k, 2) m, a closed loop around the line `middle` (m, 2) at a distance of `half_width` m, keeping right.
 
-    Out on the right of the line, half a turn to the left, back on the left, half a turn to the left. It begins well
-    on its way out, where the line is straight or nearly so: the direction at the seam is the same from both sides.
+    Out on the right of the line, half a turn to the left, back on the left, half a turn to the left. The seam is on
+    the way out, where the line is nearly straight, so that the direction is continuous.
     """
     path = Path.through(middle)
     normal = np.stack([-np.sin(path.yaw), np.cos(path.yaw)], axis=1) * half_width
@@ -111,7 +113,7 @@ class PathTable:
     """P paths in flat arrays.
 
     length: (P,) m;  spacing: (P,) m between the samples of each path;  first: (P,) index of each path's first sample
-    points: (K, 2) m;  yaw: (K,) rad;  limit: (K,) m/s, the speed at which the curve can be driven
+    points: (K, 2) m;  yaw: (K,) rad;  limit: (K,) m/s, the speed limit due to curvature
     """
 
     length: Floats
@@ -123,13 +125,13 @@ class PathTable:
 
     @classmethod
     def of(cls, paths: Sequence[Path], lateral: float, braking: float) -> PathTable:
-        """A table of `paths`; limits leave `lateral` m/s^2 across and `braking` m/s^2 along the path."""
+        """A table of `paths`; speed limits allow `lateral` m/s^2 across and `braking` m/s^2 along the path."""
         count = np.array([len(path.points) for path in paths])
         limits = []
         for path in paths:
             limit = np.sqrt(lateral / np.maximum(np.abs(path.curvature), 1e-4))
             step = path.length / (len(limit) - 1)
-            for k in range(len(limit) - 2, -1, -1):  # slow down in time for what comes
+            for k in range(len(limit) - 2, -1, -1):  # slow down in time for the next sample
                 limit[k] = min(limit[k], np.sqrt(limit[k + 1] ** 2 + 2 * braking * step))
             limits.append(limit)
         length = np.array([path.length for path in paths])
@@ -149,11 +151,11 @@ class PathTable:
 
     def pose(self, path: Ints, s: Floats) -> tuple[Floats, Floats]:
         """Points (n, 2) m and yaw (n,) rad at `s` (n,) m along `path` (n,)."""
-        index, part = self._sample(path, s)
-        points = self.points[index] + part[:, None] * (self.points[index + 1] - self.points[index])
-        return points, self.yaw[index] + part * (self.yaw[index + 1] - self.yaw[index])
+        index, fraction = self._sample(path, s)
+        points = self.points[index] + fraction[:, None] * (self.points[index + 1] - self.points[index])
+        return points, self.yaw[index] + fraction * (self.yaw[index + 1] - self.yaw[index])
 
     def limit_at(self, path: Ints, s: Floats) -> Floats:
         """(n,) m/s at `s` (n,) m along `path` (n,)."""
-        index, part = self._sample(path, s)
-        return self.limit[index] + part * (self.limit[index + 1] - self.limit[index])
+        index, fraction = self._sample(path, s)
+        return self.limit[index] + fraction * (self.limit[index + 1] - self.limit[index])

@@ -1,4 +1,4 @@
-"""A scene, prepared: everything of one (scene, seed), columnar, made once and replayed."""
+"""A prepared scene: all data of one (scene, seed) in columns, recorded once and replayed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mast_zenoh.errors import SceneError
 from mast_zenoh.sensing.camera import Camera
 from mast_zenoh.sensing.lidar import LidarSensor
 
-#: Columns of the truth that a recording keeps; covariance and score say nothing about truth.
+#: Truth columns of a recording; covariance and score are constant for truth.
 TRUTH_COLUMNS = ("id", "position", "velocity", "size", "yaw", "class_id")
 
 _FORMAT = 1
@@ -29,9 +29,9 @@ class SceneAgent:
 
     name:      "ego", "mobile_1", …, "infra_1", …
     kind:      "mobile" or "static"
-    object_id: id of the object that the agent itself is; -1: none (a pole)
+    object_id: id of the agent's own object; -1: none (a pole)
     sensor:    its lidar
-    camera:    its camera, for pictures
+    camera:    its camera, for rendering
     """
 
     name: str
@@ -55,7 +55,7 @@ class Recording:
     agent_position:     (F, A, 3) m, world frame
     agent_rotation:     (F, A, 3, 3) active, agent to world
     agent_velocity:     (F, A, 3) m/s, world frame
-    detections:         D rows, each in the frame of the sensor that made it (agent pose, then the sensor's mount)
+    detections:         D rows, each in its sensor's frame (agent pose, then the sensor's mount)
     detection_start:    (F * A + 1,) int64: agent a in frame f has the rows [f * A + a] to [f * A + a + 1]
     detection_truth_id: (D,) int64, id of the object detected, -1 for clutter; for scoring only, never an input
     buildings:          B outlines, each (k, 2) m, world frame, closed without repeating the first corner
@@ -103,15 +103,15 @@ class Recording:
         return slice(int(self.detection_start[index]), int(self.detection_start[index + 1]))
 
     def detections_at(self, frame: int, agent: int) -> Detections:
-        """What the sensor of `agent` (row of `agents`) detects in a frame, sensor frame; views, not copies."""
+        """Detections of `agent` (row of `agents`) in a frame, sensor frame; views, not copies."""
         return self.detections.select(self._detection_rows(frame, agent))
 
     def detection_truth_id_at(self, frame: int, agent: int) -> Ints:
-        """(n,) ids behind `detections_at(frame, agent)`, -1 for clutter; for scoring only."""
+        """(n,) truth ids of `detections_at(frame, agent)`, -1 for clutter; for scoring only."""
         return self.detection_truth_id[self._detection_rows(frame, agent)]
 
     def validate(self) -> None:
-        """Raises SceneError, naming the column and the frame, unless every shape, offset and number is sound."""
+        """Raise SceneError with the column and frame of the first invalid shape, offset or number."""
         f, a, n, d = len(self.times_ns), len(self.agents), len(self.truth), len(self.detections)
         if f == 0 or a == 0:
             raise SceneError(f"{self.name}: {f} frames and {a} agents, expected at least one of each")
@@ -139,11 +139,11 @@ class Recording:
                 raise SceneError(f"{self.name}: the offsets of {name} do not cover its {rows} rows in order")
         for name, columns in (("truth", self.truth.columns()), ("detections", self.detections.columns())):
             for column, values in columns.items():
-                self._finite(f"{name}.{column}", values)
+                self._check_finite(f"{name}.{column}", values)
         for name in ("agent_position", "agent_rotation", "agent_velocity", "building_height"):
-            self._finite(name, getattr(self, name))
+            self._check_finite(name, getattr(self, name))
         for index, outline in enumerate(self.buildings):
-            self._finite(f"buildings[{index}]", outline)
+            self._check_finite(f"buildings[{index}]", outline)
             if outline.ndim != 2 or outline.shape[1:] != (2,) or len(outline) < 3:
                 raise SceneError(f"{self.name}: buildings[{index}] has shape {outline.shape}, expected (k >= 3, 2)")
         if n and self.truth.class_id.max() >= len(CLASSES):
@@ -151,24 +151,24 @@ class Recording:
         for frame in range(f):
             ids = self.truth_at(frame).id
             if len(np.unique(ids)) != len(ids):
-                raise SceneError(f"{self.name}: frame {frame} has two truth rows of one id")
+                raise SceneError(f"{self.name}: frame {frame} has two truth rows with the same id")
 
-    def _finite(self, name: str, values: NDArray[Any]) -> None:
-        bad = np.argwhere(~np.isfinite(values))
-        if len(bad):
+    def _check_finite(self, name: str, values: NDArray[Any]) -> None:
+        invalid = np.argwhere(~np.isfinite(values))
+        if len(invalid):
             raise SceneError(
-                f"{self.name}: {name}{bad[0].tolist()} is {values[tuple(bad[0])]}, expected a finite number"
+                f"{self.name}: {name}{invalid[0].tolist()} is {values[tuple(invalid[0])]}, expected a finite number"
             )
 
     def save(self, path: Path) -> None:
         """Write everything to one .npz file; no pickle inside."""
-        head = {
+        header = {
             "format": _FORMAT,
             "name": self.name,
             "period_ns": self.period_ns,
             "agents": [_agent_to_json(agent) for agent in self.agents],
         }
-        arrays: dict[str, NDArray[Any]] = {"head": np.array(json.dumps(head))}
+        arrays: dict[str, NDArray[Any]] = {"head": np.array(json.dumps(header))}
         arrays |= {f"truth.{name}": getattr(self.truth, name) for name in TRUTH_COLUMNS}
         arrays |= {f"detections.{name}": getattr(self.detections, name) for name in DETECTION_COLUMNS}
         arrays |= {name: getattr(self, name) for name in _ARRAYS}
@@ -179,7 +179,7 @@ class Recording:
 
     @classmethod
     def load(cls, path: Path) -> Recording:
-        """Read what `save` wrote. Raises SceneError when the file is missing, broken or of another format."""
+        """Read a file written by `save`. Raises SceneError when the file is missing, broken or of another format."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 unpacked, size = sum(member.file_size for member in file.zip.infolist()), path.stat().st_size
@@ -187,15 +187,15 @@ class Recording:
                     raise ValueError(f"unpacks to {unpacked} bytes, more than its own {size}")
                 arrays = {name: file[name] for name in file.files}
             for array in arrays.values():
-                array.setflags(write=False)  # what is sent of it needs no protection of its own
-            head = json.loads(str(arrays["head"]))
-            if head["format"] != _FORMAT:
-                raise SceneError(f"{path}: format {head['format']}, expected {_FORMAT}")
+                array.setflags(write=False)  # so that messages need not copy it
+            header = json.loads(str(arrays["head"]))
+            if header["format"] != _FORMAT:
+                raise SceneError(f"{path}: format {header['format']}, expected {_FORMAT}")
             start = arrays["building_start"]
             recording = cls(
-                name=head["name"],
-                agents=tuple(map(_agent_from_json, head["agents"])),
-                period_ns=int(head["period_ns"]),
+                name=header["name"],
+                agents=tuple(map(_agent_from_json, header["agents"])),
+                period_ns=int(header["period_ns"]),
                 truth=truth_states({name: arrays[f"truth.{name}"] for name in TRUTH_COLUMNS}),
                 detections=Detections(*(arrays[f"detections.{name}"] for name in DETECTION_COLUMNS)),
                 buildings=tuple(np.split(arrays["building_corners"], start[1:-1])) if len(start) > 1 else (),
@@ -215,7 +215,7 @@ _ARRAYS = tuple(
 
 
 def truth_states(columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
-    """Truth of the given TRUTH_COLUMNS; the covariances are one zero matrix, seen n times, not n matrices."""
+    """Truth with the given TRUTH_COLUMNS; the covariances are n views of one zero matrix."""
     n = len(columns["id"])
     return ObjectStates(
         **{name: columns[name] for name in TRUTH_COLUMNS},
@@ -225,7 +225,7 @@ def truth_states(columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
 
 
 def _agent_to_json(agent: SceneAgent) -> dict[str, Any]:
-    def plain(part: LidarSensor | Camera) -> dict[str, Any]:
+    def to_json(part: LidarSensor | Camera) -> dict[str, Any]:
         values = {field.name: getattr(part, field.name) for field in fields(part)}
         return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 
@@ -233,8 +233,8 @@ def _agent_to_json(agent: SceneAgent) -> dict[str, Any]:
         "name": agent.name,
         "kind": agent.kind,
         "object_id": agent.object_id,
-        "sensor": plain(agent.sensor),
-        "camera": plain(agent.camera),
+        "sensor": to_json(agent.sensor),
+        "camera": to_json(agent.camera),
     }
 
 

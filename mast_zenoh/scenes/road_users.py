@@ -1,4 +1,4 @@
-"""Who is on the road of a generated junction: sizes, manners and where everybody starts."""
+"""Road users of a generated junction: sizes, driver parameters and start positions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.junction import BIKE, CROSSER, ROAD, WALKER
 from mast_zenoh.scenes.traffic import Movers, Network
 
-# kind: user, class, (l, w, h) m smallest and largest, wished speed m/s, acceleration, braking m/s^2, headway s, gap m
+# kind: user, class, (l, w, h) m smallest and largest, desired speed m/s, acceleration, braking m/s^2, headway s, gap m
 _KINDS = {
     "car": (ROAD, "car", (4.0, 1.7, 1.4), (5.0, 1.95, 1.8), (10.5, 14.0), 1.6, 2.0, 1.2, 2.0),
     "truck": (ROAD, "truck", (7.0, 2.35, 2.8), (9.0, 2.5, 3.6), (9.5, 12.5), 1.0, 1.8, 1.5, 2.5),
@@ -20,12 +20,12 @@ _KINDS = {
 
 
 def road_users(network: Network, count: dict[str, int], random: np.random.Generator) -> tuple[Movers, list[str]]:
-    """Everything that moves, spread over the lanes; and the class of each by name.
+    """Road users spread over the lanes, and the class name of each.
 
-    count: of each of "vehicle", "bicycle" and "pedestrian". Raises ConfigurationError when there is no room for them.
+    count: number of "vehicle", "bicycle" and "pedestrian". Raises ConfigurationError if there is not enough room.
     """
     vehicle = random.choice(["car", "truck", "bus"], size=count["vehicle"], p=[0.84, 0.1, 0.06])
-    vehicle[0] = "car"  # there is always one that the ego can be
+    vehicle[0] = "car"  # the ego needs a car
     pedestrian = random.choice(["crosser", "walker"], size=count["pedestrian"], p=[0.5, 0.5])
     names = [*vehicle, *["bicycle"] * count["bicycle"], *pedestrian]
     places = {user: _places(network, user, random) for user in (ROAD, BIKE, CROSSER, WALKER)}
@@ -34,28 +34,28 @@ def road_users(network: Network, count: dict[str, int], random: np.random.Genera
     for i, name in enumerate(names):
         user = _KINDS[name][0]
         free = long_places if name in ("truck", "bus") else places[user]
-        if not free and user == CROSSER:  # no room at the crossings: this one walks on the pavement
+        if not free and user == CROSSER:  # no room at the crossings: a walker on the pavement instead
             names[i], user, free = "walker", WALKER, places[WALKER]
-        elif not free and name in ("truck", "bus"):  # no lane on which a long vehicle gets round: this one is short
+        elif not free and name in ("truck", "bus"):  # no lane passable for long vehicles: a car instead
             names[i], free = "car", places[ROAD]
         if not free:
             raise ConfigurationError(
                 f"Intersection: no room for {sum(_KINDS[k][0] == user for k in names)} x {names[i]}"
             )
         place = free[-1]
-        for remaining in (places[user], long_places):
-            if place in remaining:
-                remaining.remove(place)
+        for free_places in (places[user], long_places):
+            if place in free_places:
+                free_places.remove(place)
         rows.append(place)
     kinds = [_KINDS[name] for name in names]
-    part = random.random((len(names), 4))
+    fraction = random.random((len(names), 4))
     low, high = np.array([kind[2] for kind in kinds]), np.array([kind[3] for kind in kinds])
     slow, fast = np.array([kind[4] for kind in kinds]).T
     acceleration, braking, headway, gap = np.array([kind[5:] for kind in kinds], np.float64).T
     movers = Movers(
-        size=np.round(low + (high - low) * part[:, :3], 2),
+        size=np.round(low + (high - low) * fraction[:, :3], 2),
         user=np.array([kind[0] for kind in kinds]),
-        speed=slow + (fast - slow) * part[:, 3],
+        speed=slow + (fast - slow) * fraction[:, 3],
         acceleration=acceleration,
         braking=braking,
         headway=headway,
@@ -67,7 +67,7 @@ def road_users(network: Network, count: dict[str, int], random: np.random.Genera
 
 
 def _places(network: Network, user: int, random: np.random.Generator) -> list[tuple[int, float]]:
-    """Where movers of a kind can start without touching each other: (path, m along it), shuffled."""
+    """Start positions of movers of a kind that do not overlap: (path, m along it), shuffled."""
     spacing = {ROAD: 18.0, BIKE: 8.0, CROSSER: 2.2, WALKER: 4.0}[user]
     places = []
     landings = 0
@@ -76,7 +76,7 @@ def _places(network: Network, user: int, random: np.random.Generator) -> list[tu
             begin = 0.5 * spacing if user == ROAD else 0.6
             room = lane.path.length - (spacing if user in (ROAD, WALKER) else 1.0)
             if user == CROSSER:
-                # A crossing whose two landings are both full would never empty: on every second, one place stays free.
+                # A crossing with two full landings would block: on every second landing, one place stays free.
                 room -= spacing * (landings % 2)
                 landings += 1
             places += [(row, float(s)) for s in np.arange(begin, room, spacing)]

@@ -1,8 +1,8 @@
-"""Who is in whose way at a junction, and traffic lights that never let two of them go at once.
+"""Conflicts between paths of a junction, and traffic lights that never release two conflicting paths.
 
-A *mover* of some length on some path sweeps an area, here a chain of discs. Two connectors (ways over the junction)
-are in conflict when their swept areas meet. Lights are found from the conflicts: groups of connectors that get along
-share a phase, every group is in at least one.
+A *mover* on a path sweeps an area, here a chain of discs. Two connectors (paths across the junction) conflict if their
+swept areas meet. Lights are derived from the conflicts: groups of connectors without conflicts share a phase, and
+every group has at least one phase.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ _FOOTPRINT = {
     (CROSSER, SHORT): (0.7, 0.7),
 }
 _CLEARANCE = 0.2  # m
-#: s, by which those who start late may still be under way when the light has turned red.
+#: s, by which a mover that started late may still be on its connector when the light has turned red.
 LATE_S = 3.0
-#: m/s of the slowest mover of each kind, and s that it has at least to start in.
+#: m/s, speed of the slowest mover of each kind; and s, the least time for it to start.
 _SLOWEST = {ROAD: 8.0, BIKE: 4.0, CROSSER: 1.1}
 _START_S = 4.0
-_TAIL = 15.0  # m of the lanes beside a turn that its sweep must not reach
+_TAIL = 15.0  # m, ends of adjacent lanes that a turning vehicle's sweep must not reach
 
 
 def _sweep(path: Path, footprint: tuple[float, float], begin: float = 0.0, end: float = np.inf) -> tuple[Floats, float]:
-    """Centres (k, 2) m and radius m of discs that cover everything a box of `footprint` covers along a path."""
+    """Centres (k, 2) m and radius m of discs that cover the area swept by a box of `footprint` along a path."""
     length, width = footprint
     count = max(1, round(length / 1.6))
-    at = np.linspace(0.0, path.length, len(path.points))
-    used = slice(None, None, 4)  # every metre
-    inside = (at[used] >= begin) & (at[used] <= end)
+    distance = np.linspace(0.0, path.length, len(path.points))
+    sampled = slice(None, None, 4)  # every metre
+    inside = (distance[sampled] >= begin) & (distance[sampled] <= end)
     along = ((np.arange(count) + 0.5) / count - 0.5) * length
-    forward = np.stack([np.cos(path.yaw[used]), np.sin(path.yaw[used])], axis=1)[inside]
-    discs = path.points[used][inside][:, None, :] + forward[:, None, :] * along[None, :, None]
+    forward = np.stack([np.cos(path.yaw[sampled]), np.sin(path.yaw[sampled])], axis=1)[inside]
+    discs = path.points[sampled][inside][:, None, :] + forward[:, None, :] * along[None, :, None]
     return discs.reshape(-1, 2), float(np.hypot(length / count / 2, width / 2))
 
 
@@ -51,8 +51,8 @@ def _meet(one: tuple[Floats, float], other: tuple[Floats, float]) -> bool:
 
 
 def _distances(a: Floats, b: Floats) -> Floats:
-    """(n, m) m, of (n, 2) from (m, 2) places."""
-    from scipy.spatial.distance import cdist  # slow to load, and most runs find their scene prepared
+    """(n, m) m, distances between positions (n, 2) and (m, 2)."""
+    from scipy.spatial.distance import cdist  # slow to import, and most runs use a cached scene
 
     return cdist(a, b)
 
@@ -62,7 +62,7 @@ def _footprints(lane: Lane) -> list[int]:
 
 
 def origins(lanes: Sequence[Lane]) -> Ints:
-    """(P,) the lane that each connector begins in; -1 for what is no connector."""
+    """(P,) the lane in which each connector begins; -1 for other lanes."""
     result = np.full(len(lanes), -1)
     for row, lane in enumerate(lanes):
         if not lane.connector:
@@ -73,9 +73,9 @@ def origins(lanes: Sequence[Lane]) -> Ints:
 
 
 def conflicts(lanes: Sequence[Lane]) -> Bools:
-    """(2 P, 2 P) whether mover class c on path p, row 2 p + c, is in the way of another, for connectors.
+    """(2 P, 2 P) whether two connectors conflict; row 2 p + c is mover class c on path p.
 
-    Ways that begin in one lane are not in conflict: who follows there keeps a distance to who is ahead.
+    Connectors that begin in the same lane do not conflict: their movers follow each other at a distance.
     """
     result = np.zeros((2 * len(lanes), 2 * len(lanes)), bool)
     swept = [
@@ -93,10 +93,10 @@ def conflicts(lanes: Sequence[Lane]) -> Bools:
 
 
 def passable(lanes: Sequence[Lane]) -> Bools:
-    """(P, 2) whether a mover class may use a path: its sweep keeps clear of the lanes beside it, and it gets on again.
+    """(P, 2) whether a mover class can use a path without reaching into adjacent lanes or a dead end.
 
-    A long vehicle swings out in a tight turn and would hit those who wait beside it. A lane from which no way leads
-    on for long vehicles is none for them.
+    A long vehicle swings out in a tight turn and could hit vehicles waiting beside it. A lane without a passable
+    continuation for long vehicles is not passable for them either.
     """
     result = np.ones((len(lanes), 2), bool)
     waiting = {
@@ -122,9 +122,9 @@ def passable(lanes: Sequence[Lane]) -> Bools:
 
 
 def shared(lanes: Sequence[Lane]) -> Floats:
-    """(P, P) m, how far one on path q is still in the way of those on path p, counted along q.
+    """(P, P) m, the distance along path q up to which a mover there obstructs path p.
 
-    Infinite for p = q; for two ways out of one lane up to where they part; -inf for all others.
+    Infinite for p = q; for two connectors out of the same lane, where they diverge; -inf for all others.
     """
     result = np.full((len(lanes), len(lanes)), -np.inf)
     np.fill_diagonal(result, np.inf)
@@ -142,7 +142,7 @@ def shared(lanes: Sequence[Lane]) -> Floats:
 class Lights:
     """Fixed-time traffic lights.
 
-    green:    (phases, P) which connectors have green in which phase
+    green:    (phases, P) whether a connector has green in a phase
     begin:    (phases,) s, when each begins in the cycle
     length:   (phases,) s, of green; then everything is red until the next phase
     cycle:    s
@@ -154,11 +154,11 @@ class Lights:
     cycle: float
 
     def now(self, time: float) -> tuple[Bools, float]:
-        """(P,) which connectors have green at `time` s, and for how many seconds more."""
-        at = time % self.cycle
-        phase = int(np.searchsorted(self.begin, at, side="right")) - 1
-        left = float(self.begin[phase] + self.length[phase] - at)
-        return (self.green[phase], left) if left > 0 else (np.zeros_like(self.green[phase]), 0.0)
+        """(P,) whether each connector has green at `time` s, and the remaining green time, s."""
+        cycle_time = time % self.cycle
+        phase = int(np.searchsorted(self.begin, cycle_time, side="right")) - 1
+        remaining = float(self.begin[phase] + self.length[phase] - cycle_time)
+        return (self.green[phase], remaining) if remaining > 0 else (np.zeros_like(self.green[phase]), 0.0)
 
 
 def lights(lanes: Sequence[Lane], conflict: Bools, green_s: float, red_s: float) -> Lights:
@@ -168,29 +168,29 @@ def lights(lanes: Sequence[Lane], conflict: Bools, green_s: float, red_s: float)
         if lane.connector:
             groups.setdefault((lane.user, lane.arm, lane.target), []).append(row)
 
-    def along(group: tuple[int, int, int]) -> tuple[int, float, tuple[int, int, int]]:
+    def priority(group: tuple[int, int, int]) -> tuple[int, float, tuple[int, int, int]]:
         # Straight on first, then left, then right; motor vehicles before bicycles before pedestrians.
         turn = lanes[groups[group][0]].turn
         return (0 if abs(turn) < 0.6 else 1 if turn > 0 else 2, float(group[0]), group)
 
-    def agree(group: tuple[int, int, int], phase: list[int]) -> bool:
+    def compatible(group: tuple[int, int, int], phase: list[int]) -> bool:
         rows = np.array([2 * row + SHORT for row in groups[group]])
         return not conflict[np.ix_(rows, 2 * np.array(phase, np.int64) + SHORT)].any()
 
-    order = sorted(groups, key=along)
+    order = sorted(groups, key=priority)
     waiting = list(order)
     phases: list[list[int]] = []
     while waiting:
         phase: list[int] = []
         for group in waiting + [group for group in order if group not in waiting]:
-            if agree(group, phase):
+            if compatible(group, phase):
                 phase += groups[group]
         waiting = [group for group in waiting if groups[group][0] not in phase]
         phases.append(phase)
     green = np.zeros((len(phases), len(lanes)), bool)
     for index, phase in enumerate(phases):
         green[index, phase] = True
-    # Long enough for the slowest to get over, with time to start.
+    # Long enough for the slowest mover to start and cross.
     length = [
         max(green_s, *(lanes[row].path.length / _SLOWEST[lanes[row].user] - LATE_S + _START_S for row in phase))
         for phase in phases

@@ -1,4 +1,4 @@
-"""Velocities of recorded objects whose data set has none."""
+"""Velocities of recorded objects from data sets that store none."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from mast_zenoh.arrays.states import Floats, Ints
 
 
 def fill_velocity(ids: Ints, position: Floats, velocity: Floats, times_ns: Ints) -> Floats:
-    """`velocity` (N, 3) m/s with its NaN rows taken from how `position` (N, 3) m of the same id changes over time.
+    """Fill the NaN rows of `velocity` (N, 3) m/s by differentiating `position` (N, 3) m of the same id.
 
     ids (N,) and times_ns (N,) ns, ascending for each id. Central differences, one-sided at the ends of a track; zero
-    for an object that is there in one frame only.
+    for an object in a single frame.
     """
     filled = velocity.copy()
     missing = np.logical_or.reduce(np.isnan(velocity), axis=1)
     order = np.argsort(ids, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1):
         if missing[rows].any():
-            moved = (
+            derivative = (
                 np.gradient(position[rows], (times_ns[rows] - times_ns[rows[0]]) / 1e9, axis=0)
                 if len(rows) > 1
                 else np.zeros((1, 3))
             )
-            filled[rows[missing[rows]]] = moved[missing[rows]]
+            filled[rows[missing[rows]]] = derivative[missing[rows]]
     return filled

@@ -1,4 +1,4 @@
-"""Sensing: what a lidar sees, what a detector makes of it, and the frames in between."""
+"""Sensing: lidar visibility, detection models and sensor frames."""
 
 from mast_zenoh.sensing.camera import Camera
 from mast_zenoh.sensing.detector import CleanDetector, DetectionModel, Detector

@@ -1,4 +1,4 @@
-"""What a detector makes of what its lidar sees."""
+"""Detection models: detections generated from lidar visibility."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.sensing.frames import to_sensor
 from mast_zenoh.sensing.lidar import LidarSensor, in_view
 
-#: Usual sizes (l, w, h) m of what clutter is mistaken for, and how often.
+#: Classes of clutter, with their probabilities and typical sizes (l, w, h) m.
 _CLUTTER_KINDS = (
     ("car", 0.7, (4.5, 1.8, 1.5)),
     ("truck", 0.1, (8.0, 2.4, 3.0)),
     ("pedestrian", 0.2, (0.6, 0.6, 1.7)),
 )
 
-#: Places tried for each clutter detection; the field of view covers far more than a tenth of the disc around a sensor.
-_CLUTTER_TRIES = 64
+#: Candidate positions per clutter detection; the field of view covers well over a tenth of the disc around a sensor.
+_CLUTTER_CANDIDATES = 64
 
 
 class Detector(ABC):
-    """Turns the objects that a lidar sees into detections."""
+    """Generates detections from the objects that a lidar sees."""
 
     @abstractmethod
     def detect(
@@ -38,17 +38,17 @@ class Detector(ABC):
         ground: float,
         random: np.random.Generator,
     ) -> tuple[Detections, Ints]:
-        """Detections of one sensor in one frame, in the sensor frame, best score first; and the id behind each (n,).
+        """Detections of one sensor in one frame, in the sensor frame, best score first; and their truth ids (n,).
 
         objects: n objects in the world frame. points: (n,) lidar returns of each at this sensor.
         sensor_position (3,) m, sensor_rotation (3, 3) active: pose of the lidar in the world.
-        ground: m, z of the ground about the sensor. random: the stream of this sensor and frame.
-        The id is -1 for clutter; it is for scoring only.
+        ground: m, z of the ground at the sensor. random: the random stream of this sensor and frame.
+        The id of clutter is -1; ids are for scoring only.
         """
 
 
 class CleanDetector(Detector):
-    """Every object with enough points, as it is: no noise, no miss, no clutter. For tests and for upper bounds.
+    """Reports every object with enough points without noise, misses or clutter; for tests and upper bounds.
 
     min_points: lidar returns below which nothing is found
     """
@@ -66,38 +66,38 @@ class CleanDetector(Detector):
         ground: float,
         random: np.random.Generator,
     ) -> tuple[Detections, Ints]:
-        """See `Detector.detect`; in the order of the objects, all scores one."""
+        """Detections in the order of the objects, all scores one."""
         seen = objects.select(points >= self.min_points)
         n = len(seen)
-        found = Detections(seen.position, seen.size, seen.yaw, np.ones(n), seen.class_id, np.zeros((n, 3, 3)))
-        return to_sensor(found, sensor_position, sensor_rotation), seen.id
+        detections = Detections(seen.position, seen.size, seen.yaw, np.ones(n), seen.class_id, np.zeros((n, 3, 3)))
+        return to_sensor(detections, sensor_position, sensor_rotation), seen.id
 
 
 class DetectionModel(Detector):
     """A statistical detector: misses, noise, wrong classes and clutter, drawn from the number of lidar returns.
 
-    An object with n >= min_points returns is found with probability 1 - exp(-n / points_scale). Errors are normal,
+    An object with n >= min_points returns is detected with probability 1 - exp(-n / points_scale). Errors are normal,
     independent from frame to frame, with the standard deviations below times
 
         sqrt(1 + (range / range_scale_m)^2 + few_points / n)
 
-    along the axes of the world; for sizes they are cut at 30 % of the size. Clutter is Poisson, uniform over the ground
-    in view up to `clutter_range_m`.
+    along the axes of the world; size errors are limited to 30 % of the size. Clutter is Poisson, uniform over the
+    ground in view up to `clutter_range_m`.
 
-    The defaults stand near what lidar detectors reach on two real cooperative data sets (0.3 to 0.6 m error per axis,
+    The defaults approximate lidar detectors on two real cooperative data sets (0.3 to 0.6 m error per axis,
     about two false positives a frame, a precision of about 0.8, a recall of about 0.65): on the generated junctions
-    they give 0.37 m, 2.5, 0.85 and 0.70. Real errors last longer than a frame; these do not.
+    they give 0.37 m, 2.5, 0.85 and 0.70. Real errors are correlated over time; these are not.
 
-    min_points:        returns below which nothing is found
-    points_scale:      returns; at this many, 63 % are found
+    min_points:        an object with fewer returns is not detected
+    points_scale:      number of returns at which 63 % of objects are detected
     position_noise_m:  x and y; vertical_noise_m: z; size_noise_m: each of l, w, h; yaw_noise_deg: yaw
-    range_scale_m, few_points: where the noise has grown by a factor of sqrt(2)
-    flip_probability:  of a heading that points backwards, at vehicles
-    wrong_class:       probability of an arbitrary other class
+    range_scale_m, few_points: range and number of returns at which the noise has grown by a factor of sqrt(2)
+    flip_probability:  of a reversed heading
+    wrong_class:       probability of a random class
     clutter_rate:      false detections per frame, mean
-    clutter_range_m:   m, no clutter beyond
+    clutter_range_m:   m, maximum distance of clutter
     score, clutter_score: (low, high), uniform
-    report_covariance: whether a detection says how uncertain its position is
+    report_covariance: whether detections have a position covariance
     """
 
     def __init__(
@@ -157,33 +157,32 @@ class DetectionModel(Detector):
         ground: float,
         random: np.random.Generator,
     ) -> tuple[Detections, Ints]:
-        """See `Detector.detect`."""
-        # Objects are drawn for in the order of their ids, so that the order of the rows makes no difference.
+        # Random numbers are drawn in the order of the ids, so that the order of the rows makes no difference.
         order = np.argsort(objects.id, kind="stable")
         order = order[points[order] > 0]
         seen, returns = objects.select(order), points[order].astype(np.float64)
-        true, true_id = self._true_detections(seen, returns, sensor_position, random)
-        false = self._clutter(lidar, sensor_position, sensor_rotation, ground, random)
-        columns = [np.concatenate([getattr(true, name), getattr(false, name)]) for name in true.columns()]
+        detected, detected_id = self._true_detections(seen, returns, sensor_position, random)
+        clutter = self._clutter(lidar, sensor_position, sensor_rotation, ground, random)
+        columns = [np.concatenate([getattr(detected, name), getattr(clutter, name)]) for name in detected.columns()]
         best_first = np.argsort(-columns[3], kind="stable")
-        ids = np.concatenate([true_id, np.full(len(false), -1, np.int64)])[best_first]
-        found = Detections(*columns).select(best_first)
-        return to_sensor(found, sensor_position, sensor_rotation), ids
+        ids = np.concatenate([detected_id, np.full(len(clutter), -1, np.int64)])[best_first]
+        detections = Detections(*columns).select(best_first)
+        return to_sensor(detections, sensor_position, sensor_rotation), ids
 
     def _true_detections(
         self, seen: ObjectStates, returns: Floats, sensor_position: Floats, random: np.random.Generator
     ) -> tuple[Detections, Ints]:
         n = len(seen)
-        # Everything is drawn for every object, found or not: a change of one parameter moves no other draw.
-        found, flip, other, score = random.random((4, n))
+        # Draws are made for every object, detected or not, so that changing a parameter does not shift other draws.
+        detection_draw, flip_draw, class_draw, score_draw = random.random((4, n))
         noise = random.standard_normal((n, 7))
         other_class = random.integers(1, len(CLASS_INDEX), n)
-        keep = (returns >= self.min_points) & (found < 1.0 - np.exp(-returns / self.points_scale))
+        keep = (returns >= self.min_points) & (detection_draw < 1.0 - np.exp(-returns / self.points_scale))
         range_m = np.linalg.norm(seen.position - sensor_position, axis=1)
         growth = np.sqrt(1.0 + (range_m / self.range_scale_m) ** 2 + self.few_points / np.maximum(returns, 1.0))
         sigma = growth[:, None] * [self.position_noise_m, self.position_noise_m, self.vertical_noise_m]
         size_error = np.clip(noise[:, 3:6] * (self.size_noise_m * growth)[:, None], -0.3 * seen.size, 0.3 * seen.size)
-        yaw_error = noise[:, 6] * np.radians(self.yaw_noise_deg) * growth + np.pi * (flip < self.flip_probability)
+        yaw_error = noise[:, 6] * np.radians(self.yaw_noise_deg) * growth + np.pi * (flip_draw < self.flip_probability)
         covariance = np.zeros((n, 3, 3))
         if self.report_covariance:
             covariance[:, [0, 1, 2], [0, 1, 2]] = sigma**2
@@ -191,8 +190,8 @@ class DetectionModel(Detector):
             seen.position + noise[:, :3] * sigma,
             seen.size + size_error,
             wrap_angle(seen.yaw + yaw_error),
-            self.score[0] + (self.score[1] - self.score[0]) * score,
-            np.where(other < self.wrong_class, other_class, seen.class_id).astype(np.uint8),
+            self.score[0] + (self.score[1] - self.score[0]) * score_draw,
+            np.where(class_draw < self.wrong_class, other_class, seen.class_id).astype(np.uint8),
             covariance,
         )
         return detections.select(keep), seen.id[keep]
@@ -212,21 +211,23 @@ class DetectionModel(Detector):
         size = np.array([size for _, _, size in _CLUTTER_KINDS])[kind] * random.uniform(0.9, 1.1, (n, 3))
         yaw = random.uniform(-np.pi, np.pi, n)
         score = random.uniform(*self.clutter_score, n)
-        # Uniform over the disc; of several tries, the first that is in view.
-        radius = self.clutter_range_m * np.sqrt(random.random((n, _CLUTTER_TRIES)))
-        bearing = random.uniform(-np.pi, np.pi, (n, _CLUTTER_TRIES))
-        place = np.empty((n, _CLUTTER_TRIES, 3))
-        place[..., 0] = sensor_position[0] + radius * np.cos(bearing)
-        place[..., 1] = sensor_position[1] + radius * np.sin(bearing)
-        place[..., 2] = ground + size[:, 2:] / 2
-        visible = in_view(place.reshape(-1, 3), sensor_position, sensor_rotation, lidar).reshape(n, _CLUTTER_TRIES)
+        # Uniform over the disc: the first of several candidates that is in view.
+        radius = self.clutter_range_m * np.sqrt(random.random((n, _CLUTTER_CANDIDATES)))
+        bearing = random.uniform(-np.pi, np.pi, (n, _CLUTTER_CANDIDATES))
+        position = np.empty((n, _CLUTTER_CANDIDATES, 3))
+        position[..., 0] = sensor_position[0] + radius * np.cos(bearing)
+        position[..., 1] = sensor_position[1] + radius * np.sin(bearing)
+        position[..., 2] = ground + size[:, 2:] / 2
+        visible = in_view(position.reshape(-1, 3), sensor_position, sensor_rotation, lidar).reshape(
+            n, _CLUTTER_CANDIDATES
+        )
         first = visible.argmax(axis=1)
         covariance = np.zeros((n, 3, 3))
         if self.report_covariance:
-            distance = np.linalg.norm(place[np.arange(n), first] - sensor_position, axis=1)
+            distance = np.linalg.norm(position[np.arange(n), first] - sensor_position, axis=1)
             growth = 1.0 + (distance / self.range_scale_m) ** 2 + self.few_points / self.points_scale
             variance = np.array([self.position_noise_m, self.position_noise_m, self.vertical_noise_m]) ** 2
             covariance[:, [0, 1, 2], [0, 1, 2]] = growth[:, None] * variance
         classes = np.array([CLASS_INDEX[name] for name, _, _ in _CLUTTER_KINDS], np.uint8)
-        clutter = Detections(place[np.arange(n), first], size, yaw, score, classes[kind], covariance)
+        clutter = Detections(position[np.arange(n), first], size, yaw, score, classes[kind], covariance)
         return clutter.select(visible[np.arange(n), first])

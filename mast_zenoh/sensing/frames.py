@@ -1,4 +1,4 @@
-"""Between sensor, agent and world frame."""
+"""Transforms between sensor, agent and world frames."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ def sensor_pose(
 
 
 def to_world(detections: Detections, sensor_position: Floats, sensor_rotation: Floats) -> Detections:
-    """Detections of a sensor's frame in the world frame; position (3,) m, active rotation (3, 3) of the sensor.
+    """Transform detections from a sensor's frame, at position (3,) m with active rotation (3, 3), to the world.
 
     The yaw of a detection is about the world's vertical in both frames (`states.Detections`), so only the sensor's
-    heading is added, also when the sensor is pitched.
+    heading is added, even if the sensor is pitched.
     """
-    d = detections
-    position, yaw, covariance = turned(d.position, d.yaw, d.covariance, sensor_position, sensor_rotation)
-    return Detections(position, d.size, yaw, d.score, d.class_id, covariance)
+    position, yaw, covariance = turned(
+        detections.position, detections.yaw, detections.covariance, sensor_position, sensor_rotation
+    )
+    return Detections(position, detections.size, yaw, detections.score, detections.class_id, covariance)
 
 
 @kernel
 def turned(
     position: Floats, yaw: Floats, covariance: Floats, origin: Floats, rotation: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Places (n, 3), headings (n,) and covariances (n, 3, 3) out of a frame at `origin` with `rotation` (3, 3)."""
+    """Transform positions (n, 3), yaws (n,) and covariances (n, 3, 3) from a frame at `origin`, `rotation` (3, 3)."""
     return (
         geometry.to_world(position, origin, rotation),
         geometry.wrap_angle(yaw + geometry.heading(rotation)),
@@ -40,7 +41,7 @@ def turned(
 
 
 def to_sensor(detections: Detections, sensor_position: Floats, sensor_rotation: Floats) -> Detections:
-    """Detections of the world frame in a sensor's frame; inverse of `to_world`."""
+    """Transform detections from the world frame to a sensor's frame; inverse of `to_world`."""
     return replace(
         detections,
         position=geometry.to_local(detections.position, sensor_position, sensor_rotation),

@@ -1,4 +1,4 @@
-"""A lidar: where its beams go, and what it has in view."""
+"""Lidar geometry: beam directions and field of view."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class LidarSensor:
     mount_rotation:    (3, 3), active, lidar to agent
     azimuth_*_deg:     the sector, counter-clockwise from x; one beam in the middle of every step
     elevation_*_deg:   the lowest and the highest channel, both included, evenly spaced
-    max_range_m:       no return from beyond
+    max_range_m:       maximum range of a return
     """
 
     mount_position: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.8]))
@@ -33,7 +33,7 @@ class LidarSensor:
 
     @classmethod
     def infrastructure(cls) -> LidarSensor:
-        """The paper's pole lidar: a 90 degree sector, -25 to 30 degrees in the frame of the agent, which is pitched."""
+        """The paper's pole lidar: a 90 degree sector, -25 to 30 degrees in the frame of the (pitched) agent."""
         return cls(np.zeros(3), np.eye(3), -45.0, 45.0, 0.2, -25.0, 30.0, 64, 100.0)
 
     @property
@@ -50,20 +50,20 @@ class LidarSensor:
 
 
 def in_view(points_world: Floats, sensor_position: Floats, sensor_rotation: Floats, lidar: LidarSensor) -> Bools:
-    """(n,) whether (n, 3) world points lie in the sector, between the channels and in range of a lidar.
+    """(n,) whether world points (n, 3) are within the sector, the elevations and the range of a lidar.
 
     sensor_position (3,) m, sensor_rotation (3, 3) active, of the lidar itself (`sensing.sensor_pose`). Occlusion is
-    not looked at.
+    ignored.
     """
     local = to_local(np.asarray(points_world, np.float64), sensor_position, sensor_rotation)
-    ground = np.hypot(local[:, 0], local[:, 1])
-    elevation = np.degrees(np.arctan2(local[:, 2], ground))
+    horizontal = np.hypot(local[:, 0], local[:, 1])
+    elevation = np.degrees(np.arctan2(local[:, 2], horizontal))
     azimuth = np.degrees(np.arctan2(local[:, 1], local[:, 0]))
     # The sector may begin below -180 degrees, so azimuths are counted from its beginning.
-    turned = (azimuth - lidar.azimuth_min_deg) % 360.0
+    sector_angle = (azimuth - lidar.azimuth_min_deg) % 360.0
     return (
-        (np.hypot(ground, local[:, 2]) <= lidar.max_range_m)
+        (np.hypot(horizontal, local[:, 2]) <= lidar.max_range_m)
         & (elevation >= lidar.elevation_min_deg)
         & (elevation <= lidar.elevation_max_deg)
-        & (turned <= lidar.azimuth_max_deg - lidar.azimuth_min_deg)
+        & (sector_angle <= lidar.azimuth_max_deg - lidar.azimuth_min_deg)
     )

@@ -1,7 +1,7 @@
-"""What a lidar sees: every beam that may hit a box is cast, the nearest hit wins, walls in between stop it.
+"""Lidar returns by ray casting: each beam returns from the nearest box unless a wall is in between.
 
-The test is exact for upright boxes and vertical walls. It is fast because a box is only tried against the beams of
-its own angular window, and walls only against the beams that hit a box.
+The test is exact for upright boxes and vertical walls. It is fast because a box is only tested against the beams in
+its angular window, and walls only against the beams that hit a box.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def lidar_points(
 
     sensor_position (3,) m and sensor_rotation (3, 3) active: the lidar's pose in the world (`sensing.sensor_pose`).
     position (n, 3) m centre, size (n, 3) m l w h, yaw (n,) rad: the boxes in the world.
-    own: row of the box that carries the lidar; it is in nobody's way and gets no return. -1: none.
+    own: row of the box that carries the lidar; it occludes nothing and has no returns. -1: none.
     """
     points = np.zeros(len(position), np.int32)
     # Directions and the sensor's origin in each box's frame: box <- world <- sensor.
@@ -75,23 +75,23 @@ def lidar_points(
     box, azimuth, channels = _columns(lidar, corners.reshape(-1, 8, 3), nearest[rows])
     hits = _hits(lidar, to_box[rows] @ sensor_rotation, origin[rows], half[rows], box, azimuth, channels)
     box, distance, direction = _nearest(*hits)
-    seen = np.ones(len(box), bool)
+    visible = np.ones(len(box), bool)
     if walls is not None and len(walls.top) and len(box):
         ends = sensor_position + (direction * distance[:, None]) @ sensor_rotation.T
-        seen = ~_behind_walls(sensor_position, ends, box, walls)
-    points[rows] = np.bincount(box[seen], minlength=len(rows))
+        visible = ~_behind_walls(sensor_position, ends, box, walls)
+    points[rows] = np.bincount(box[visible], minlength=len(rows))
     return points
 
 
 def _columns(lidar: LidarSensor, corners: Floats, nearest: Floats) -> tuple[Ints, Ints, Ints]:
-    """The (box, azimuth) pairs to try, and the range of channels (2,) of each; bounds that are never too narrow.
+    """Candidate (box, azimuth) pairs and the range of channels (2,) of each; the bounds are conservative.
 
     corners (n, 8, 3) in the sensor frame, nearest (n,) distance of each box.
     """
     azimuths, elevations = lidar.azimuths, lidar.elevations
     centre = corners.mean(axis=1)
-    middle = np.arctan2(centre[:, 1], centre[:, 0])
-    offset = wrap_angle(np.arctan2(corners[..., 1], corners[..., 0]) - middle[:, None])
+    bearing = np.arctan2(centre[:, 1], centre[:, 0])
+    offset = wrap_angle(np.arctan2(corners[..., 1], corners[..., 0]) - bearing[:, None])
     low, high = offset.min(axis=1), offset.max(axis=1)
     around = high - low >= np.pi  # the sensor's axis goes through the box: any azimuth may hit it
     low, high = np.where(around, -np.pi, low), np.where(around, np.pi, high)
@@ -105,14 +105,14 @@ def _columns(lidar: LidarSensor, corners: Floats, nearest: Floats) -> tuple[Ints
     first = np.searchsorted(elevations, np.arcsin(sin_low) - 1e-9)
     last = np.searchsorted(elevations, np.arcsin(sin_high) + 1e-9, side="right")
 
-    # Beam k lies at azimuths[0] + k * step; k is taken modulo a full turn, what is not in the sector is left out.
+    # Beam k is at azimuths[0] + k * step, with k modulo a full turn; beams outside the sector are dropped.
     step = np.radians(lidar.azimuth_step_deg)
     turn = max(round(2 * np.pi / step), len(azimuths))
-    begin = np.ceil((middle + low - azimuths[0]) / step - 1e-9).astype(np.int64)
-    count = np.floor((middle + high - azimuths[0]) / step + 1e-9).astype(np.int64) - begin + 1
+    first_beam = np.ceil((bearing + low - azimuths[0]) / step - 1e-9).astype(np.int64)
+    count = np.floor((bearing + high - azimuths[0]) / step + 1e-9).astype(np.int64) - first_beam + 1
     count = np.where(last > first, np.clip(count, 0, turn), 0)
     box = np.repeat(np.arange(len(corners)), count)
-    azimuth = (np.arange(len(box)) - np.repeat(np.cumsum(count) - count, count) + begin[box]) % turn
+    azimuth = (np.arange(len(box)) - np.repeat(np.cumsum(count) - count, count) + first_beam[box]) % turn
     inside = azimuth < len(azimuths)
     box, azimuth = box[inside], azimuth[inside]
     return box, azimuth, np.stack([first, last], axis=1)[box]
@@ -133,7 +133,7 @@ def _hits(
     for axis in range(3):
         along = rotation[box, axis, 0] * horizontal[0] + rotation[box, axis, 1] * horizontal[1]
         direction = flat * along[column] + rise * rotation[box, axis, 2][column]
-        # A beam exactly parallel to a face counts as one that leans by nothing measurable.
+        # Avoids division by zero for a beam parallel to a face.
         direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
         centre = (-origin[box, axis])[column] / direction
         reach = half[box, axis][column] / np.abs(direction)
@@ -149,36 +149,36 @@ def _hits(
 
 
 def _nearest(box: Ints, beam: Ints, distance: Floats, direction: Floats) -> tuple[Ints, Floats, Floats]:
-    """Of the hits, the nearest of each beam: box, distance, direction."""
+    """The nearest hit of each beam: box, distance, direction."""
     order = np.lexsort((distance, beam))
     first = order[np.flatnonzero(np.diff(beam[order], prepend=-1))]
     return box[first], distance[first], direction[first]
 
 
 def _behind_walls(origin: Floats, ends: Floats, box: Ints, walls: Walls) -> NDArray[np.bool_]:
-    """(n,) whether a wall stands between `origin` and the hits `ends` (n, 3), which lie on box `box` (n,)."""
+    """(n,) whether a wall blocks the line from `origin` to the hits `ends` (n, 3) on the boxes `box` (n,)."""
     blocked = np.zeros(len(ends), bool)
     order = np.argsort(box, kind="stable")
     sight = ends[order, :2] - origin[:2]
     start, stop = walls.start - origin[:2], walls.end - origin[:2]
-    # Only a wall that meets the bounding box and the sector of all sight lines to a box can stand in front of it.
-    begin = np.flatnonzero(np.diff(box[order], prepend=-1))
-    count = np.diff(begin, append=len(order))
-    low = np.minimum(np.minimum.reduceat(sight, begin), 0.0)
-    high = np.maximum(np.maximum.reduceat(sight, begin), 0.0)
+    # Only a wall that meets the bounding box and the sector of all sight lines to a box can occlude it.
+    box_start = np.flatnonzero(np.diff(box[order], prepend=-1))
+    count = np.diff(box_start, append=len(order))
+    low = np.minimum(np.minimum.reduceat(sight, box_start), 0.0)
+    high = np.maximum(np.maximum.reduceat(sight, box_start), 0.0)
     wall_low, wall_high = np.minimum(start, stop), np.maximum(start, stop)
-    meets = np.logical_and.reduce((wall_low[None] <= high[:, None]) & (wall_high[None] >= low[:, None]), axis=2)
-    middle = np.add.reduceat(sight, begin)
+    candidates = np.logical_and.reduce((wall_low[None] <= high[:, None]) & (wall_high[None] >= low[:, None]), axis=2)
+    middle = np.add.reduceat(sight, box_start)
     side = np.repeat(middle, count, axis=0)
     turn = np.arctan2(_cross(side, sight), np.einsum("ij,ij->i", side, sight))
-    least, most = np.minimum.reduceat(turn, begin), np.maximum.reduceat(turn, begin)
-    all_around = (most - least >= np.pi)[:, None]
-    for extreme, sign in ((least, 1.0), (most, -1.0)):
+    min_turn, max_turn = np.minimum.reduceat(turn, box_start), np.maximum.reduceat(turn, box_start)
+    all_around = (max_turn - min_turn >= np.pi)[:, None]
+    for extreme, sign in ((min_turn, 1.0), (max_turn, -1.0)):
         c, s = np.cos(extreme), np.sin(extreme)
         edge = np.stack([c * middle[:, 0] - s * middle[:, 1], s * middle[:, 0] + c * middle[:, 1]], axis=1)
-        ahead = np.maximum(sign * _cross(edge[:, None], start), sign * _cross(edge[:, None], stop)) >= -1e-9
-        meets &= ahead | all_around
-    hit, wall = np.nonzero(np.repeat(meets, count, axis=0))
+        in_sector = np.maximum(sign * _cross(edge[:, None], start), sign * _cross(edge[:, None], stop)) >= -1e-9
+        candidates &= in_sector | all_around
+    hit, wall = np.nonzero(np.repeat(candidates, count, axis=0))
     span = (stop - start)[wall]
     line = sight[hit]
     cross = _cross(line, span)

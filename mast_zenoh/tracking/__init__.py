@@ -1,4 +1,4 @@
-"""Tracking: from detections, or from states, at successive times to tracks with lasting ids (docs/tracking.md)."""
+"""Tracking: turns detections or states into tracks with persistent ids (docs/tracking.md)."""
 
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment, GreedyAssignment
 from mast_zenoh.tracking.base import Tracker

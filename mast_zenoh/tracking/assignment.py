@@ -1,4 +1,4 @@
-"""Which measurement belongs to which track: one-to-one choices among gated pairs."""
+"""One-to-one assignment of measurements to tracks among gated pairs."""
 
 from __future__ import annotations
 
@@ -10,60 +10,60 @@ from mast_zenoh.arrays.matching import alone, cheapest, greedy
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 
-#: Rows times columns up to which the best choice is looked for: it takes their power of 3/2 in time.
-LARGEST = 1_000_000
+#: Largest number of rows times columns for an optimal assignment, whose run time grows with its power of 3/2.
+MAX_PAIRS = 1_000_000
 
 
 class Assignment(ABC):
     """Chooses pairs such that every row and every column is used at most once."""
 
     def match(self, row: Ints, column: Ints, cost: Floats) -> Ints:
-        """(k,) int64, ascending: the chosen ones of p pairs.
+        """(k,) int64, ascending: rows of the chosen pairs among p.
 
-        row, column: (p,) int64 >= 0, no pair twice; cost: (p,), what choosing the pair costs against leaving both ends
-        alone. Pairs of cost >= 0 are never chosen.
+        row, column: (p,) int64 >= 0, no pair twice; cost: (p,), cost of choosing the pair relative to
+        leaving both unassigned. Pairs with cost >= 0 are never chosen.
         """
         useful, chosen = useful_pairs(row, column, cost)
-        rest = (~chosen).nonzero()[0]
-        if len(rest) == 0:
+        contested_rows = (~chosen).nonzero()[0]
+        if len(contested_rows) == 0:
             return useful
-        contested = useful[rest]
-        chosen[rest] = self._choose(row[contested], column[contested], cost[contested])
-        best: Ints = useful[chosen]
-        return best
+        contested = useful[contested_rows]
+        chosen[contested_rows] = self._choose(row[contested], column[contested], cost[contested])
+        matches: Ints = useful[chosen]
+        return matches
 
     @abstractmethod
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
-        """(p,) bool: the chosen ones of p contested pairs of negative cost."""
+        """(p,) bool: which of p contested pairs with negative cost to choose."""
 
 
 @kernel
 def useful_pairs(row: Ints, column: Ints, cost: Floats) -> tuple[Ints, Bools]:
-    """(k,) int64, ascending: the pairs of negative cost; (k,) bool: which of those have row and column for themselves.
+    """(k,) int64, ascending: pairs with negative cost; (k,) bool: which of them share neither row nor column.
 
-    Those are chosen by any sensible rule: most pairs of a frame are.
+    Uncontested pairs, the majority in most frames, are always chosen.
     """
     useful: Ints = (cost < 0.0).nonzero()[0]
     return useful, alone(row[useful], column[useful])
 
 
 class BipartiteAssignment(Assignment):
-    """The choice of least total cost, see `matching.cheapest`.
+    """Minimises the total cost, see `matching.cheapest`.
 
-    Where more than LARGEST pairs are possible, the greedy choice: only a hostile source brings so many.
+    Falls back to greedy assignment above MAX_PAIRS possible pairs; only a hostile source sends so many.
     """
 
     def __init__(self) -> None:
         pass
 
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
-        if _different(row) * _different(column) > LARGEST:
+        if _count_distinct(row) * _count_distinct(column) > MAX_PAIRS:
             return greedy(row, column, cost)
         return cheapest(row, column, cost)
 
 
 class GreedyAssignment(Assignment):
-    """The cheapest pair first, see `matching.greedy`."""
+    """Chooses the cheapest pair first, see `matching.greedy`."""
 
     def __init__(self) -> None:
         pass
@@ -72,6 +72,6 @@ class GreedyAssignment(Assignment):
         return greedy(row, column, cost)
 
 
-def _different(values: Ints) -> int:
-    """How many different ones there are; values >= 0."""
+def _count_distinct(values: Ints) -> int:
+    """Number of distinct values; values >= 0."""
     return int(np.count_nonzero(np.bincount(values)))

@@ -1,4 +1,4 @@
-"""What a tracker is."""
+"""Base class of trackers."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from mast_zenoh.tracking.view import SensorView
 
 
 class Tracker(ABC):
-    """Turns what is seen at successive times into tracks with lasting ids.
+    """Turns measurements at successive times into tracks with persistent ids.
 
     One tracker serves one source: `step` takes the detections of a sensor, `step_states` full states, such as fused
-    ones. Both may be called on one tracker, also for the same time.
+    ones. Both may be called on the same tracker, even for the same time.
     """
 
     @abstractmethod
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
         """The confirmed tracks at `time_ns`, sorted by id.
 
-        time_ns:    ns, not earlier than in the call before (ValueError)
+        time_ns:    ns, not earlier than in the previous call (ValueError)
         detections: n detections in the tracker's frame of reference, a fixed one (the world frame)
-        view:       what the sensor could see; without it, a miss counts as if every object had been in view
+        view:       the sensor's field of view; without it, every object counts as in view
 
-        Ids are unique and never used again. The result does not depend on the order of the detections.
+        Ids are unique and never reused. The result does not depend on the order of the detections.
         """
 
     @abstractmethod
@@ -33,8 +33,8 @@ class Tracker(ABC):
     @property
     @abstractmethod
     def matched(self) -> Ints:
-        """(n,) per track of the last result, the row of the last input that it was updated with; -1: it coasts."""
+        """(n,) for each track of the last result, the input row that updated it; -1: it coasts."""
 
     @abstractmethod
     def reset(self) -> None:
-        """Back to the state of a newly made tracker."""
+        """Return to the initial state."""

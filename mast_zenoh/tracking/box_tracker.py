@@ -1,4 +1,4 @@
-"""The box tracker: batched Kalman filter, gating, one-to-one assignment, and a probability that each object exists."""
+"""The box tracker: batched Kalman filter, gating, assignment and existence probabilities."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, duplicates, overlap
 from mast_zenoh.tracking.gating import Pairs, gains, near_pairs
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, settle_sense
-from mast_zenoh.tracking.lateral_constraint import roll
+from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
 from mast_zenoh.tracking.view import SensorView
 
 #: m^2/s^3, spectral density of vertical acceleration: roads are nearly flat.
 VERTICAL_ACCELERATION = 0.2
-#: m^2/s, what a size may drift: nothing, but for what of an object is in view.
+#: m^2/s, drift of a size: objects are rigid, but their visible part changes.
 SIZE_DRIFT = 4e-4
-#: rad/sqrt(s), what a heading may drift.
+#: rad/sqrt(s), drift of a heading.
 YAW_DRIFT = 0.3
-#: m/s above which nothing on a road goes.
+#: m/s, upper limit for road users; faster tracks are dropped.
 MAX_SPEED = 60.0
-#: Share of its first odds below which a track that was never confirmed is given up: one miss in full view is not.
-DOUBT = 0.05
+#: Fraction of the birth odds below which an unconfirmed track is dropped: more than one miss in full view.
+DROP_FRACTION = 0.05
 #: m, standard deviation of the horizontal position beyond which a track is lost.
 LOST_M = 3.0
-#: Frames' worth of belief in the prior detection probability.
+#: Weight of the prior detection probability, in frames.
 PRIOR_FRAMES = 2.0
-#: How far a first report of a state is believed, against a source's transient errors.
+#: Factor on the score of a newly reported state, to allow for transient errors of the source.
 FIRST_REPORT = 0.9
 #: Parameters that are probabilities, and others that must be positive.
 _PROBABILITIES = (
@@ -50,24 +50,24 @@ _BIPARTITE = BipartiteAssignment()
 class KalmanBoxTracker3D(Tracker):
     """Tracks boxes in the plane of the road; see docs/tracking.md for the model and the sources of the numbers.
 
-    position_std_m, vertical_std_m: of a detection's horizontal position per axis, and of its height, where it brings
-        no covariance of its own
-    size_std_m, yaw_std_rad: of a detection's sizes, and of its heading up to half a turn
-    detection_probability: of an object in full view; each track's own record may only lower it
-    report_probability: that a source of states (`step_states`) goes on reporting what is there
+    position_std_m, vertical_std_m: of a detection's horizontal position per axis, and of its height, unless it has
+        its own covariance
+    size_std_m, yaw_std_rad: of a detection's sizes, and of its heading modulo half a turn
+    detection_probability: of an object in full view; a track's own hit rate can only lower it
+    report_probability: that a source of states (`step_states`) continues to report an existing object
     clutter_per_m2: false detections per square metre and frame
-    birth_odds: odds that a detection which fits no track is a new object
-    lifetime_s: s, how long an object stays in view on average; memory_s: s, how long a track's record counts
-    confirm_probability: of existence, to become a track; min_probability: to be reported
-    max_coast_s: s without a measurement after which a track is given up, or sooner, when its position has become
-        uncertain by LOST_M; until then it may come back under its id
+    birth_odds: odds that a detection without a matching track is a new object
+    lifetime_s: s, average time that an object stays in view; memory_s: s, time constant of a track's hit rate
+    confirm_probability: of existence, to confirm a track; min_probability: to report it
+    max_coast_s: s without a measurement after which a track is dropped (earlier if its position uncertainty exceeds
+        LOST_M); until then it may be recovered under the same id
     max_std_m: m, of the horizontal position, above which a track is not reported
-    jump_probability, jump_std_m: of a sudden displacement in a frame, and its size per axis for a moving car, see
-        `gating`
+    jump_probability, jump_std_m: of a sudden displacement in a frame, and its standard deviation per axis for a
+        moving car, see `gating`
     acceleration_scale: factor on the accelerations in `classes`
-    assignment: which detection goes to which track
+    assignment: how detections are assigned to tracks
 
-    Raises ValueError for a probability outside (0, 1), and for anything else that is not positive.
+    Raises ValueError for a probability outside (0, 1) and for any other parameter that is not positive.
     """
 
     filter: ClassVar[kalman.BoxFilter] = kalman.BatchedFilter()
@@ -94,28 +94,28 @@ class KalmanBoxTracker3D(Tracker):
         acceleration_scale: float = 1.0,
         assignment: Assignment = _BIPARTITE,
     ) -> None:
-        given = locals()
+        parameters = locals()
         for name in _PROBABILITIES:
-            if not 0.0 < given[name] < 1.0:
-                raise ValueError(f"{name}: found {given[name]}, expected more than 0 and less than 1")
+            if not 0.0 < parameters[name] < 1.0:
+                raise ValueError(f"{name}: found {parameters[name]}, expected more than 0 and less than 1")
         for name in _POSITIVE:
-            if not given[name] > 0.0:
-                raise ValueError(f"{name}: found {given[name]}, expected more than 0")
+            if not parameters[name] > 0.0:
+                raise ValueError(f"{name}: found {parameters[name]}, expected more than 0")
         self._variance = np.square([position_std_m] * 2 + [vertical_std_m] + [size_std_m] * 3)
         self._yaw_noise = yaw_std_rad**2
         self._detection_probability = detection_probability
         self._report_probability = report_probability
         self._log_clutter = float(np.log(clutter_per_m2))
-        self._birth = birth_odds
-        self._doubtful = birth_odds * DOUBT
+        self._birth_odds = birth_odds
+        self._drop_odds = birth_odds * DROP_FRACTION
         self._lifetime_s = lifetime_s
         self._memory_s = memory_s
-        self._confirm = confirm_probability / (1.0 - confirm_probability)
-        self._report = min_probability / (1.0 - min_probability)
+        self._confirm_odds = confirm_probability / (1.0 - confirm_probability)
+        self._report_odds = min_probability / (1.0 - min_probability)
         self._max_coast_s = max_coast_s
         self._max_variance = max_std_m**2
         self._jump_probability = jump_probability
-        self._jump = np.square(jump_std_m * classes.JUMP)
+        self._jump_variance = np.square(jump_std_m * classes.JUMP)
         self._acceleration = acceleration_scale * classes.ACCELERATION
         self._assignment = assignment
         self.reset()
@@ -132,60 +132,67 @@ class KalmanBoxTracker3D(Tracker):
         return self._matched
 
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
-        seen = Measured.detections(detections, self._variance)
+        measurements = Measured.detections(detections, self._variance)
         self._advance(time_ns)
         t = self._tracks
         detected = existence.detection_probability(t, self._detection_probability, PRIOR_FRAMES)
-        match = self._associate(seen, detected)
+        match = self._associate(measurements, detected)
         if len(match.track):
-            hit = self._hit(match, seen, detected)
-            measured, R = seen.state.take(match.measurement, 0), seen.noise.take(match.measurement, 0)
-            surprise = measured[:, :2] - hit[:, :2]
+            hit = self._matched_tracks(match, measurements, detected)
+            measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
+            innovation = measured[:, :2] - hit[:, :2]
             self.filter.correct(hit, measured, R)
-            roll(self.filter, hit, surprise)
+            constrain_lateral_speed(self.filter, hit, innovation)
             t[match.track] = hit
-        existence.miss(t, detected, self._missed(view), self._birth)
-        new = self._unexplained(match, seen)
-        born = self._born(new, seen)
-        if len(new):
-            born[:, kalman.BOX] = seen.state[new]
-            P = first_covariance(seen.noise[new], seen.yaw[new], seen.class_id[new])
-            born[:, COVARIANCE] = P.reshape(len(new), 81)
-            born[:, ODDS] = self._birth
-        return self._finish(match, born)
+        existence.miss(t, detected, self._missed_fraction(view), self._birth_odds)
+        new_rows = self._new_objects(match, measurements)
+        new_tracks = self._create_tracks(new_rows, measurements)
+        if len(new_rows):
+            new_tracks[:, kalman.BOX] = measurements.state[new_rows]
+            P = first_covariance(
+                measurements.noise[new_rows], measurements.yaw[new_rows], measurements.class_id[new_rows]
+            )
+            new_tracks[:, COVARIANCE] = P.reshape(len(new_rows), 81)
+            new_tracks[:, ODDS] = self._birth_odds
+        return self._finish(match, new_tracks)
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
-        seen = Measured.states(measured)
+        measurements = Measured.states(measured)
         self._advance(time_ns)
         t = self._tracks
         detected = np.full(len(t), self._report_probability)
-        match = self._associate(seen, detected)
+        match = self._associate(measurements, detected)
         if len(match.track):
-            hit = self._hit(match, seen, detected)
-            R = seen.noise.take(match.measurement, 0)
-            # States that come out of filters repeat what they said before. Covariance intersection of track and
-            # measurement counts nothing twice; weights by the trace of the position (Niehsen, FUSION 2002).
-            own, theirs = hit[:, XX] + hit[:, YY], R[:, 0, 0] + R[:, 1, 1]
-            weight = (theirs / (own + theirs))[:, None]
+            hit = self._matched_tracks(match, measurements, detected)
+            R = measurements.noise.take(match.measurement, 0)
+            # Successive outputs of a filter are correlated. Covariance intersection of track and measurement avoids
+            # double counting; weights by the trace of the position (Niehsen, FUSION 2002).
+            track_variance, measured_variance = hit[:, XX] + hit[:, YY], R[:, 0, 0] + R[:, 1, 1]
+            weight = (measured_variance / (track_variance + measured_variance))[:, None]
             hit[:, COVARIANCE] /= weight
             R /= 1.0 - weight[:, None]
-            self.filter.correct(hit, seen.state.take(match.measurement, 0), R)
+            self.filter.correct(hit, measurements.state.take(match.measurement, 0), R)
             settle_sense(hit, FORWARD, TURN_LIMIT)
             t[match.track] = hit
-        existence.miss(t, detected, self._missed(None), self._birth)
-        new = self._unexplained(match, seen)
-        born = self._born(new, seen)
-        if len(new):
-            born[:, MEAN], born[:, COVARIANCE] = seen.state[new], seen.noise[new].reshape(len(new), 81)
-            score = np.clip(FIRST_REPORT * measured.score[seen.row[new]], 0.01, 0.99)
-            born[:, ODDS] = score / (1.0 - score)
-        return self._finish(match, born)
+        existence.miss(t, detected, self._missed_fraction(None), self._birth_odds)
+        new_rows = self._new_objects(match, measurements)
+        new_tracks = self._create_tracks(new_rows, measurements)
+        if len(new_rows):
+            new_tracks[:, MEAN], new_tracks[:, COVARIANCE] = (
+                measurements.state[new_rows],
+                measurements.noise[new_rows].reshape(len(new_rows), 81),
+            )
+            score = np.clip(FIRST_REPORT * measured.score[measurements.row[new_rows]], 0.01, 0.99)
+            new_tracks[:, ODDS] = score / (1.0 - score)
+        return self._finish(match, new_tracks)
 
     def _advance(self, time_ns: int) -> None:
         """Predict the tracks to `time_ns`."""
         before = time_ns if self._time_ns is None else self._time_ns
         if time_ns < before:
-            raise ValueError(f"time_ns of a step: found {time_ns}, expected at least {before}, that of the one before")
+            raise ValueError(
+                f"time_ns of a step: found {time_ns}, expected at least {before}, that of the previous step"
+            )
         self._time_ns = time_ns
         t, dt = self._tracks, (time_ns - before) * 1e-9
         t[:, ROW] = -1.0
@@ -198,87 +205,102 @@ class KalmanBoxTracker3D(Tracker):
             t[:, tracks.AGE] += dt
             existence.survive(t, dt, self._lifetime_s, self._memory_s)
 
-    def _associate(self, seen: Measured, detected: Floats) -> _Match:
-        """Which of m measurements is of which of n tracks; detected: (n,)."""
+    def _associate(self, measurements: Measured, detected: Floats) -> _Match:
+        """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
         t = self._tracks
         class_id = tracks.classes_of(t)
-        pairs = near_pairs(t, seen.state, seen.noise, self._jump.take(class_id), self._jump_probability)
+        pairs = near_pairs(
+            t, measurements.state, measurements.noise, self._jump_variance.take(class_id), self._jump_probability
+        )
         i, j = pairs.track, pairs.measurement
-        ratio, gain = gains(t, detected, seen.class_id, classes.CONFUSION, i, j, pairs.log_density, self._log_clutter)
+        ratio, gain = gains(
+            t, detected, measurements.class_id, classes.CONFUSION, i, j, pairs.log_density, self._log_clutter
+        )
         chosen = self._assignment.match(i, j, -gain)
         return _Match(i[chosen], j[chosen], ratio[chosen], pairs.jump[chosen], pairs, len(chosen) < len(i))
 
-    def _hit(self, match: _Match, seen: Measured, detected: Floats) -> Floats:
-        """A copy of the matched tracks, brought up to date but for mean and covariance."""
+    def _matched_tracks(self, match: _Match, measurements: Measured, detected: Floats) -> Floats:
+        """A copy of the matched tracks, updated except for mean and covariance."""
         used = match.measurement
         hit = self._tracks.take(match.track, 0)
         if np.count_nonzero(match.jump):
             hit[:, XX] += match.jump
             hit[:, YY] += match.jump
-        correct_heading(hit, seen.yaw.take(used), self._yaw_noise)
-        tracks.vote(hit, seen.class_id.take(used))
-        existence.hit(hit, detected.take(match.track), match.log_ratio, existence.MOST)
-        hit[:, tracks.AGE], hit[:, ROW] = 0.0, seen.row.take(used)
+        correct_heading(hit, measurements.yaw.take(used), self._yaw_noise)
+        tracks.vote(hit, measurements.class_id.take(used))
+        existence.hit(hit, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
+        hit[:, tracks.AGE], hit[:, ROW] = 0.0, measurements.row.take(used)
         return hit
 
-    def _missed(self, view: SensorView | None) -> Floats:
-        """(n,) how much of each track was not measured though it was to be seen: in view, and not behind another."""
+    def _missed_fraction(self, view: SensorView | None) -> Floats:
+        """(n,) fraction of each track that was visible (in view and not occluded) but not measured."""
         t = self._tracks
         coasts = t[:, ROW] < 0.0
         missed = coasts.astype(np.float64)
         rows = coasts.nonzero()[0]
         if view is not None and len(rows):
-            screens = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report)).nonzero()[0]
+            screens = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)).nonzero()[0]
             missed[rows] = view.expects(t.take(rows, 0), t.take(screens, 0))
         return missed
 
-    def _unexplained(self, match: _Match, seen: Measured) -> Ints:
-        """Rows of the measurements that may be new objects: not matched, and not of one that was matched to another."""
-        explained = np.zeros(len(seen.row), bool)
+    def _new_objects(self, match: _Match, measurements: Measured) -> Ints:
+        """Rows of the measurements that may be new objects: neither matched nor duplicates of a matched object."""
+        explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True
         if match.contested:
             t, i, j = self._tracks, match.near.track, match.near.measurement
-            rest = (~explained[j] & (t[i, ROW] >= 0.0)).nonzero()[0]
-            if len(rest):
-                mean, j = t[i[rest]], j[rest]
-                state = seen.state[j]
+            unexplained = (~explained[j] & (t[i, ROW] >= 0.0)).nonzero()[0]
+            if len(unexplained):
+                mean, j = t[i[unexplained]], j[unexplained]
+                state = measurements.state[j]
                 offset = state[:, :2] - mean[:, :2]
-                same = overlap(offset, mean[:, 3:6], mean[:, YAW], state[:, 3:6], seen.yaw[j], ONE_OBJECT)
+                same = overlap(offset, mean[:, 3:6], mean[:, YAW], state[:, 3:6], measurements.yaw[j], ONE_OBJECT)
                 explained[j[same]] = True
         return (~explained).nonzero()[0]
 
-    def _born(self, new: Ints, seen: Measured) -> Floats:
-        """Tracks for the measurements at `new`, but for mean, covariance and odds."""
-        born = tracks.empty(len(new))
-        if len(new):
-            born[:, tracks.ID] = np.arange(self._next_id, self._next_id + len(new))
-            self._next_id += len(new)
-            born[:, YAW], born[:, YAW_VARIANCE], born[:, tracks.TURN] = seen.yaw[new], self._yaw_noise, 1.0
-            born[:, tracks.HITS], born[:, ROW] = 1.0, seen.row[new]
-            tracks.vote(born, seen.class_id[new])
-        return born
+    def _create_tracks(self, rows: Ints, measurements: Measured) -> Floats:
+        """New tracks for the measurements in `rows`, without mean, covariance and odds."""
+        new_tracks = tracks.empty(len(rows))
+        if len(rows):
+            new_tracks[:, tracks.ID] = np.arange(self._next_id, self._next_id + len(rows))
+            self._next_id += len(rows)
+            new_tracks[:, YAW], new_tracks[:, YAW_VARIANCE], new_tracks[:, tracks.TURN] = (
+                measurements.yaw[rows],
+                self._yaw_noise,
+                1.0,
+            )
+            new_tracks[:, tracks.HITS], new_tracks[:, ROW] = 1.0, measurements.row[rows]
+            tracks.vote(new_tracks, measurements.class_id[rows])
+        return new_tracks
 
-    def _finish(self, match: _Match, born: Floats) -> ObjectStates:
-        """Give up tracks, take in the `born` ones, report."""
+    def _finish(self, match: _Match, new_tracks: Floats) -> ObjectStates:
+        """Drop tracks, add the new ones and report."""
         t = self._tracks
         keep, report = existence.kept(
-            t, self._confirm, self._report, self._doubtful, self._max_coast_s, LOST_M**2, MAX_SPEED, self._max_variance
+            t,
+            self._confirm_odds,
+            self._report_odds,
+            self._drop_odds,
+            self._max_coast_s,
+            LOST_M**2,
+            MAX_SPEED,
+            self._max_variance,
         )
         if match.contested:
-            # Two tracks of one object are near the same measurements.
+            # Duplicate tracks of one object share nearby measurements.
             keep &= ~duplicates(t)
         report &= keep
         reported = t.take(report.nonzero()[0], 0)
         t = t if np.count_nonzero(keep) == len(t) else t[keep]
-        self._tracks = np.concatenate([t, born]) if len(born) else t
+        self._tracks = np.concatenate([t, new_tracks]) if len(new_tracks) else t
         self._matched = reported[:, ROW].astype(np.int64)
         return tracks.to_states(reported)
 
 
 class _Match(NamedTuple):
-    """k tracks, their measurements, ln of density over clutter, variance of a jump; and all pairs that were near.
+    """k matched tracks and measurements, log density ratios to clutter, jump variances, and all gated pairs.
 
-    contested: whether there are other pairs than the chosen ones
+    contested: whether there are gated pairs that were not chosen
     """
 
     track: Ints

@@ -1,4 +1,4 @@
-"""What is known of road users by class, before any is seen. Rows are in the order of `states.CLASSES`."""
+"""Prior knowledge of road users by class, in the order of `states.CLASSES`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints
 
 #: Per class:
-#: speed_along, speed_across  m/s, standard deviation of a new object's speed along and across its heading: urban to
-#:                            motorway traffic, in either direction, and headings that are a quarter radian off
-#: acceleration               m^2/s^3, spectral density: after 1 s of unknown driving the speed is off by its root
+#: speed_along, speed_across  m/s, standard deviation of a new object's speed along and across its heading: covers
+#:                            urban to motorway traffic in both directions, and heading errors of 0.25 rad
+#: acceleration               m^2/s^3, spectral density: variance of the speed gained per second
 #: jump                       factor on the tracker's `jump_std_m`
 #: family                     classes that detectors confuse
 _TABLE = {
@@ -25,10 +25,10 @@ _COLUMNS = np.array([_TABLE[name] for name in CLASSES]).T
 
 _ALONG, _ACROSS, ACCELERATION, JUMP, _FAMILY = _COLUMNS
 
-#: (m/s)^2: of the variances of the speed along and across the heading, mean and half the difference.
+#: (m/s)^2: mean and half difference of the variances of the speed along and across the heading.
 _SPEED_MEAN, _SPEED_HALF = 0.5 * (_ALONG**2 + _ACROSS**2), 0.5 * (_ALONG**2 - _ACROSS**2)
 
-#: (7,) bool: moves along its length axis, but for a slip.
+#: (7,) bool: moves along its length axis, except for slip.
 ROLLS = np.array([name not in ("unknown", "pedestrian") for name in CLASSES])
 
 #: (7, 7) log-likelihood that an object of class row is detected as class column, up to a constant: detectors mostly
@@ -42,9 +42,9 @@ SPEED_VERTICAL = 0.5
 
 
 def first_covariance(box: Floats, yaw: Floats, class_id: Ints) -> Floats:
-    """(n, 9, 9) of objects just seen: boxes with noise `box` (n, 6, 6), velocity zero as far as is known.
+    """(n, 9, 9) of new objects: box noise `box` (n, 6, 6) and the prior of an unknown velocity.
 
-    A heading constrains the velocity before any motion is seen.
+    The heading constrains the velocity before any motion is observed.
     """
     double = 2.0 * yaw
     mean, half = _SPEED_MEAN.take(class_id), _SPEED_HALF.take(class_id)
@@ -52,10 +52,10 @@ def first_covariance(box: Floats, yaw: Floats, class_id: Ints) -> Floats:
 
 
 def with_speed(box: Floats, mean: Floats, swing: Floats, cross: Floats, vertical: float) -> Floats:
-    """(n, 9, 9) of boxes with noise `box` (n, 6, 6) and of their velocity.
+    """(n, 9, 9) covariances from box noise `box` (n, 6, 6) and velocity variances.
 
-    mean, swing, cross, vertical: (n,), (n,), (n,) and one (m/s)^2: variances mean + swing along x, mean - swing along
-    y, covariance `cross` of both, and variance of the vertical speed
+    mean, swing, cross, vertical: (n,), (n,), (n,) and a scalar, (m/s)^2: variances mean + swing along x, mean - swing
+    along y, their covariance `cross`, and the variance of the vertical speed
     """
     covariance = np.zeros((len(mean), 9, 9))
     covariance[:, :6, :6] = box

@@ -1,4 +1,4 @@
-"""Does the tracked object exist?
+"""Existence probabilities of tracked objects.
 
 Odds p / (1 - p), as in integrated probabilistic data association (Musicki, Evans, Stankovic, IEEE Transactions on
 Automatic Control, 1994).
@@ -14,25 +14,25 @@ from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.tracks import AGE, CONFIRMED, HITS, MISSES, ODDS, RECORD, XX, YY, planar
 
-#: Nothing is surer than this: products of odds stay finite, however many measurements come in no time at all.
-MOST = 1e12
+#: Upper limit of the odds; keeps products of odds finite for any number of measurements.
+MAX_ODDS = 1e12
 
 
 @kernel
 def survive(tracks: Floats, dt: float, lifetime_s: float, memory_s: float) -> None:
-    """Take `dt` s off: objects leave after `lifetime_s` s on average; counts fade with the time constant `memory_s`."""
+    """Predict by `dt` s: objects live `lifetime_s` s on average; counts decay with the time constant `memory_s` s."""
     # p' = s p, in odds o = p / (1 - p): o' = s o / (1 + (1 - s) o), which bounds the odds by s / (1 - s).
-    leaves = math.exp(dt / lifetime_s)
+    growth = math.exp(dt / lifetime_s)
     odds = tracks[:, ODDS]
-    odds /= leaves + (leaves - 1.0) * odds
+    odds /= growth + (growth - 1.0) * odds
     tracks[:, RECORD] *= math.exp(-dt / memory_s)
 
 
 def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats:
-    """(n,) how often each object is detected when it could be: its record, and `prior` for `weight` frames' worth.
+    """(n,) detection probability of each object: its hit rate combined with `prior`, weighted as `weight` frames.
 
-    An object that is only just in sight is detected now and then: a miss says little against it. A spotless record
-    counts no more than the prior, or the first miss after it would be the end.
+    A miss is weak evidence against a rarely detected object. The result never exceeds the prior; otherwise one miss
+    after a perfect hit rate would end a track.
     """
     hits = tracks[:, HITS]
     return np.asarray(np.minimum((hits + prior * weight) / (hits + tracks[:, MISSES] + weight), prior))
@@ -40,9 +40,9 @@ def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats
 
 @kernel
 def hit(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> None:
-    """Tracks were measured; `log_ratio` (n,): ln of the density of the measurement over that of clutter.
+    """Update measured tracks; `log_ratio` (n,): ln of the density of the measurement over that of clutter.
 
-    most: what the odds may become
+    most: upper limit of the odds
     """
     tracks[:, ODDS] = np.minimum(tracks[:, ODDS] * (detected * np.exp(log_ratio) + (1.0 - detected)), most)
     tracks[:, HITS] += 1.0
@@ -50,9 +50,9 @@ def hit(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> Non
 
 @kernel
 def miss(tracks: Floats, detected: Floats, expected: Floats, birth: float) -> None:
-    """Tracks were not measured, though to be `expected` (n,), 0 to 1: what cannot be seen, or was seen, is not missed.
+    """Update tracks that were `expected` (n,), 0 to 1, but not measured; 0 for invisible or measured tracks.
 
-    A confirmed one never becomes less likely than a new object, of odds `birth`: it may come back.
+    The odds of a confirmed track stay at least at `birth`, those of a new object, so that it can be recovered.
     """
     odds = tracks[:, ODDS] * (1.0 - detected * expected)
     tracks[:, ODDS] = np.maximum(odds, birth * tracks[:, CONFIRMED])
@@ -70,9 +70,9 @@ def kept(
     max_speed: float,
     max_reported_variance: float,
 ) -> tuple[Bools, Bools]:
-    """(n,) which tracks to keep, and which to report; those of odds above `confirm` are confirmed.
+    """(n,) which tracks to keep, and which to report; confirms those with odds above `confirm`.
 
-    report: odds above which a confirmed track is told of; doubtful: odds below which one that is not is given up
+    report: odds above which a confirmed track is reported; doubtful: odds below which an unconfirmed one is dropped
     max_age_s: s without a measurement; max_variance, max_reported_variance: m^2, of the horizontal position, both axes
     together; max_speed: m/s
     """

@@ -1,4 +1,4 @@
-"""The box tracker on filterpy: slow, and the reference that the batched filter must agree with."""
+"""The box tracker with filterpy: slow, a reference for the batched filter."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ class FilterpyFilter(kalman.BoxFilter):
         transition = np.eye(9)
         transition[kalman.POSITION, kalman.VELOCITY] = dt * np.eye(3)
         for row, Q in zip(t, noise[tracks.classes_of(t)], strict=True):
-            one = _filter(row, 1)
-            one.predict(F=transition, Q=Q)
-            _store(one, row)
+            box_filter = _filter(row, 1)
+            box_filter.predict(F=transition, Q=Q)
+            _store(box_filter, row)
 
     def correct(self, t: Floats, measured: Floats, noise: Floats) -> None:
         m = measured.shape[1]
         for row, z, R in zip(t, measured, noise, strict=True):
-            one = _filter(row, m)
-            one.update(z, R=R, H=np.eye(9)[:m])
-            _store(one, row)
+            box_filter = _filter(row, m)
+            box_filter.update(z, R=R, H=np.eye(9)[:m])
+            _store(box_filter, row)
 
     def correct_speed(self, t: Floats, direction: Floats, noise: Floats) -> None:
         for row, (x, y), variance in zip(t, direction, noise, strict=True):
-            picks = np.zeros((1, 9))
-            picks[0, 6:8] = x, y
-            one = _filter(row, 1)
-            one.update(np.zeros(1), R=np.array([[variance]]), H=picks)
-            _store(one, row)
+            observation = np.zeros((1, 9))
+            observation[0, 6:8] = x, y
+            box_filter = _filter(row, 1)
+            box_filter.update(np.zeros(1), R=np.array([[variance]]), H=observation)
+            _store(box_filter, row)
 
 
 class FilterpyBoxTracker3D(KalmanBoxTracker3D):
@@ -48,13 +48,13 @@ class FilterpyBoxTracker3D(KalmanBoxTracker3D):
 
 
 def _filter(track: Floats, measured: int) -> KalmanFilter:
-    # Here, not above: filterpy pulls in matplotlib, which takes half a second that only this tracker need pay.
+    # Imported here because filterpy imports matplotlib, which takes half a second.
     from filterpy.kalman import KalmanFilter
 
-    one = KalmanFilter(dim_x=9, dim_z=measured)
-    one.x, one.P = track[tracks.MEAN].copy(), track[tracks.COVARIANCE].reshape(9, 9).copy()
-    return one
+    box_filter = KalmanFilter(dim_x=9, dim_z=measured)
+    box_filter.x, box_filter.P = track[tracks.MEAN].copy(), track[tracks.COVARIANCE].reshape(9, 9).copy()
+    return box_filter
 
 
-def _store(one: KalmanFilter, track: Floats) -> None:
-    track[tracks.MEAN], track[tracks.COVARIANCE] = one.x, one.P.ravel()
+def _store(box_filter: KalmanFilter, track: Floats) -> None:
+    track[tracks.MEAN], track[tracks.COVARIANCE] = box_filter.x, box_filter.P.ravel()

@@ -1,4 +1,4 @@
-"""Which measurement may belong to which track, and how likely."""
+"""Gating: candidate pairs of tracks and measurements, and their likelihoods."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ _NONE = np.zeros(0, np.int64)
 
 
 class Pairs(NamedTuple):
-    """p pairs of a track and a measurement that lie near each other.
+    """p gated pairs of a track and a measurement.
 
     track, measurement: (p,) rows
-    log_density: (p,) ln of the density, per m^2, of the measurement's horizontal position if it is of the track
-    jump: (p,) m^2, variance that a sudden displacement adds per axis, 0 where steady motion explains the pair
+    log_density: (p,) ln of the density, per m^2, of the measurement's horizontal position given the track
+    jump: (p,) m^2, variance per axis added by a sudden displacement, 0 if steady motion explains the pair
     """
 
     track: Ints
@@ -56,12 +56,12 @@ def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Float
     """The pairs of n tracks and m measurements within the gate, in the order of tracks, then measurements.
 
     position: (m, >= 3) m; covariance: (m, k, k), the first two rows and columns are x and y, m^2
-    jump: (n,) m^2, variance per axis of a sudden displacement of a moving object, which has `jump_probability` in a
-        frame
+    jump: (n,) m^2, variance per axis of a sudden displacement of a moving object, which occurs in a frame with
+        `jump_probability`
 
     Boxes do jump: their centre shifts as more of an object comes into view, and simulated traffic changes lanes within
-    a step. That is considered for tracks and measurements that steady motion leaves alone. What stands does not change
-    lanes.
+    a step. Jumps are considered only for tracks and measurements without a pair under steady motion. Objects at rest
+    do not change lanes.
     """
     if len(tracks) == 0 or len(position) == 0:
         return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
@@ -72,7 +72,7 @@ def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Float
 @kernel
 def reach(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floats:
     """(n,) m beyond which no measurement can be within the gate of a track."""
-    # The trace bounds the largest eigenvalue: a cheap circle round both ellipses, for all pairs.
+    # The trace bounds the largest eigenvalue, which gives a cheap circle around both ellipses for all pairs.
     widest = (covariance[:, 0, 0] + covariance[:, 1, 1]).max()
     return np.asarray(np.sqrt(gate * (tracks[:, XX] + tracks[:, YY] + 0.5 * jump + widest)))
 
@@ -87,32 +87,32 @@ def gated(
     gate: Gate,
     log_jump: float,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """The fields of `Pairs`, of those of p pairs that are within the gate.
+    """The fields of `Pairs` for those of p pairs within the gate.
 
     near: (p,) rows of tracks and of measurements, and how far the measurement is from the track in x and in y, m
     log_jump: ln of the probability of a sudden displacement
     """
     i, j, dx, dy = near
-    own = tracks.take(_HORIZONTAL, 1)
+    track_variance = tracks.take(_HORIZONTAL, 1)
     k = covariance.shape[1]
-    measured = covariance.reshape(len(position), k * k).take((0, 1, k + 1), 1)
+    measured_variance = covariance.reshape(len(position), k * k).take((0, 1, k + 1), 1)
     level = np.abs(position[:, 2].take(j) - tracks[:, 2].take(i)) <= gate.level_m
-    total = own.take(i, 0) + measured.take(j, 0)
+    total = track_variance.take(i, 0) + measured_variance.take(j, 0)
     a, b, c = total[:, 0], total[:, 1], total[:, 2]
     log_density, distance = _gaussian(dx, dy, a, b, c)
-    inside = (distance <= gate.steady) & level
+    selected = (distance <= gate.steady) & level
     added = np.zeros(len(i))
     alone, unexplained = np.ones(len(tracks), bool), np.ones(len(position), bool)
-    alone[i[inside]] = unexplained[j[inside]] = False
+    alone[i[selected]] = unexplained[j[selected]] = False
     far = (level & alone[i] & unexplained[j]).nonzero()[0]
     if len(far):
         speed = np.abs(planar(tracks[i[far], 6:8]))
-        more = jump[i[far]] * np.minimum(gate.standing + gate.moving * speed * speed, 1.0)
-        density, distance = _gaussian(dx[far], dy[far], a[far] + more, b[far], c[far] + more)
+        jump_variance = jump[i[far]] * np.minimum(gate.standing + gate.moving * speed * speed, 1.0)
+        density, distance = _gaussian(dx[far], dy[far], a[far] + jump_variance, b[far], c[far] + jump_variance)
         log_density[far] = density + log_jump
-        added[far] = more
-        inside[far] = distance <= gate.sudden
-    return i[inside], j[inside], log_density[inside], added[inside]
+        added[far] = jump_variance
+        selected[far] = distance <= gate.sudden
+    return i[selected], j[selected], log_density[selected], added[selected]
 
 
 @kernel
@@ -126,9 +126,9 @@ def gains(
     log_density: Floats,
     log_clutter: float,
 ) -> tuple[Floats, Floats]:
-    """(p,) of the pairs (i, j): ln of the likelihood over that of clutter; and what choosing the pair gains.
+    """(p,) for pairs (i, j): log likelihood ratio to clutter; and the gain of choosing the pair.
 
-    That is against leaving both alone: the object was missed, or is not there, and the measurement is clutter.
+    The gain is relative to leaving both unassigned: the object was missed or is absent, the measurement is clutter.
     detected: (n,) probability of detection; class_id: (m,) measured; confusion: see `classes`
     """
     ratio = log_density - log_clutter + confusion[classes_of(tracks)[i], class_id[j]]
@@ -137,9 +137,9 @@ def gains(
 
 
 def _gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
-    """ln of the densities at (dx, dy) of normal distributions of covariance [[a, b], [b, c]]; squared distances."""
+    """Log densities at (dx, dy) of normal distributions of covariance [[a, b], [b, c]]; squared distances."""
     slope = b / a
-    rest = c - b * slope
+    conditional = c - b * slope
     dy = dy - slope * dx
-    distance = dx * dx / a + dy * dy / rest
-    return -0.5 * (distance + np.log(a * rest)) - LOG_2_PI, distance
+    distance = dx * dx / a + dy * dy / conditional
+    return -0.5 * (distance + np.log(a * conditional)) - LOG_2_PI, distance

@@ -1,4 +1,4 @@
-"""The heading of tracks: measured up to half a turn, smoothed, its sense decided by evidence."""
+"""Headings of tracks: smoothed modulo half a turn; the front end is decided by votes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mast_zenoh.tracking.tracks import TURN, YAW, YAW_VARIANCE, planar
 #: m/s along its axis above which an object is taken to move forward.
 FORWARD = 2.0
 
-#: How much evidence for one sense is remembered, in measurements.
+#: Limit on the accumulated votes for one direction, in measurements.
 TURN_LIMIT = 5.0
 
 
@@ -19,8 +19,8 @@ TURN_LIMIT = 5.0
 def correct_heading(tracks: Floats, yaw: Floats, variance: float) -> None:
     """Correct the headings by measured ones (n,) of `variance` rad^2.
 
-    A measured heading may be the wrong way round: its axis corrects the heading, its sense is one vote on which end is
-    the front. Headings in the table may grow beyond a turn.
+    A measured heading may be reversed: its axis corrects the heading, its direction is one vote on which end is the
+    front. Headings in the table may exceed a full turn.
     """
     innovation = yaw - tracks[:, YAW]
     half_turns = np.rint(innovation * (1.0 / np.pi))
@@ -34,9 +34,9 @@ def correct_heading(tracks: Floats, yaw: Floats, variance: float) -> None:
 
 @kernel
 def settle_sense(tracks: Floats, forward: float, limit: float) -> None:
-    """Let the speed along the heading, if more than `forward` m/s, vote on which end is the front.
+    """Vote on the front end by the speed along the heading, if above `forward` m/s; turn outvoted tracks round.
 
-    What is outvoted is turned round. limit: how much evidence is remembered
+    limit: limit on the accumulated votes
     """
     along = (planar(tracks[:, 6:8]) * np.exp(-1j * tracks[:, YAW])).real
     turn = tracks[:, TURN]

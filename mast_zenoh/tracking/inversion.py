@@ -1,4 +1,4 @@
-"""Inverses of covariances of the whole state, with the least work."""
+"""Fast inverses of full-state covariances."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 
-#: Of the 81 numbers of a covariance: horizontal motion [x y vx vy], height and its rate, sizes. A tracker in the world
-#: frame correlates nothing across these blocks.
+#: Indices into the 81 numbers of a covariance: horizontal motion [x y vx vy], height and its rate, sizes. A tracker in
+#: the world frame has no correlations between these blocks.
 _HORIZONTAL = (9 * np.array([0, 1, 6, 7])[:, None] + np.array([0, 1, 6, 7])).ravel()
 _Z, _Z_RATE, _RATE = 20, 26, 80
 _SIZES = slice(30, 51, 10)
@@ -17,7 +17,7 @@ _COUPLING = _COUPLING.nonzero()[0]
 
 
 def inverse(covariance: Floats) -> Floats:
-    """(n, 9, 9) inverses of symmetric, positive definite (n, 9, 9), block by block where nothing couples the blocks."""
+    """(n, 9, 9) inverses of symmetric, positive definite (n, 9, 9), block by block if the blocks are uncorrelated."""
     n = len(covariance)
     flat = covariance.reshape(n, 81)
     if flat.take(_COUPLING, 1).any():

@@ -23,32 +23,32 @@ VELOCITY = slice(6, 9)
 
 
 def process_noise(dt: float, acceleration: Floats, vertical: float, size_drift: float) -> Floats:
-    """(n, 9, 9) covariance Q that `dt` s add.
+    """(n, 9, 9) process noise covariance Q over `dt` s.
 
     acceleration: (n,) m^2/s^3, spectral density of the horizontal acceleration; vertical: that of the vertical one
-    size_drift: m^2/s, variance that each size gains per second
+    size_drift: m^2/s, growth of the variance of each size
     """
-    horizontal, rest = _unit_noise(dt, vertical, size_drift)
-    return np.asarray(acceleration[:, None, None] * horizontal + rest)
+    horizontal, other = _unit_noise(dt, vertical, size_drift)
+    return np.asarray(acceleration[:, None, None] * horizontal + other)
 
 
 @lru_cache(maxsize=8)
 def _unit_noise(dt: float, vertical: float, size_drift: float) -> tuple[Floats, Floats]:
-    """(9, 9) covariances of horizontal motion at unit density, and of the rest. Cached, as steps are mostly alike."""
-    horizontal, rest = np.zeros((2, 9, 9))
-    for axis, matrix, density in ((0, horizontal, 1.0), (1, horizontal, 1.0), (2, rest, vertical)):
+    """(9, 9) covariances of horizontal motion at unit density, and of the other states; cached by `dt`."""
+    horizontal, other = np.zeros((2, 9, 9))
+    for axis, matrix, density in ((0, horizontal, 1.0), (1, horizontal, 1.0), (2, other, vertical)):
         matrix[axis, axis] = density * dt**3 / 3
         matrix[axis, axis + 6] = matrix[axis + 6, axis] = density * dt**2 / 2
         matrix[axis + 6, axis + 6] = density * dt
-    rest[(3, 4, 5), (3, 4, 5)] = size_drift * dt
+    other[(3, 4, 5), (3, 4, 5)] = size_drift * dt
     horizontal.setflags(write=False)
-    rest.setflags(write=False)
-    return horizontal, rest
+    other.setflags(write=False)
+    return horizontal, other
 
 
 @lru_cache(maxsize=8)
 def _transition(dt: float) -> Floats:
-    """(9, 9) F of motion at constant velocity."""
+    """(9, 9) transition matrix F of motion at constant velocity."""
     matrix = np.eye(9)
     matrix[POSITION, VELOCITY] = dt * np.eye(3)
     matrix.setflags(write=False)
@@ -60,22 +60,22 @@ class BoxFilter(ABC):
 
     @abstractmethod
     def predict(self, t: Floats, dt: float, noise: Floats) -> None:
-        """Bring them forward by `dt` s; noise: (classes, 9, 9), process noise by class."""
+        """Predict by `dt` s; noise: (classes, 9, 9), process noise by class."""
 
     @abstractmethod
     def correct(self, t: Floats, measured: Floats, noise: Floats) -> None:
-        """The first m numbers of the states were measured as (n, m), with noise covariance (n, m, m)."""
+        """Correct by measurements (n, m) of the first m state components, with noise covariance (n, m, m)."""
 
     @abstractmethod
     def correct_speed(self, t: Floats, direction: Floats, noise: Floats) -> None:
-        """The speed along `direction` was found to be 0.
+        """Correct by measuring the speed along `direction` as 0.
 
-        direction: (n, 2), horizontal unit vectors; noise: (n,) (m/s)^2, variance of what was found
+        direction: (n, 2), horizontal unit vectors; noise: (n,) (m/s)^2, measurement variance
         """
 
 
 class BatchedFilter(BoxFilter):
-    """All tracks at once."""
+    """Filters all tracks at once with NumPy."""
 
     def predict(self, t: Floats, dt: float, noise: Floats) -> None:
         predict(t, dt, noise)
@@ -89,7 +89,7 @@ class BatchedFilter(BoxFilter):
 
 @kernel
 def predict(t: Floats, dt: float, noise: Floats) -> None:
-    """See `BoxFilter.predict`."""
+    """Predict all tracks, see `BoxFilter.predict`."""
     F = _transition(dt)
     P = F @ covariances(t) @ F.T
     P += noise.take(classes_of(t), 0)
@@ -98,7 +98,7 @@ def predict(t: Floats, dt: float, noise: Floats) -> None:
 
 @kernel
 def correct(t: Floats, measured: Floats, noise: Floats) -> None:
-    """See `BoxFilter.correct`."""
+    """Correct all tracks, see `BoxFilter.correct`."""
     m = measured.shape[1]
     P = covariances(t)
     cross = P[:, :, :m]
@@ -106,13 +106,13 @@ def correct(t: Floats, measured: Floats, noise: Floats) -> None:
     gain = cross @ (inverse(total) if m == 9 else np.linalg.inv(total))
     corrected = P - gain @ cross.transpose(0, 2, 1)
     t[:, MEAN] += (gain @ (measured - t[:, :m])[:, :, None])[:, :, 0]
-    # Nothing in this form damps an asymmetry of rounding: it would double every few frames.
+    # Symmetrised because this form amplifies rounding asymmetries.
     t[:, COVARIANCE] = (0.5 * (corrected + corrected.transpose(0, 2, 1))).reshape(len(t), 81)
 
 
 @kernel
 def correct_speed(t: Floats, direction: Floats, noise: Floats) -> None:
-    """See `BoxFilter.correct_speed`."""
+    """Correct the speed of all tracks, see `BoxFilter.correct_speed`."""
     P = covariances(t)
     cross = (P[:, :, 6:8] @ direction[:, :, None])[:, :, 0]
     variance = np.vecdot(cross[:, 6:8], direction) + noise

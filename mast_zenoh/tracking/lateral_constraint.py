@@ -1,4 +1,4 @@
-"""What rolls moves along its heading."""
+"""Non-holonomic constraint: wheeled objects move along their heading."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, settle_sense
 from mast_zenoh.tracking.kalman import BoxFilter
 from mast_zenoh.tracking.tracks import LATERAL_RESIDUAL, YAW, YAW_VARIANCE, classes_of, planar
 
-#: m/s, slip of a rolling object across its heading, as in a tight turn, where the box's centre is not the turning one.
+#: m/s, lateral slip of a wheeled object, as in a tight turn about a point other than the box's centre.
 SLIP = 0.5
-#: Share that a new surprise has in its running mean: of about the last five.
-ASIDE_SHARE = 0.2
-#: s: a mean surprise of 15 cm to one side stands for a sideways speed of 1 m/s that the filter does not believe in.
-ASIDE_S = 0.15
-#: (m/s)^2 by class, variance that leaves the speed across to what does not roll.
-_FREE = np.where(ROLLS, 0.0, 1e9)
+#: Weight of a new residual in the running mean, which spans about five.
+RESIDUAL_WEIGHT = 0.2
+#: s: a mean lateral residual of 15 cm indicates an unmodelled lateral speed of 1 m/s.
+RESIDUAL_S = 0.15
+#: (m/s)^2 by class, variance that disables the constraint for objects without wheels.
+_UNCONSTRAINED = np.where(ROLLS, 0.0, 1e9)
 
 
-def roll(box_filter: BoxFilter, tracks: Floats, surprise: Floats) -> None:
-    """Measure the speed of `tracks` across their headings as zero, with a slip and the heading for its error.
+def constrain_lateral_speed(box_filter: BoxFilter, tracks: Floats, innovation: Floats) -> None:
+    """Correct `tracks` by a lateral speed of zero, with a variance from slip and heading uncertainty.
 
-    surprise: (n, 2) m, measured less predicted position. If it keeps pointing to one side, the heading is wrong.
+    innovation: (n, 2) m, measured minus predicted position. A persistent lateral bias indicates a wrong heading.
     """
-    box_filter.correct_speed(tracks, *across(tracks, surprise, _FREE, SLIP, ASIDE_SHARE, ASIDE_S))
+    box_filter.correct_speed(tracks, *across(tracks, innovation, _UNCONSTRAINED, SLIP, RESIDUAL_WEIGHT, RESIDUAL_S))
     settle_sense(tracks, FORWARD, TURN_LIMIT)
 
 
 @kernel
 def across(
-    tracks: Floats, surprise: Floats, free: Floats, slip: float, share: float, aside_s: float
+    tracks: Floats, innovation: Floats, free: Floats, slip: float, share: float, aside_s: float
 ) -> tuple[Floats, Floats]:
-    """(n, 2) unit vectors across the headings, and (n,) (m/s)^2 how far the speed along them is from zero.
+    """(n, 2) lateral unit vectors, and (n,) (m/s)^2 variances of the speed along them about zero.
 
-    free: by class, (m/s)^2 that are added; slip, share, aside_s: SLIP, ASIDE_SHARE, ASIDE_S
+    free: by class, (m/s)^2, added variance; slip, share, aside_s: SLIP, RESIDUAL_WEIGHT, RESIDUAL_S
     """
-    # Vectors in the plane as complex numbers: times the conjugate of the heading's, they are along and across it.
+    # Planar vectors as complex numbers: multiplied by the conjugate of the heading, they are along and across it.
     heading = np.exp(1j * tracks[:, YAW])
-    aside = tracks[:, LATERAL_RESIDUAL]
-    aside += share * ((planar(surprise) * heading.conj()).imag - aside)
+    residual = tracks[:, LATERAL_RESIDUAL]
+    residual += share * ((planar(innovation) * heading.conj()).imag - residual)
     speed = np.abs(planar(tracks[:, 6:8]))
-    variance = slip**2 + (aside / aside_s) ** 2 + speed * speed * tracks[:, YAW_VARIANCE]
+    variance = slip**2 + (residual / aside_s) ** 2 + speed * speed * tracks[:, YAW_VARIANCE]
     variance += free.take(classes_of(tracks))
     return (1j * heading).view(np.float64).reshape(len(tracks), 2), variance

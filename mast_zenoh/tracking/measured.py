@@ -1,4 +1,4 @@
-"""What a tracker takes in, in an order that does not depend on how it came."""
+"""Measurements for a tracker, in an order independent of their arrival."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 
 from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import Detections, Floats, Ints, ObjectStates
-from mast_zenoh.tracking.soundness import LEAST, MOST
+from mast_zenoh.tracking.soundness import MAX_VARIANCE, MIN_VARIANCE
 from mast_zenoh.tracking.tracks import known_class
 
 
 class Measured(NamedTuple):
     """m measurements.
 
-    row: (m,) int64, where each was in the input
+    row: (m,) int64, row in the input
     state: (m, 6) boxes x y z l w h, or (m, 9) with vx vy vz; noise: (m, k, k) their covariances
     yaw: (m,) rad; class_id: (m,) int64
     """
@@ -28,38 +28,37 @@ class Measured(NamedTuple):
 
     @classmethod
     def detections(cls, d: Detections, variance: Floats) -> Measured:
-        """Boxes; `variance`: (6,) of what a detection says nothing about."""
+        """Measurements of boxes; `variance`: (6,) defaults for what detections do not specify."""
         x, y, z = d.position.T
         order = row_order(x, ties=(d.score, d.class_id, *d.size.T, d.yaw, z, y))
         box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
-        noise = box_noise(d.covariance, order, variance, LEAST, MOST)
+        noise = box_noise(d.covariance, order, variance, MIN_VARIANCE, MAX_VARIANCE)
         return cls(order, box, noise, d.yaw.take(order), known_class(d.class_id.take(order)))
 
     @classmethod
     def states(cls, s: ObjectStates) -> Measured:
-        """Full states."""
+        """Measurements of full states."""
         order = row_order(s.id, s.position[:, 0])
         state = np.concatenate([s.position, s.size, s.velocity], axis=1).take(order, 0)
         return cls(order, state, s.covariance.take(order, 0), s.yaw.take(order), known_class(s.class_id.take(order)))
 
 
 def box_noise(covariance: Floats, order: Ints, variance: Floats, least: float, most: float) -> Floats:
-    """(m, 6, 6) of boxes in `order`: of the position what the detector says (m, 3, 3), if it does.
+    """(m, 6, 6) noise of boxes in `order`, with the detector's position covariance (m, 3, 3) if it reports one.
 
-    variance: (6,) m^2, of what it does not; least, most: m^2, LEAST, MOST
+    variance: (6,) m^2, defaults; least, most: m^2, MIN_VARIANCE, MAX_VARIANCE
 
-    Of the position the horizontal part and the vertical one: what they have in common says nothing on a road. Whatever
-    the numbers, the result is positive definite.
+    Correlations between horizontal and vertical position are ignored. The result is positive definite for any input.
     """
     m = len(order)
     noise = np.zeros((m, 36))
     noise[:, ::7] = variance
     if covariance.any():
-        said = covariance.reshape(m, 9).take(order, 0)
-        own = said[:, ::4]
-        own = np.minimum(np.maximum(np.where(own > 0.0, own, variance[:3]), least), most)
-        noise[:, :15:7] = own
-        own -= 0.5 * least
-        bound = np.sqrt(own[:, 0] * own[:, 1])
-        noise[:, 1] = noise[:, 6] = np.minimum(np.maximum(said[:, 1], -bound), bound)
+        reported = covariance.reshape(m, 9).take(order, 0)
+        diagonal = reported[:, ::4]
+        diagonal = np.minimum(np.maximum(np.where(diagonal > 0.0, diagonal, variance[:3]), least), most)
+        noise[:, :15:7] = diagonal
+        diagonal -= 0.5 * least
+        bound = np.sqrt(diagonal[:, 0] * diagonal[:, 1])
+        noise[:, 1] = noise[:, 6] = np.minimum(np.maximum(reported[:, 1], -bound), bound)
     return noise.reshape(m, 6, 6)

@@ -1,4 +1,4 @@
-"""Covariances from outside, made fit for use: a filter must outlive whatever a source says of its own uncertainty."""
+"""Repairs covariances from other sources, so that a filter survives any input."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.kernels import kernel
 
-#: m^2, (m/s)^2: no source knows anything better than this (1 cm), nor is so ignorant that numbers overflow.
-LEAST = 1e-4
-MOST = 1e8
+#: m^2, (m/s)^2: limits on variances; the least corresponds to 1 cm, the largest prevents overflow.
+MIN_VARIANCE = 1e-4
+MAX_VARIANCE = 1e8
 
 
 def sound(covariance: Floats) -> Floats:
-    """(n, k, k) symmetric and positive definite, from any finite (n, k, k).
+    """Make finite matrices (n, k, k) symmetric and positive definite.
 
-    What is so comes back as it was; of the rest the symmetric part, eigenvalues brought to within LEAST and MOST.
+    If all are already valid, they are returned symmetrised; otherwise their eigenvalues are limited to between
+    MIN_VARIANCE and MAX_VARIANCE.
     """
-    symmetric, fit = symmetrised(covariance, LEAST, MOST)
-    if fit:
+    symmetric, valid = symmetrised(covariance, MIN_VARIANCE, MAX_VARIANCE)
+    if valid:
         return symmetric
-    values, vectors = np.linalg.eigh(np.clip(symmetric, -MOST, MOST))
-    repaired = (vectors * np.clip(values, LEAST, MOST)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh(np.clip(symmetric, -MAX_VARIANCE, MAX_VARIANCE))
+    repaired = (vectors * np.clip(values, MIN_VARIANCE, MAX_VARIANCE)[:, None, :]) @ vectors.transpose(0, 2, 1)
     return np.asarray(0.5 * (repaired + repaired.transpose(0, 2, 1)))
 
 
 @kernel
 def symmetrised(covariance: Floats, least: float, most: float) -> tuple[Floats, bool]:
-    """Symmetric parts (n, k, k), k up to 9; and whether all of them may stay as they are."""
+    """Symmetric parts (n, k, k), k up to 9; and whether all of them are valid."""
     symmetric = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     n, k = covariance.shape[:2]
     shifted = symmetric.reshape(n, k * k).copy()

@@ -1,5 +1,6 @@
-"""The table of a tracker's tracks: one row of numbers per track, so that choosing, appending and copying are single
-operations on one array. Whole numbers (ids, classes, rows) are exact in it.
+"""The table of a tracker's tracks: one row of numbers per track.
+
+Selecting, appending and copying are single operations on one array. Whole numbers (ids, classes, rows) are exact.
 """
 
 from __future__ import annotations
@@ -36,17 +37,17 @@ def empty(n: int) -> Floats:
 
 
 def covariances(tracks: Floats) -> Floats:
-    """(n, 9, 9), a view."""
+    """Covariances (n, 9, 9), a view."""
     return tracks[:, COVARIANCE].reshape(len(tracks), 9, 9)
 
 
 def classes_of(tracks: Floats) -> Ints:
-    """(n,) int64."""
+    """Classes (n,) int64."""
     return tracks[:, CLASS].astype(np.int64)
 
 
 def planar(vectors: Floats) -> NDArray[np.complex128]:
-    """(n,) x + i y of (n, 2), a view: in the plane, one operation on complex numbers does the work of several."""
+    """Planar vectors (n, 2) as complex numbers x + i y (n,), a view."""
     return np.asarray(vectors.view(np.complex128)[:, 0])
 
 
@@ -72,13 +73,13 @@ def to_columns(tracks: Floats) -> tuple[Any, ...]:
 
 
 def known_class(class_id: NDArray[np.uint8]) -> Ints:
-    """(n,) int64: what is no class is of an unknown one."""
+    """(n,) int64: class indices, with invalid ones replaced by unknown."""
     return np.asarray(_KNOWN.take(class_id))
 
 
 @kernel
 def vote(tracks: Floats, class_id: Ints) -> None:
-    """Count the class (n,) seen of each track; the majority is its class, the lower index in a tie."""
+    """Count a vote for a class (n,) of each track; the majority is its class, the lower index in a tie."""
     votes = tracks[:, VOTES]
     votes += _ONE_VOTE.take(class_id, 0)
     tracks[:, CLASS] = votes.argmax(axis=1)

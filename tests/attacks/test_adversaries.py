@@ -104,7 +104,7 @@ def test_a_hidden_detection_is_found_again_after_it_was_missed():
         assert not attack.step(frame, frame * PERIOD, objects, ORIGIN).keep.any()
 
 
-def test_targets_are_chosen_anew_in_time():
+def test_targets_are_reselected_at_the_interval():
     attack = UncoordinatedAttack(reselect_every_s=2.0, start_s=1.0, propagation=StaticPropagation())
     numbers = [set(tampering.report.target.tolist()) for tampering in drive(attack)]
     assert numbers[10] == numbers[29]
@@ -144,7 +144,7 @@ def directive(position, velocity=(0.0, 0.0, 0.0), time_ns=None) -> Targets:
     return Targets(add, ObjectStates.empty(), ObjectStates.empty(), np.zeros((0, 3)), time_ns)
 
 
-def test_a_directive_is_brought_from_its_time_to_now():
+def test_a_directive_is_predicted_to_the_current_time():
     attack = CoordinatedAttack(start_s=0.0, imitation=Exact())
     told = directive((0.0, 0.0), (10.0, 0.0, 0.0), time_ns=0)
     added = [attack.step(f, f * PERIOD, world(3), ORIGIN, told if f < 3 else None).added for f in range(1, 6)]
@@ -167,7 +167,7 @@ def test_the_newest_directive_wins():
     assert late.added.position[0, 0] == 9.0
 
 
-def test_a_directive_before_the_start_waits_for_it():
+def test_a_directive_before_the_start_takes_effect_at_the_start():
     attack = CoordinatedAttack(start_s=1.0, imitation=Exact())
     told = directive((0.0, 0.0), time_ns=0)
     counts = [len(attack.step(f, f * PERIOD, world(3), ORIGIN, told if f == 1 else None).added) for f in range(1, 12)]
@@ -237,7 +237,7 @@ def test_coordinated_false_objects_saturate_where_uncoordinated_ones_grow():
 
 @settings(max_examples=15)
 @given(st.permutations(range(12)))
-def test_the_coordinator_does_not_mind_the_order_of_the_tracks(order):
+def test_the_coordinator_does_not_depend_on_the_order_of_the_tracks(order):
     objects, source, order = world(12, spread=10.0), np.arange(12) % 3, np.array(order)
     selection = CoordinatedSelection(fraction_false_negatives=0.4, fraction_translations=0.3)
     results = []
@@ -253,7 +253,7 @@ def test_the_coordinator_does_not_mind_the_order_of_the_tracks(order):
     assert equal(a.move, b.move)
 
 
-def test_a_coordinator_without_adversaries_says_nothing():
+def test_a_coordinator_without_adversaries_sends_no_directives():
     coordinator = Coordinator(start_s=0.0)
     coordinator.bind(1, "coordinator")
     assert coordinator.step(0, 0, ObjectStates.empty(), np.zeros(0, np.int64), np.zeros((0, 3))) == ()

@@ -51,7 +51,7 @@ def test_a_displaced_object_keeps_all_but_its_position_and_its_target_stays_with
     assert np.array_equal(tampering.targets.move.position, goal.position)
 
 
-def test_an_attack_that_knows_where_its_targets_are_takes_the_nearest_object_to_each():
+def test_targets_at_known_positions_take_the_nearest_objects():
     typical = {"score": np.full(4, 0.7), "covariance": np.tile(np.eye(9), (4, 1, 1))}
     objects = at((0.0, 0.0), (4.0, 0.0), (20.0, 0.0), (0.0, 90.0), **typical)
     wanted = targets(
@@ -67,7 +67,7 @@ def test_an_attack_that_knows_where_its_targets_are_takes_the_nearest_object_to_
     assert (seen.score[-1], seen.covariance[-1].tolist()) == (0.7, np.eye(9).tolist()), "typical of the others"
 
 
-def test_the_report_says_what_was_done_before_and_after():
+def test_the_report_has_positions_before_and_after_each_change():
     objects = at((0.0, 0.0), (20.0, 0.0), velocity=np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
     wanted = targets(
         add=at((5.0, 5.0), velocity=np.array([[3.0, 0.0, 0.0]])),

@@ -14,7 +14,7 @@ from mast_zenoh.attacks.propagation import MAX_ACCELERATION_MPS2, MAX_YAW_RATE
 from mast_zenoh.streams import stream
 
 
-def test_static_objects_stand_and_say_so():
+def test_static_objects_have_constant_position_and_zero_velocity():
     start = world(5)
     later = StaticPropagation().advance(start, 0.1, 3.0, stream(1))
     assert np.array_equal(later.position, start.position)

@@ -35,7 +35,7 @@ def test_the_number_of_false_objects_is_poisson():
     assert counts.var() == pytest.approx(5.0, rel=0.15)
 
 
-def test_false_objects_scatter_about_the_victim_and_head_where_they_go():
+def test_false_objects_scatter_about_the_victim_and_move_along_their_heading():
     victim = np.array([200.0, -100.0, 15.0])
     some = draws(UncoordinatedSelection(region="paper", position_std_m=30.0, velocity_std_mps=10.0), world(10), victim)
     false = concatenate([t.add for t in some])
@@ -74,7 +74,7 @@ def test_every_object_is_as_likely_to_be_hidden_as_any_other():
     assert np.all(np.abs(chosen - 0.2 * TRIALS) < 4.5 * np.sqrt(TRIALS * 0.2 * 0.8))
 
 
-def test_displaced_objects_are_others_than_the_hidden_ones_and_go_the_asked_distance():
+def test_displaced_objects_are_not_hidden_and_move_by_the_configured_distance():
     selection = UncoordinatedSelection(
         fraction_false_negatives=0.5, fraction_translations=0.5, translation_m=3.0, n_false_positives=0.0
     )
@@ -116,7 +116,7 @@ def test_coordinated_false_objects_are_near_any_of_the_victims():
     assert np.allclose(share, 1 / 3, atol=0.05)
 
 
-def test_what_adversaries_see_of_one_object_is_one_cluster():
+def test_observations_of_one_object_by_several_adversaries_are_one_cluster():
     objects = at((0.0, 0.0), (1.0, 0.0), (50.0, 0.0), (50.0, 2.0), (90.0, 0.0))
     source = np.array([0, 1, 0, 1, 1])
     clusters = cluster_centres(objects, source, 5.0)
@@ -148,7 +148,7 @@ def test_clusters_do_not_depend_on_the_order_of_the_tracks(n, sources, random):
         ({"box": (4.0, 0.0, 2.0)}, "box: found .*expected three positive lengths"),
     ],
 )
-def test_senseless_values_are_refused_by_name(arguments, place):
+def test_invalid_values_are_refused_by_name(arguments, place):
     with pytest.raises(ValueError, match=place):
         UncoordinatedSelection(**arguments)
 

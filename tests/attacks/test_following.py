@@ -41,7 +41,7 @@ def test_without_a_neighbour_to_be_mistaken_for_it_a_target_is_found_again_farth
     assert follow(frames, (0.0, 0.0))[-1] == 0
 
 
-def test_ids_decide_where_places_do_not():
+def test_ids_resolve_ambiguous_positions():
     """Two pedestrians pass through each other."""
     frames = [at((0.1 * k, 0.0), (2.0 - 0.1 * k, 0.0), id=np.array([7, 8])) for k in range(20)]
     assert follow(frames, (0.0, 0.0)) == [0] * 20

@@ -50,7 +50,7 @@ def learned(rows, frames: int = 30) -> VictimStatistics:
 
 
 @pytest.mark.parametrize("share", [0.6, 0.8, 0.95])
-def test_the_share_of_frames_in_which_an_object_is_missed_is_learned(share):
+def test_the_miss_rate_is_estimated(share):
     statistics = learned(lambda frame: detected(frame, share, 0.2))
     assert statistics.share_detected(np.array([30.0]))[0] == pytest.approx(share, abs=0.05)
 
@@ -67,7 +67,7 @@ def test_tracks_are_not_missed_and_their_errors_last():
     assert statistics.correlation > 0.9
 
 
-def test_a_gap_in_the_messages_teaches_nothing_wrong():
+def test_a_gap_in_the_messages_does_not_bias_the_estimates():
     rows = {frame: detected(frame, 0.8, 0.2) for frame in (0, 1, 5, 6, 20)}
     statistics = VictimStatistics()
     for frame, objects in rows.items():
@@ -148,7 +148,7 @@ def test_false_objects_are_plausible_where_there_is_nothing_to_imitate(imitation
     assert np.all((added.score > 0.5) & (added.score <= 1.0))
 
 
-def test_false_objects_beyond_range_of_the_victim_wait():
+def test_false_objects_beyond_range_of_the_victim_are_withheld():
     selection = UncoordinatedSelection(n_false_positives=40.0, region="paper", velocity_std_mps=0.0)
     attack = UncoordinatedAttack(start_s=0.0, selection=selection, imitation=Exact(), max_range_m=30.0)
     attack.bind(1, "adversary_1")

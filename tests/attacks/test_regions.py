@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.attacks import ConflictSelection, Coordinator, Coverage, Surroundings, UncoordinatedSelection
 from mast_zenoh.attacks.coverage import touching
 from mast_zenoh.attacks.propagation import TrajectoryPropagation
-from mast_zenoh.attacks.regions import fastest_within, path_ahead
+from mast_zenoh.attacks.regions import max_speed_within, path_ahead
 from mast_zenoh.streams import stream
 
 LEVEL = np.eye(3).ravel().tolist()
@@ -60,7 +60,7 @@ def false_objects(region: str, seed: int, where: Coverage, n: float = 6.0) -> Ob
 def test_false_objects_are_in_view_and_never_in_a_building_or_another_object(region, seed):
     where = coverage()
     false = false_objects(region, seed, where)
-    assert where.seen(false, TRAFFIC, where.victims[0]).all()
+    assert where.visible_outside_objects(false, TRAFFIC, where.victims[0]).all()
     assert not KNOWN.inside_buildings(false.position).any()
     assert not touching(false, TRAFFIC).any()
     for k in range(len(false)):
@@ -69,7 +69,7 @@ def test_false_objects_are_in_view_and_never_in_a_building_or_another_object(reg
 
 @settings(max_examples=25, deadline=None)
 @given(st.sampled_from(["in_view", "victim_only"]), st.integers(0, 10_000))
-def test_their_way_ends_before_a_building(region, seed):
+def test_paths_of_false_objects_end_before_buildings(region, seed):
     false, model = false_objects(region, seed, coverage()), TrajectoryPropagation()
     for k in range(200):
         false = model.advance(false, 0.1, k * 0.1, stream(0))
@@ -77,10 +77,10 @@ def test_their_way_ends_before_a_building(region, seed):
     assert not KNOWN.inside_buildings(false.position).any()
 
 
-def test_the_papers_distribution_knows_neither_views_nor_buildings():
+def test_the_papers_distribution_ignores_views_and_buildings():
     false = concatenate([false_objects("paper", seed, coverage()) for seed in range(60)])
     where = coverage()
-    assert where.seen(false, ObjectStates.empty(), where.victims[0]).mean() < 0.5
+    assert where.visible_outside_objects(false, ObjectStates.empty(), where.victims[0]).mean() < 0.5
     assert KNOWN.inside_buildings(false.position).any()
 
 
@@ -95,15 +95,15 @@ def test_on_the_egos_path_they_are_ahead_of_it_in_its_lane_and_slower():
     assert np.allclose(false.yaw, 0.0)
 
 
-def test_what_only_the_victim_sees_no_other_known_sensor_covers():
+def test_victim_only_objects_are_outside_every_other_known_view():
     where = coverage(time_s=8.0)  # the ego has gone to x = 40
     false = concatenate([false_objects("victim_only", seed, where) for seed in range(40)])
     boxes = np.concatenate([false.position, false.size], axis=1)
-    for view in where.others():
+    for view in where.other_views():
         assert not where.visible(view, boxes).any()
 
 
-def test_a_place_that_cannot_be_found_is_left_out():
+def test_an_object_without_an_allowed_position_is_left_out():
     walled_in = Surroundings(
         agents={"infra_1": LOOKS_EAST | dict(mount_position=[0.0, 0.0, 2.0], route=[pose(0.0, 0.0)])},
         victims=("infra_1",),
@@ -113,12 +113,12 @@ def test_a_place_that_cannot_be_found_is_left_out():
     assert len(false_objects("in_view", 1, coverage(surroundings=walled_in), 30.0)) == 0
 
 
-def test_the_speed_is_what_the_way_allows():
-    speed = fastest_within(np.array([0.0, 10.0, 100.0]))
+def test_the_speed_is_limited_by_the_free_path():
+    speed = max_speed_within(np.array([0.0, 10.0, 100.0]))
     assert np.allclose(speed * 10.0 + speed**2 / 6.0, [0.0, 10.0, 100.0])
 
 
-def test_behind_the_end_of_its_route_the_ego_goes_straight_on():
+def test_beyond_its_route_the_ego_path_continues_straight():
     path = path_ahead(coverage(time_s=8.0))
     assert path is not None
     place, yaw = path.at(np.array([30.0]))
@@ -126,7 +126,7 @@ def test_behind_the_end_of_its_route_the_ego_goes_straight_on():
     assert yaw.tolist() == [0.0]
 
 
-def test_walls_hide_what_is_behind_and_not_what_is_above_or_in_front():
+def test_walls_occlude_only_lower_objects_behind_them():
     eye = np.array([20.0, -4.0, 2.0])
     places = np.array([[20.0, 40.0, 1.0], [20.0, 40.0, 60.0], [20.0, 4.0, 1.0]])
     assert KNOWN.behind_walls(eye, places).tolist() == [True, False, False]
@@ -160,7 +160,7 @@ def test_a_place_can_be_named_instead():
 
 
 @pytest.mark.parametrize("arguments", [{"n_objects": 0}, {"horizon_s": 0.0}])
-def test_senseless_values_are_refused(arguments):
+def test_invalid_values_are_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
         ConflictSelection(**arguments)
 

@@ -53,7 +53,7 @@ def test_on_the_downlink_the_ego_alone_is_deceived(downlink) -> None:
 
 
 @pytest.mark.parametrize("name", ["hidden", "downlink"])
-def test_what_adversaries_report_is_what_they_did(name: str, request: pytest.FixtureRequest) -> None:
+def test_reports_of_adversaries_agree_with_their_effects(name: str, request: pytest.FixtureRequest) -> None:
     interposers = request.getfixturevalue(name)["metrics"]["interposers"]
     verdicts = {name: each["agreement"] for name, each in interposers.items()}
     assert set(verdicts.values()) <= {"agrees", "nothing to report"}, verdicts

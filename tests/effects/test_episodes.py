@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.effects import EFFECTS, Effects
-from mast_zenoh.effects.episodes import LONGEST_GAP_S, insertions
+from mast_zenoh.effects.episodes import MAX_GAP_S, insertions
 
 PERIOD_S = 0.1
 
@@ -63,15 +63,15 @@ def test_noise_and_misses_do_not_split_an_object_but_in_one_case_of_a_hundred() 
     assert split <= 2
 
 
-def test_an_object_that_is_gone_for_long_is_another_one_when_it_comes_again() -> None:
-    gap = round(LONGEST_GAP_S / PERIOD_S)
+def test_an_object_after_a_long_gap_is_a_new_one() -> None:
+    gap = round(MAX_GAP_S / PERIOD_S)
     for pause, objects in ((gap, 1), (gap + 1, 2)):
         frames = [*range(10), *range(9 + pause, 20 + pause)]
         _, episode, _ = insertions(inserted(frames, [(0.0, 0.0)] * len(frames)), PERIOD_S)
         assert len(np.unique(episode)) == objects
 
 
-def test_ids_decide_where_there_are_any() -> None:
+def test_ids_take_precedence_in_matching() -> None:
     frames = [k for k in range(20) for _ in range(2)]
     places = [(0.0, 0.0), (0.2, 0.0)] * 20
     _, episode, _ = insertions(inserted(frames, places, [7, 8] * 20), PERIOD_S)

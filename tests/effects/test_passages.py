@@ -50,7 +50,7 @@ def changed(metered: PassageMeter) -> int:
 
 
 @pytest.mark.parametrize("late", [0, 2])
-def test_a_message_under_another_number_is_the_same_to_its_subscribers(late: int) -> None:
+def test_a_renumbered_message_is_not_forged(late: int) -> None:
     metered = meter()
     for frame in range(5):
         metered.take_received(tracks(frame))
@@ -61,7 +61,7 @@ def test_a_message_under_another_number_is_the_same_to_its_subscribers(late: int
     assert changed(metered) == (15 if late else 0)
 
 
-def test_a_forged_message_in_place_of_the_true_one_changes_what_differs() -> None:
+def test_a_forged_message_that_pre_empts_the_original_changes_differing_objects() -> None:
     metered = meter()
     for frame in range(5):
         metered.take_received(tracks(frame))
@@ -96,7 +96,7 @@ def test_forgeries_are_measured_alike_however_long_the_run_is() -> None:
     assert changed(metered) == 2 * REMEMBERED
 
 
-def test_a_message_of_long_ago_that_is_sent_again_is_repeated() -> None:
+def test_an_old_message_that_is_sent_again_is_repeated() -> None:
     metered = meter()
     for frame in range(2 * REMEMBERED):
         metered.take_received(tracks(frame))
@@ -107,7 +107,7 @@ def test_a_message_of_long_ago_that_is_sent_again_is_repeated() -> None:
     assert changed(metered) == 0
 
 
-def test_another_time_withholds_the_objects_of_tracks() -> None:
+def test_a_changed_time_withholds_the_objects_of_tracks() -> None:
     metered = meter()
     metered.take_received(tracks(1))
     metered.take_sent(tracks(1, time_ns=PERIOD_NS - 400_000_000))
@@ -116,7 +116,7 @@ def test_another_time_withholds_the_objects_of_tracks() -> None:
     assert changed(metered) == 3
 
 
-def test_another_time_withholds_nothing_where_the_receiver_goes_by_the_frame() -> None:
+def test_a_changed_time_withholds_nothing_if_the_receiver_uses_the_frame() -> None:
     def detections(time_ns: int) -> Overheard:
         states = ObjectStates.of(np.zeros((2, 3)))
         body = {name: getattr(states, name) for name in ("position", "size", "yaw", "score", "class_id")}

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from played import Played
 
-RANGE_M, HIDDEN_M, LEAST_MOVE_M, ACCEPTED_M, DISPLACED_M, LASTING_S, PERIOD_S = 100.0, 4.0, 0.5, 5.0, 1.0, 1.0, 0.1
+RANGE_M, HIDDEN_M, MIN_MOVE_M, ACCEPTED_M, DISPLACED_M, LASTING_S, PERIOD_S = 100.0, 4.0, 0.5, 5.0, 1.0, 1.0, 0.1
 
 
 class Target(NamedTuple):
@@ -55,7 +55,7 @@ class Run:
             kind, frame = row["effect"], row["frame"]
             if kind == "inserted":
                 found.add(Target(row["interposer"], kind, frame, -1, *after))
-            elif kind in ("removed", "altered") or (kind == "moved" and math.dist(before, after) >= LEAST_MOVE_M):
+            elif kind in ("removed", "altered") or (kind == "moved" and math.dist(before, after) >= MIN_MOVE_M):
                 place = before if kind == "removed" else after
                 found.add(Target(row["interposer"], kind, frame, self.nearest(frame, *before), *place))
         return found

@@ -112,7 +112,7 @@ def test_reports_of_an_adversary_are_compared_with_what_it_did(
     assert set(table["reported"][~mine]) == {True}
 
 
-def test_an_adversary_that_reports_what_it_never_did_is_identified(tmp_path: Path) -> None:
+def test_unfounded_reports_of_an_adversary_are_identified(tmp_path: Path) -> None:
     played = play(tmp_path, "hidden", "one=truth", "other=silence", "hides=False", frames=FRAMES, **FILES)
     found = played.metrics["interposers"]["one"]
     assert (found["effects"], found["agreement"]) == ({}, "disagrees")

@@ -94,7 +94,9 @@ def scenario(mode="forestall", wire="tracks"):
         ("pose", "pose", "reframed"),
     ],
 )
-def test_missed_objects_are_due_to_whoever_withholds_them(once: Once, mode: str, wire: str, effect: str) -> None:
+def test_missed_objects_are_attributed_to_the_interposer_that_withholds_them(
+    once: Once, mode: str, wire: str, effect: str
+) -> None:
     files = {"vandal": ADVERSARY, "vandals": SCENARIO}
     attacked, baseline = once("vandals", f"mode={mode}", f"wire={wire}", **files), once("baseline")
     before, after = (played.agents["ego"]["picture"] for played in (baseline, attacked))

@@ -11,7 +11,7 @@ from played import Played, files_of
 Once = Callable[..., Played]
 
 
-def test_the_shover_of_the_tutorial_which_reports_nothing_is_measured_and_blamed(once: Once) -> None:
+def test_the_tutorials_silent_attacker_is_measured_and_blamed(once: Once) -> None:
     """It moves every detection of infra_1 by 3 m, from the first frame on."""
     files = {name: text for name, text in files_of("tutorial.md").items() if name in ("shover", "shoved")}
     attacked, baseline = once("shoved", **files), once("baseline")

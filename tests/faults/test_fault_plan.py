@@ -15,7 +15,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import Fault, Plan, ProcessStep, plan
 from mast_zenoh.faults.impairments import LinkFault
 from mast_zenoh.faults.plan import frame_at
-from mast_zenoh.faults.targets import drawn
+from mast_zenoh.faults.targets import draw_agents
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 ROLES = {
@@ -53,7 +53,7 @@ def test_frames_need_not_be_evenly_spaced() -> None:
 # -- links -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_partition_cuts_both_ways_from_its_beginning_to_its_heal() -> None:
+def test_a_partition_cuts_both_directions_from_start_to_end() -> None:
     found = planned(dict(type="Partition", at=3.0, until=6.0, nodes=["infra_1", "infra_2"]))
     cut = [dict(type="Cut", at=3.0, until=6.0)]
     assert found.rules == {name: {"up": cut, "down": cut} for name in ("infra_1", "infra_2")}
@@ -71,7 +71,7 @@ def test_a_partition_cuts_both_ways_from_its_beginning_to_its_heal() -> None:
     ]
 
 
-def test_rules_stand_in_the_order_in_which_the_faults_are_written() -> None:
+def test_rules_keep_the_order_of_the_faults() -> None:
     found = planned(
         dict(type="Loss", at=5.0, until=6.0, node="infra_1", probability=0.5),
         dict(type="Partition", at=1.0, until=6.0, node="infra_1"),
@@ -115,12 +115,12 @@ def test_a_parameter_has_the_same_default_as_fault_and_as_rule(fault: type[LinkF
             assert of_rule[field.name].default in (field.default, inspect.Parameter.empty), field.name
 
 
-def test_a_direction_is_one_way_only() -> None:
+def test_a_directed_fault_acts_in_one_direction() -> None:
     found = planned(dict(type="Loss", at=1.0, node="ego", probability=0.5, direction="down"))
     assert found.rules["ego"] == {"up": [], "down": [dict(type="Loss", probability=0.5, at=1.0, until=None)]}
 
 
-def test_a_slow_agent_speaks_late_and_a_slow_command_centre_too() -> None:
+def test_a_slow_node_delays_the_messages_that_it_publishes() -> None:
     slow = dict(type="SlowNode", at=1.0, until=2.0, delay_s=0.3)
     agent = planned({**slow, "node": "infra_1"}).rules
     assert list(agent) == ["infra_1"]
@@ -143,7 +143,7 @@ def test_targets_are_names_and_roles() -> None:
     assert cut(node="broker") == cut(node="command_center") == list(AGENTS), "who is cut off from the centre"
 
 
-def test_words_draw_lots_from_the_runs_seed() -> None:
+def test_words_draw_agents_by_the_seed_of_the_run() -> None:
     assert [len(cut(nodes=word)) for word in ("one", "minority", "majority")] == [1, 2, 3]
     assert cut(nodes="minority", seed=4) == cut(nodes="minority", seed=4)
     assert len({tuple(cut(nodes="minority", seed=seed)) for seed in range(20)}) > 5
@@ -152,16 +152,16 @@ def test_words_draw_lots_from_the_runs_seed() -> None:
 
 
 @pytest.mark.parametrize("n", range(1, 9))
-def test_a_majority_outnumbers_the_rest_and_a_minority_does_not(n: int) -> None:
+def test_a_majority_is_more_than_half_of_the_agents_and_a_minority_less(n: int) -> None:
     agents = [f"a{i}" for i in range(n)]
     rng = np.random.default_rng(0)
-    assert len(drawn("one", agents, rng)) == 1
-    assert len(drawn("majority", agents, rng)) > n / 2
-    minority = len(drawn("minority", agents, rng))
+    assert len(draw_agents("one", agents, rng)) == 1
+    assert len(draw_agents("majority", agents, rng)) > n / 2
+    minority = len(draw_agents("minority", agents, rng))
     assert minority == 1 or minority < n / 2
 
 
-def test_a_key_of_a_wire_means_one_way() -> None:
+def test_a_key_of_a_wire_selects_one_direction() -> None:
     up = planned(dict(type="Partition", at=1.0, until=2.0, nodes="agent/infra_1/tracks")).rules
     assert list(up) == ["infra_1"]
     assert [len(up["infra_1"][way]) for way in ("up", "down")] == [1, 0]
@@ -174,7 +174,7 @@ def test_a_key_of_a_wire_means_one_way() -> None:
 # -- processes -------------------------------------------------------------------------------------------------------
 
 
-def test_a_killed_node_comes_back_when_it_is_told_to() -> None:
+def test_a_killed_node_restarts_at_the_configured_time() -> None:
     found = planned(dict(type="Kill", at=4.0, node="infra_3", restart_after=2.0))
     assert found.steps == (ProcessStep(40, "kill", "infra_3"), ProcessStep(60, "start", "infra_3"))
     assert found.rules == {}
@@ -200,17 +200,17 @@ def test_every_fault_of_processes_is_steps(fault: dict[str, Any], steps: list[tu
 
 
 @pytest.mark.parametrize("node", ["broker", "command_center", "adversary_1", "coordinator"])
-def test_others_than_agents_can_be_killed_and_come_back(node: str) -> None:
+def test_nodes_other_than_agents_can_be_killed_and_restarted(node: str) -> None:
     found = planned(dict(type="Kill", at=1.0, node=node, restart_after=1.0))
     assert [step.node for step in found.steps] == [node, node]
 
 
-def test_who_joins_is_missing_until_then() -> None:
+def test_a_joining_node_is_absent_before() -> None:
     (band,) = planned(dict(type="Join", at=2.0, node="infra_1")).bands
     assert (band["at_s"], band["until_s"]) == (0.0, 2.0)
 
 
-def test_what_lasts_beyond_the_run_has_no_end() -> None:
+def test_a_fault_that_outlasts_the_run_has_no_end() -> None:
     kill, cut_off = planned(
         dict(type="Kill", at=9.5, node="infra_1", restart_after=2.0),
         dict(type="Partition", at=9.0, until=20.0, node="infra_2"),
@@ -218,7 +218,7 @@ def test_what_lasts_beyond_the_run_has_no_end() -> None:
     assert kill["until_s"] is cut_off["until_s"] is None
 
 
-def test_what_begins_after_the_last_frame_does_not_happen() -> None:
+def test_faults_after_the_last_frame_have_no_effect() -> None:
     found = planned(
         dict(type="Kill", at=9.95, node="infra_1"), dict(type="Partition", at=30.0, until=40.0, node="infra_2")
     )
@@ -266,7 +266,7 @@ def test_a_paused_command_centre_is_a_pause_of_every_link() -> None:
 UNPLUG = dict(type="Unplug", at=2.0, until=3.0, node="infra_1")
 
 
-def test_an_unplugged_node_is_taken_off_its_networks_and_put_back() -> None:
+def test_an_unplugged_node_is_disconnected_and_reconnected() -> None:
     found = planned(UNPLUG, lockstep=False)
     assert found.steps == (ProcessStep(20, "disconnect", "infra_1"), ProcessStep(30, "connect", "infra_1"))
     assert found.rules == {}
@@ -275,17 +275,17 @@ def test_an_unplugged_node_is_taken_off_its_networks_and_put_back() -> None:
     assert (band["at_s"], band["until_s"], band["nodes"]) == (2.0, 3.0, ["infra_1"])
 
 
-def test_who_would_be_unplugged_beyond_the_run_is_put_back_before_its_last_frame() -> None:
+def test_a_node_unplugged_beyond_the_run_is_reconnected_before_its_last_frame() -> None:
     assert planned(UNPLUG | {"until": 12.0}, lockstep=False).steps[-1] == ProcessStep(99, "connect", "infra_1")
     assert planned(UNPLUG | {"at": 9.9, "until": 12.0}, lockstep=False).steps == (), "nobody is left unplugged"
 
 
-def test_in_lock_step_nobody_is_unplugged() -> None:
+def test_unplugging_is_refused_in_lock_step() -> None:
     with pytest.raises(ConfigurationError, match=r"faults\[0\]: Unplug: in lock-step .* use Partition"):
         planned(UNPLUG)
 
 
-def test_who_is_cut_off_can_neither_be_killed_nor_paused() -> None:
+def test_a_disconnected_node_can_be_neither_killed_nor_paused() -> None:
     for other in (dict(type="Kill", at=2.5, node="infra_1"), dict(type="Pause", at=2.5, until=4.0, node="infra_1")):
         with pytest.raises(ConfigurationError, match=r"of 'infra_1' at 2.5 s: it is cut off then \(see .*\[0\]\)"):
             planned(UNPLUG, other, lockstep=False)
@@ -343,14 +343,14 @@ KILL = dict(type="Kill", at=2.0, node="ego", restart_after=2.0)
         (dict(type="Join", at=3.0, node="ego"), "start of 'ego' at 4 s: it is up then"),
         (dict(type="Pause", at=1.0, until=3.0, node="ego"), r"faults\[0\]: kill of 'ego' at 2 s: it is paused"),
         (dict(type="Join", at=2.5, node="ego"), "kill of 'ego' at 2 s: it has not joined yet|start of 'ego'"),
-        (dict(type="Kill", at=4.0, node="ego"), "at 4 s: something else happens to it before the same frame"),
+        (dict(type="Kill", at=4.0, node="ego"), "at 4 s: another action applies before the same frame"),
         (dict(type="Kill", at=20.0, node="ego", restart_after=1.0), None),
         (dict(type="Kill", at=3.0, node="infra_1"), None),
         (dict(type="Partition", at=3.0, until=4.0, node="ego"), None),
     ],
 )
 @pytest.mark.parametrize("lockstep", [True, False])
-def test_nothing_happens_to_a_process_that_cannot(other: dict[str, Any], reason: str | None, lockstep: bool) -> None:
+def test_impossible_actions_on_processes_are_refused(other: dict[str, Any], reason: str | None, lockstep: bool) -> None:
     if reason is None:
         planned(KILL, other, lockstep=lockstep)
         return
@@ -381,7 +381,7 @@ PARAMETERS = sorted({name for cls in KINDS.values() for name in inspect.signatur
     ),
     st.booleans(),
 )
-def test_whatever_is_written_is_planned_or_refused(specs: list[dict[str, Any]], lockstep: bool) -> None:
+def test_every_list_of_faults_is_planned_or_refused(specs: list[dict[str, Any]], lockstep: bool) -> None:
     refused, found = "", Plan()
     try:
         found = planned(*specs, lockstep=lockstep)

@@ -55,7 +55,7 @@ def test_kinds_can_be_chosen() -> None:
     assert {spec["type"] for spec in specs} == {"Loss", "Kill"}
 
 
-def test_only_the_servers_that_are_named_are_hit() -> None:
+def test_only_the_given_servers_are_targets() -> None:
     specs = [spec for seed in range(100) for spec in random_schedule(seed, 6.0, AGENTS)]
     assert {spec["node"] for spec in specs if "node" in spec} == set(AGENTS)
 

@@ -35,7 +35,7 @@ EVERY: dict[str, dict[str, Any]] = {
 }
 
 
-def test_every_rule_is_tried_here_and_says_what_it_does() -> None:
+def test_every_rule_is_tested_here_and_declares_its_fate() -> None:
     ours = {name for name, rule in known_types(Rule).items() if rule.__module__.startswith("mast_zenoh.")}
     assert ours == EVERY.keys()
     for name, given_ in EVERY.items():
@@ -96,7 +96,7 @@ def test_a_message_does_not_overtake_the_one_before_it() -> None:
     assert last.delay_s == 0.0
 
 
-def test_a_reordered_message_is_overtaken_and_holds_nobody_up() -> None:
+def test_a_reordered_message_is_overtaken_and_delays_no_other() -> None:
     wire = chain([dict(type="Reorder", probability=1.0, by_s=0.35, until=0.05)])
     leaves = [i * 0.1 + wire.carry(Passage(i * PERIOD_NS, i * PERIOD_NS)).delay_s for i in range(5)]
     assert leaves == pytest.approx([0.35, 0.1, 0.2, 0.3, 0.4])
@@ -112,20 +112,20 @@ def test_without_reordering_messages_leave_in_the_order_in_which_they_came(names
     assert min(delays(outcomes), default=0.0) >= 0.0
 
 
-def test_what_is_held_back_leaves_in_order_when_the_time_comes() -> None:
+def test_held_messages_are_delivered_in_order_at_the_end() -> None:
     outcomes = carry([dict(type="Hold", at=0.2, until=0.55)], 8)
     leaves = [i * 0.1 + outcome.delay_s for i, outcome in enumerate(outcomes)]
     assert leaves == pytest.approx([0.0, 0.1, 0.55, 0.55, 0.55, 0.55, 0.6, 0.7])
 
 
 @pytest.mark.parametrize(("x", "comes"), [(0.0, True), (49.0, True), (51.0, False), (160.0, True), (1e6, False)])
-def test_out_of_reach_of_every_gateway_nothing_comes_through(x: float, comes: bool) -> None:
+def test_out_of_range_of_every_gateway_messages_are_dropped(x: float, comes: bool) -> None:
     rule = dict(type="RangeLimit", range_m=50.0, gateways=[[0.0, 0.0, 0.0], [200.0, 0.0, 5.0]])
     assert bool(through(rule, position=np.array([x, 0.0, 0.0])).leaving) is comes
     assert through(rule).leaving, "nobody knows where it is"
 
 
-def test_a_clock_that_runs_too_fast_is_ever_further_ahead() -> None:
+def test_clock_drift_increases_the_offset_over_time() -> None:
     rule = dict(type="ClockSkew", offset_s=-0.2, drift=0.1, at=1.0)
     ahead = [through(rule, at_s=at_s).leaving[0][0].skew_ns for at_s in (0.0, 1.0, 3.0)]
     assert ahead == [0, -200_000_000, 0]
@@ -149,7 +149,9 @@ def test_a_displaced_frame_of_reference_is_moved_and_turned_about_the_vertical()
 
 @given(payload=st.binary(max_size=50), places=st.lists(st.floats(0.0, 1.0), max_size=8))
 @settings(max_examples=50)
-def test_flipped_bits_are_that_many_and_flip_back(payload: bytes, places: list[float]) -> None:
+def test_the_configured_number_of_bits_is_flipped_and_flipping_is_reversible(
+    payload: bytes, places: list[float]
+) -> None:
     once = flipped(payload, places)
     assert len(once) == len(payload)
     assert flipped(once, places) == payload
@@ -159,7 +161,7 @@ def test_flipped_bits_are_that_many_and_flip_back(payload: bytes, places: list[f
         assert differing == 1
 
 
-def test_copies_are_numbered_and_each_draws_for_itself() -> None:
+def test_copies_are_numbered_and_have_independent_random_numbers() -> None:
     rules = [dict(type="Flood", copies=4), dict(type="Delay", mean_s=0.05, jitter_s=0.02), dict(type="Flood", copies=1)]
     outcome = through(*rules)
     copies = [passage.copy for passage, _ in outcome.leaving]
@@ -168,7 +170,7 @@ def test_copies_are_numbered_and_each_draws_for_itself() -> None:
     assert outcome.fates["duplicated"] == 0
 
 
-def test_a_flood_of_floods_ends_somewhere() -> None:
+def test_the_number_of_copies_is_limited() -> None:
     assert len(through(*[dict(type="Flood", copies=100)] * 3).leaving) <= 1001
 
 
@@ -189,14 +191,14 @@ def test_a_rule_added_before_or_after_changes_no_draw_of_another(name: str, othe
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_what_a_rule_does_follows_from_seed_and_wire_alone(name: str) -> None:
+def test_a_rule_depends_on_seed_and_wire_alone(name: str) -> None:
     rules = [dict(type=name, **EVERY[name]), dict(type="Delay", mean_s=0.1, jitter_s=0.1)]
     first, again, other = (carry(rules, 300, seed=seed, size=900, referenced=True) for seed in (3, 3, 4))
     assert first == again
     assert name == "Cut" or first != other
 
 
-def test_rules_given_to_two_wires_do_not_share_what_they_remember() -> None:
+def test_rules_on_two_wires_do_not_share_state() -> None:
     rule = build(type="Bandwidth", bits_per_s=1000.0, queue_s=0.0)
     one, two = (links.Chain([rule], lambda *purpose: np.random.default_rng(0)) for _ in range(2))
     assert one.carry(Passage(0, 0, size=100)).leaving
@@ -237,7 +239,7 @@ NAN, INF = math.nan, math.inf
         *(("Cut", wrong) for wrong in (dict(at=-1.0), dict(at=NAN), dict(at=2.0, until=2.0), dict(until=NAN))),
     ],
 )
-def test_parameters_that_make_no_sense_are_refused_by_name(name: str, wrong: dict[str, Any]) -> None:
+def test_invalid_rule_parameters_are_refused_by_name(name: str, wrong: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError) as caught:
         build(type=name, **(EVERY[name] | wrong))
     assert any(f"{parameter}" in str(caught.value) for parameter in (*wrong, "jitter_s", "mean_s"))
@@ -245,13 +247,13 @@ def test_parameters_that_make_no_sense_are_refused_by_name(name: str, wrong: dic
 
 
 @pytest.mark.parametrize("name", PROFILES)
-def test_profiles_are_made_of_sound_rules(name: str) -> None:
+def test_profiles_contain_valid_rules(name: str) -> None:
     for rules in profile(name).values():
         for rule in rules:
             build(**(rule | (dict(gateways=[[0.0, 0.0, 0.0]]) if rule["type"] == "RangeLimit" else {})))
 
 
-def test_a_profile_is_the_callers_own() -> None:
+def test_a_profile_is_returned_as_a_copy() -> None:
     profile("wired")["up"].clear()
     assert profile("wired")["up"]
     assert profile("wired").keys() == {"up", "down"}

@@ -14,7 +14,7 @@ SURE = 0.999  #: two-sided; with the seeds fixed a test either always holds or n
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("p", [0.001, 0.05, 0.3, 0.9])
-def test_as_many_messages_are_lost_as_the_probability_says(p: float, seed: int) -> None:
+def test_the_loss_rate_equals_the_probability(p: float, seed: int) -> None:
     lost = int((~came(carry([dict(type="Loss", probability=p)], N, seed=seed))).sum())
     assert binomtest(lost, N, p).pvalue > 1.0 - SURE
 
@@ -39,9 +39,7 @@ def bursts(lost: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("good_to_bad", "bad_to_good"), [(0.02, 0.4), (0.05, 0.1), (0.3, 0.7)])
-def test_bursts_are_as_long_and_losses_as_many_as_the_channel_says(
-    good_to_bad: float, bad_to_good: float, seed: int
-) -> None:
+def test_burst_lengths_and_loss_rate_agree_with_the_channel(good_to_bad: float, bad_to_good: float, seed: int) -> None:
     n = 8000
     rule = dict(type="GilbertElliott", good_to_bad=good_to_bad, bad_to_good=bad_to_good)
     lost = ~came(carry([rule], n, seed=seed))
@@ -56,7 +54,7 @@ def test_bursts_are_as_long_and_losses_as_many_as_the_channel_says(
     assert abs(lost.mean() - rate) < 3.3 * error
 
 
-def test_both_states_of_a_channel_lose_as_many_as_they_should() -> None:
+def test_both_states_of_a_channel_have_the_configured_loss_rate() -> None:
     rule = dict(type="GilbertElliott", good_to_bad=0.2, bad_to_good=0.3, loss_good=0.1, loss_bad=0.6)
     expected = 0.4 * 0.6 + 0.6 * 0.1
     lost = ~came(carry([rule], 8000))
@@ -73,7 +71,7 @@ def test_the_first_message_meets_the_channel_as_it_is_on_average(seed: int) -> N
 
 @pytest.mark.parametrize("distribution", ["normal", "gamma", "lognormal"])
 @pytest.mark.parametrize(("mean", "jitter"), [(0.02, 0.004), (0.05, 0.012)])
-def test_delays_have_the_mean_and_the_deviation_that_they_should(distribution: str, mean: float, jitter: float) -> None:
+def test_delays_have_the_configured_mean_and_deviation(distribution: str, mean: float, jitter: float) -> None:
     rule = dict(type="Delay", mean_s=mean, jitter_s=jitter, distribution=distribution)
     found = delays(carry([rule], N, every_ns=20 * PERIOD_NS))  # so far apart that none waits for the one before
     assert abs(found.mean() - mean) < 3.3 * jitter / np.sqrt(N)
@@ -81,12 +79,12 @@ def test_delays_have_the_mean_and_the_deviation_that_they_should(distribution: s
     assert found.min() >= 0.0
 
 
-def test_gamma_delays_are_gamma_delays() -> None:
+def test_gamma_delays_follow_a_gamma_distribution() -> None:
     found = delays(carry([dict(type="Delay", mean_s=0.02, jitter_s=0.01)], N, every_ns=20 * PERIOD_NS))
     assert kstest(found, gamma_law(a=4.0, scale=0.005).cdf).pvalue > 1.0 - SURE
 
 
-def test_a_normal_delay_is_cut_off_at_zero_and_not_heaped_up_there() -> None:
+def test_a_normal_delay_is_truncated_at_zero() -> None:
     rule = dict(type="Delay", mean_s=0.005, jitter_s=0.02, distribution="normal")
     found = delays(carry([rule], N, every_ns=20 * PERIOD_NS))
     assert found.min() >= 0.0
@@ -94,7 +92,7 @@ def test_a_normal_delay_is_cut_off_at_zero_and_not_heaped_up_there() -> None:
 
 
 @pytest.mark.parametrize("p", [0.1, 0.5])
-def test_as_many_messages_are_doubled_reordered_and_corrupted_as_the_probability_says(p: float) -> None:
+def test_duplication_reordering_and_corruption_rates_equal_the_probability(p: float) -> None:
     doubled = sum(len(o.leaving) == 2 for o in carry([dict(type="Duplicate", probability=p)], N))
     reordered = sum(o.leaving[0][0].overtakes for o in carry([dict(type="Reorder", probability=p, by_s=0.1)], N))
     flipped = sum(len(o.leaving[0][0].flips) == 3 for o in carry([dict(type="Corrupt", probability=p, flips=3)], N))
@@ -102,14 +100,14 @@ def test_as_many_messages_are_doubled_reordered_and_corrupted_as_the_probability
         assert binomtest(found, N, p).pvalue > 1.0 - SURE
 
 
-def test_each_copy_is_lost_by_itself() -> None:
+def test_copies_are_lost_independently() -> None:
     rules = [dict(type="Duplicate", probability=1.0, copies=1), dict(type="Loss", probability=0.5)]
     left = np.bincount([len(outcome.leaving) for outcome in carry(rules, 2000)], minlength=3)
     assert binomtest(int(left[0]), 2000, 0.25).pvalue > 1.0 - SURE
     assert binomtest(int(left[2]), 2000, 0.25).pvalue > 1.0 - SURE
 
 
-def test_pose_errors_have_the_bias_and_the_deviation_that_they_should() -> None:
+def test_pose_errors_have_the_configured_bias_and_deviation() -> None:
     rule = dict(type="PoseError", position_std_m=0.5, yaw_std_rad=0.02, bias_m=[1.0, -2.0], bias_yaw_rad=0.1)
     copies = [outcome.leaving[0][0] for outcome in carry([rule], N, referenced=True)]
     found = np.array([[*copy.shift, copy.turn] for copy in copies])
@@ -119,7 +117,7 @@ def test_pose_errors_have_the_bias_and_the_deviation_that_they_should() -> None:
 
 
 @pytest.mark.parametrize("size", [1000, 15_000])
-def test_no_more_gets_through_than_the_bandwidth_allows_and_not_much_less(size: int) -> None:
+def test_throughput_is_close_to_but_below_the_bandwidth(size: int) -> None:
     rate, seconds = 1e6, 20.0
     offered = 3.0 * rate  # three times too much
     every_ns = round(8e9 * size / offered)

@@ -54,7 +54,7 @@ def test_many_frames_at_once_give_what_the_hungarian_method_gives_for_each(seed)
         assert {(a, b) for a, b in pairs.tolist() if truth.group[a] == frame} == expected
 
 
-def test_the_gate_belongs_to_what_it_admits():
+def test_the_gate_is_inclusive():
     truth = boxes([[0.0, 0.0]])
     assert len(CenterDistanceAssigner(gate_m=2.0).assign(truth, boxes([[2.0, 0.0]]))) == 1
     assert len(CenterDistanceAssigner(gate_m=2.0).assign(truth, boxes([[2.0 + 1e-9, 0.0]]))) == 0
@@ -70,12 +70,12 @@ def test_height_plays_no_part_in_the_distance():
 
 
 @pytest.mark.parametrize("assigner", [CenterDistanceAssigner(), IoU3DGreedyAssigner()])
-def test_boxes_of_different_groups_never_meet(assigner):
+def test_boxes_of_different_groups_are_never_paired(assigner):
     assert len(assigner.assign(boxes([[0.0, 0.0]], group=0), boxes([[0.0, 0.0]], group=1))) == 0
 
 
 @pytest.mark.parametrize("assigner", [CenterDistanceAssigner(), IoU3DGreedyAssigner()])
-def test_nothing_is_paired_with_nothing(assigner):
+def test_empty_sets_have_no_pairs(assigner):
     none = boxes(np.zeros((0, 3)))
     assert assigner.assign(none, none).shape == (0, 2)
     assert assigner.assign(none, boxes([[0.0, 0.0]])).shape == (0, 2)
@@ -99,7 +99,7 @@ def test_the_order_of_the_rows_does_not_matter_even_with_ties(assigner, seed):
 
 @settings(max_examples=100)
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e5]))
-def test_overlap_is_what_shapely_says(seed, far):
+def test_overlap_agrees_with_shapely(seed, far):
     rng = np.random.default_rng(seed)
     a, b = scattered(6, rng, 5.0), scattered(6, rng, 5.0)
     a.position[:, :2] += far
@@ -150,7 +150,7 @@ def test_the_greedy_assigner_always_takes_the_best_overlap_that_is_left(n, m, se
 @pytest.mark.parametrize(
     ("cls", "arguments"), [(CenterDistanceAssigner, {"gate_m": 0.0}), (IoU3DGreedyAssigner, {"threshold": 1.5})]
 )
-def test_senseless_limits_are_refused(cls, arguments):
+def test_invalid_limits_are_refused(cls, arguments):
     with pytest.raises(ValueError, match=f"{next(iter(arguments))}: found"):
         cls(**arguments)
 

@@ -45,7 +45,7 @@ def causes(table, estimator: str = "picture") -> list[tuple[int, str, str, str]]
 CAR = cars((0.0, 0.0), id=[1])
 
 
-def test_what_is_wrong_with_an_estimate_has_a_cause_and_nothing_else_has_one() -> None:
+def test_every_error_of_an_estimate_has_a_cause_and_nothing_else_does() -> None:
     table = seen([CAR], [cars((0.1, 0.0), (40.0, 0.0), id=[5, 6])], local=[cars((0.1, 0.0), id=[5])])
     assert causes(table) == [(0, "track", "clutter", "")]
     assert causes(table, "local") == []
@@ -54,7 +54,7 @@ def test_what_is_wrong_with_an_estimate_has_a_cause_and_nothing_else_has_one() -
     assert causes(table, "local") == [(11, "truth", "tracking", ""), (11, "track", "clutter", "")]
 
 
-def test_a_track_of_an_inserted_object_is_its_adversarys() -> None:
+def test_a_track_of_an_inserted_object_is_attributed_to_its_adversary() -> None:
     lies = [("eve", 0, "inserted", 0, (40.0, 0.0), (0.0, 0.0)), ("mallory", 0, "inserted", 0, (-40.0, 0.0), (0.0, 0.0))]
     table = seen([CAR], [cars((0.0, 0.0), (39.0, 0.0), (-40.0, 1.0), (0.0, 60.0), id=[5, 6, 7, 8])], lies)
     assert Counter(causes(table)) == Counter(
@@ -66,13 +66,13 @@ def test_a_track_of_an_inserted_object_is_its_adversarys() -> None:
     )
 
 
-def test_a_lie_that_two_tell_is_both_of_theirs() -> None:
+def test_an_object_inserted_by_two_adversaries_is_attributed_to_both() -> None:
     lies = [(name, 0, "inserted", 0, (40.0, 0.0), (0.0, 0.0)) for name in ("mallory", "eve")]
     table = seen([CAR], [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])], lies)
     assert causes(table) == [(0, "track", "inserted", "eve+mallory")]
 
 
-def test_a_false_track_stays_its_adversarys_while_it_coasts_on_after_the_lie_has_ended() -> None:
+def test_a_coasting_false_track_is_still_attributed_to_its_adversary() -> None:
     """The lie ends at 69 m; the track goes on, and bends away from where the lie would have gone."""
     lies = [("eve", frame, "inserted", 3, (60.0 + frame, 0.0), (10.0, 0.0)) for frame in range(10)]
     picture = [cars((0.0, 0.0), (60.0 + frame, 0.5 * max(frame - 9, 0)), id=[5, 6]) for frame in range(30)]
@@ -80,7 +80,7 @@ def test_a_false_track_stays_its_adversarys_while_it_coasts_on_after_the_lie_has
     assert causes(table) == [(frame, "track", "inserted", "eve") for frame in range(30)]
 
 
-def test_a_false_track_from_before_the_first_lie_is_natural_until_then() -> None:
+def test_a_false_track_before_the_first_insertion_is_natural() -> None:
     """A track of clutter stands at 40 m; from frame 5 on the adversary shows an object there."""
     lies = [("eve", frame, "inserted", 3, (40.0, 0.0), (0.0, 0.0)) for frame in range(5, 10)]
     picture = [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])] * 10
@@ -91,20 +91,20 @@ def test_a_false_track_from_before_the_first_lie_is_natural_until_then() -> None
     ]
 
 
-def test_it_is_nobodys_when_it_lasts_far_longer_than_a_track_can_coast() -> None:
+def test_a_false_track_that_lasts_too_long_is_not_attributed() -> None:
     lies = [("eve", 0, "inserted", 3, (40.0, 0.0), (0.0, 0.0))]
     picture = [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])] * 100
     assert causes(seen([CAR] * 100, picture, lies))[-1] == (99, "track", "clutter", "")
 
 
-def test_who_met_a_real_object_is_no_lie_any_more() -> None:
+def test_a_false_track_that_has_matched_a_real_object_is_not_attributed() -> None:
     lies = [("eve", 0, "inserted", 3, (40.0, 0.0), (0.0, 0.0))]
     truth = [CAR, cars((0.0, 0.0), (55.0, 0.0), id=[1, 2]), CAR]
     picture = [cars((0.0, 0.0), (x, 0.0), id=[5, 6]) for x in (40.0, 55.0, 70.0)]
     assert causes(seen(truth, picture, lies)) == [(0, "track", "inserted", "eve"), (2, "track", "lag", "")]
 
 
-def test_a_hidden_object_that_is_missed_is_missed_because_of_that() -> None:
+def test_a_missed_hidden_object_is_attributed_to_the_attack() -> None:
     lies = [("eve", frame, "removed", 0, (0.5, 0.0), (0.0, 0.0)) for frame in (14, 15)]
     picture = [CAR if frame < 14 else NOTHING for frame in range(17)]
     assert causes(seen([CAR] * 17, picture, lies)) == [(f, "truth", "removed", "eve") for f in (14, 15, 16)]
@@ -116,14 +116,14 @@ def test_a_displaced_object_makes_a_false_and_a_missed_one() -> None:
     assert causes(table) == [(0, "truth", "moved", "eve"), (0, "track", "moved", "eve")]
 
 
-def test_an_object_whose_track_is_lured_away_is_the_liars() -> None:
+def test_an_object_with_a_displaced_track_is_attributed_to_the_adversary() -> None:
     lies = [("eve", frame, "inserted", 0, (2.0 * (frame - 11), 0.0), (20.0, 0.0)) for frame in range(12, 16)]
     picture = [cars((0.0 if frame < 12 else 2.0 * (frame - 10), 0.0), id=[5]) for frame in range(16)]
     found = [row for row in causes(seen([CAR] * 16, picture, lies)) if row[1] == "truth"]
     assert found == [(frame, "truth", "inserted", "eve") for frame in range(12, 16)]
 
 
-def test_what_is_said_of_one_agent_does_not_depend_on_another_in_whose_range_nothing_is_believed() -> None:
+def test_the_causes_of_one_agent_do_not_depend_on_another_without_estimates() -> None:
     lies = [("eve", frame, "inserted", 0, (2.0 * (frame - 11), 0.0), (20.0, 0.0)) for frame in range(12, 16)]
     truth = cars((0.0, 0.0), (-500.0, 0.0), id=[1, 9])
     record = Record(["apart", "ego"])
@@ -140,7 +140,7 @@ def test_a_second_track_of_an_object_is_a_duplicate() -> None:
     assert causes(seen([CAR], [cars((0.0, 0.0), (2.5, 0.0), id=[5, 6])])) == [(0, "track", "duplicate", "")]
 
 
-def test_an_object_that_has_just_come_has_no_track_yet_and_one_that_has_gone_has_one_still() -> None:
+def test_new_objects_have_no_track_yet_and_departed_ones_still_have_one() -> None:
     truth = [NOTHING] * 3 + [CAR] * 5 + [NOTHING] * 2
     picture = [NOTHING] * 5 + [CAR] * 5
     assert causes(seen(truth, picture)) == [
@@ -192,7 +192,7 @@ def test_causes_are_counted_by_estimate_in_the_scored_frames() -> None:
     assert by_series["ego", "local"]["causes"] == {"fp": {}, "fn": {}, "id_switches": {}}
 
 
-def test_an_attack_on_one_agents_detections_is_no_cause_of_what_another_agent_believes_by_itself() -> None:
+def test_an_attack_on_one_agents_detections_does_not_affect_another_agents_own_tracks() -> None:
     record = Record(["ego", "infra_1"])
     wrong = cars((40.0, 0.0), id=[7])
     for frame in range(3):
@@ -210,7 +210,7 @@ def test_an_attack_on_one_agents_detections_is_no_cause_of_what_another_agent_be
     assert cause("ego", "local") == {"clutter"}
 
 
-def test_what_a_link_shows_is_a_fault_and_has_no_author() -> None:
+def test_objects_inserted_by_a_link_are_faults_without_an_author() -> None:
     lies = [("link_1", 0, "moved", 0, (30.0, 0.0), (0.0, 0.0))]
     moved = effects(*lies, passages=[passage("link_1", "detections", "ego")], of=[0])
     table = explained(recorded([CAR], [cars((30.0, 0.5), id=[5])]), moved, {"link_1": "link"})
@@ -218,7 +218,7 @@ def test_what_a_link_shows_is_a_fault_and_has_no_author() -> None:
 
 
 @pytest.mark.parametrize(("hit", "cause"), [(True, "removed"), (False, "tracking")])
-def test_an_identity_switch_is_the_adversarys_if_the_object_was_hidden_just_before_it(hit: bool, cause: str) -> None:
+def test_an_identity_switch_after_hiding_is_attributed_to_the_adversary(hit: bool, cause: str) -> None:
     lies = [("eve", frame, "removed", 0, (0.0 if hit else 50.0, 0.0), (0.0, 0.0)) for frame in range(4, 8)]
     picture = [cars((0.0, 0.0), id=[5 if frame < 6 else 6]) for frame in range(12)]
     scores, _, labels, _ = labelled(recorded([CAR] * 12, picture, local=[CAR] * 12), effects(*lies))

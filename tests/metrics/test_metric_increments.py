@@ -57,13 +57,13 @@ def test_only_frames_of_both_runs_are_compared_whatever_their_order():
     assert increments(longer, some, first_frame=1)["fp"]["iob"] == {"mean": 4.0, "std": 0.0}
 
 
-def test_without_common_frames_there_are_no_figures():
+def test_without_common_frames_there_are_no_values():
     result = increments(BASELINE, ATTACKED, first_frame=9)
     assert result["frames"] == 0
     assert result["fp"]["iob"] == {"mean": None, "std": None}
     json.dumps(result, allow_nan=False)
 
 
-def test_a_series_that_is_not_there_is_named():
+def test_a_missing_series_is_named():
     with pytest.raises(ValueError, match=r"baseline: found ego/local, .*expected one of ego/pictures"):
         increments(BASELINE, ATTACKED, estimator="pictures")

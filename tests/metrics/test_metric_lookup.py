@@ -9,7 +9,7 @@ from mast_zenoh.metrics.lookup import find, occurs
 
 
 @pytest.mark.parametrize("far", [1, 1 << 31, 1 << 61])
-def test_find_tells_the_last_row_that_is_equal(far):
+def test_find_returns_the_last_equal_row(far):
     random = np.random.default_rng(far)
     wanted, among = ([random.integers(-3, 4, n) * far for _ in range(3)] for n in (200, 150))
     row = {key: k for k, key in enumerate(zip(*map(np.ndarray.tolist, among), strict=True))}
@@ -19,7 +19,7 @@ def test_find_tells_the_last_row_that_is_equal(far):
     assert occurs(tuple(wanted), tuple(among)).tolist() == [each >= 0 for each in expected]
 
 
-def test_nothing_is_found_in_nothing():
+def test_find_in_empty_tables_returns_nothing():
     none, one = (np.zeros(0, np.int64),), (np.ones(1, np.int64),)
     assert find(one, none).tolist() == [-1]
     assert find(none, one).tolist() == []

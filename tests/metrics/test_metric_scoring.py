@@ -88,7 +88,7 @@ def test_a_track_of_an_unseen_object_is_false_unless_told_otherwise(ignore_unsee
     assert {o for kind, o, _, _ in outcomes(scores) if kind == "track"} == {outcome}
 
 
-def test_an_unseen_object_excuses_no_track_that_a_seen_one_needs():
+def test_an_unseen_object_takes_no_track_from_a_seen_one():
     truth = cars((0.0, 0.0), (1.0, 0.0), id=[1, 2])
     run = record([truth], [cars((0.9, 0.0))], points=[[9, 0]])
     assert counts(Scorer(ignore_unseen=True).score(run)) == [(0, 0, 1)]
@@ -152,7 +152,7 @@ def test_an_estimate_that_is_the_same_messages_is_scored_once_and_stands_in_all_
     assert set(scores.objects()["estimator"]) == {"local"}
 
 
-def test_one_that_differs_in_a_single_frame_has_scores_of_its_own():
+def test_an_estimate_that_differs_in_one_frame_is_scored_separately():
     run = Record(["ego"])
     for frame in range(3):
         run.add_truth(frame, cars((0.0, 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
@@ -187,7 +187,7 @@ def test_the_picture_on_arrival_goes_by_the_time_in_its_header_as_the_agent_does
     assert held.boxes.group.tolist() == [0, 5]
 
 
-def test_an_estimate_of_which_no_message_ever_comes_misses_everything():
+def test_an_estimate_without_messages_misses_everything():
     run = record([cars((0.0, 0.0))] * 3, [cars((0.0, 0.0))] * 3)
     run.expect([Series("ego", "received"), Series("ego", "picture_received")])
     run.hold_pictures({"ego": 400}, {0: 0, 1: 100, 2: 200})

@@ -35,7 +35,7 @@ def test_one_object_a_metre_off_and_one_missed() -> None:
     assert gospa == pytest.approx([np.sqrt(1.0 + 25.0)])
 
 
-def test_nothing_is_no_distance_from_nothing_and_c_from_something() -> None:
+def test_two_empty_sets_have_distance_zero_and_one_empty_set_c() -> None:
     ospa, gospa = SetDistance(c=5.0, p=2.0).of(boxes([(0.0, 0.0)] * 2, group=[1, 1]), boxes(np.zeros((0, 3))), 2)
     assert ospa.tolist() == [0.0, 5.0]
     assert gospa == pytest.approx([0.0, np.sqrt(2 * 25.0 / 2)])
@@ -85,6 +85,6 @@ def test_stone_soup_agrees(p: float) -> None:
 @pytest.mark.parametrize(
     ("values", "named"), [({"c": 0.0}, "c: found 0"), ({"p": 0.5}, "p: found 0.5"), ({"alpha": 3.0}, "alpha: found 3")]
 )
-def test_values_that_make_no_sense_are_refused(values: dict[str, float], named: str) -> None:
+def test_invalid_distance_parameters_are_refused(values: dict[str, float], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         SetDistance(**values)

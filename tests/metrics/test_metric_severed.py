@@ -9,7 +9,7 @@ from metric_oracles import cars
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
-from mast_zenoh.evaluation.from_effects import stopped
+from mast_zenoh.evaluation.from_effects import stopped_by_links
 from mast_zenoh.metrics import CutOff, Presence, Record, Scorer, Series, Severed
 from mast_zenoh.metrics.blame import split
 from mast_zenoh.metrics.record import Snapshot
@@ -88,12 +88,12 @@ def test_an_object_that_only_the_cut_agent_tracks_is_missed_because_of_the_fault
     assert missed(table, FAR) == dict.fromkeys(range(20, 40), "link or fault")
 
 
-def test_one_that_an_agent_tracks_whose_word_arrived_is_not() -> None:
+def test_an_object_tracked_by_a_connected_agent_is_not_due_to_the_fault() -> None:
     table = judged(local=holds, picture=without(BOTH), silent=cut())
     assert set(missed(table, BOTH).values()) == {"fusion"}
 
 
-def test_one_that_another_agent_only_sees_but_does_not_track_is() -> None:
+def test_an_object_that_another_agent_sees_but_does_not_track_is_due_to_the_fault() -> None:
     def local(agent: str, frame: int) -> ObjectStates:
         return NOTHING if agent == "ego" else holds(agent, frame)
 
@@ -101,7 +101,7 @@ def test_one_that_another_agent_only_sees_but_does_not_track_is() -> None:
     assert set(missed(table, BOTH).values()) == {"link or fault"}
 
 
-def test_what_a_killed_agent_does_not_see_well_enough_is_missed_by_nature() -> None:
+def test_an_object_barely_seen_by_a_killed_agent_is_a_natural_miss() -> None:
     def local(agent: str, frame: int) -> ObjectStates:
         return some(BOTH) if agent == "ego" else NOTHING
 
@@ -118,7 +118,7 @@ def test_a_killed_agent_has_no_tracks_but_its_sensor_would_have_seen_the_object(
     assert missed(table, FAR) == dict.fromkeys(range(20, 40), "link or fault")
 
 
-def test_one_that_is_back_needs_a_second_to_track_what_it_sees() -> None:
+def test_a_restarted_agent_needs_a_second_to_track_objects() -> None:
     def local(agent: str, frame: int) -> ObjectStates:
         return NOTHING if agent == "infra_1" and frame >= CUT.start else holds(agent, frame)
 
@@ -157,7 +157,7 @@ def test_what_the_cut_agent_tracks_already_is_not_too_new_to_be_in_the_picture()
 
 
 @pytest.mark.parametrize(("taken", "cause"), [(FAR, "removed"), (BOTH, "link or fault")])
-def test_what_an_adversary_hid_is_its_doing_even_while_the_agent_is_cut_off(taken: int, cause: str) -> None:
+def test_hiding_is_attributed_to_the_adversary_even_during_a_disconnection(taken: int, cause: str) -> None:
     attacks = hidden(range(15, 45), PLACE[taken])
     table = judged(local=holds, picture=without(FAR), silent=cut(), attacks=attacks)
     assert set(missed(table, FAR).values()) == {cause}
@@ -196,7 +196,7 @@ def test_an_agents_own_tracks_are_never_cut_off() -> None:
     assert set(table["cause"][own]) == {"occlusion or range", "lag"}
 
 
-def test_without_a_silence_there_is_no_fault_to_blame() -> None:
+def test_without_a_disconnection_there_is_no_fault() -> None:
     table = judged(local=holds, picture=without(FAR), silent=cut(when=slice(0, 0)))
     assert "link or fault" not in table["cause"]
     assert set(missed(table, FAR).values()) == {"fusion"}
@@ -226,7 +226,7 @@ def test_a_track_that_goes_astray_because_its_only_source_is_cut_off_is_false_be
     assert found[50] == "lag"
 
 
-def test_one_whose_object_another_agent_tells_of_lags_for_another_reason() -> None:
+def test_a_track_of_an_object_that_another_agent_reports_is_not_due_to_the_fault() -> None:
     found = false(judged(local=holds, picture=drifting(BOTH), silent=cut()))
     assert {found[frame] for frame in range(25, 40)} == {"lag"}
 
@@ -251,13 +251,13 @@ def test_an_agent_that_misses_a_frame_is_missing_in_that_frame_only() -> None:
     assert missing([10, 20, 21]) == [10, 20, 21]
 
 
-def test_one_whose_last_word_is_forgotten_needs_a_second_until_it_is_back_in_the_picture() -> None:
+def test_an_agent_missing_for_long_needs_a_second_to_return_to_the_picture() -> None:
     assert missing([10, 11, 12]) == list(range(10, 23))
     assert missing([10, 11, 12], max_age_s=0.3) == [10, 11, 12]
     assert missing([10, 11, 12], recovery_s=0.0) == [10, 11, 12]
 
 
-def test_who_is_not_heard_for_a_moment_is_late_at_most_and_for_longer_is_silent() -> None:
+def test_a_short_gap_counts_as_late_and_a_long_one_as_silent() -> None:
     assert missing(unheard=[10, 11]) == []
     assert missing(unheard=[10, 11, 12]) == list(range(10, 23))
     assert missing([9], unheard=[38, 39]) == [9]
@@ -284,7 +284,7 @@ def test_an_agent_that_came_later_was_not_there_before() -> None:
 
 
 @pytest.mark.parametrize("role", ["broker", "command_center"])
-def test_without_a_centre_nobody_gets_through(role: str) -> None:
+def test_without_a_command_centre_no_agent_is_connected(role: str) -> None:
     assert gone((role, role, 0, True), (role, role, 7, False)) == [[7, 8, 9]] * 3
     assert gone(("evaluator_2", "evaluator", 0, True), ("evaluator_2", "evaluator", 7, False)) == [[], [], []]
 
@@ -313,17 +313,17 @@ def test_a_link_stops_tracks_that_it_drops_damages_or_delays_and_batches_of_all_
         ("centre", "collated", 10, "dropped"),
     )
     roles = {way.node: "link" for way in found.passages}
-    mask = stopped(found, roles, AGENTS, np.arange(12))
+    mask = stopped_by_links(found, roles, AGENTS, np.arange(12))
     assert [np.flatnonzero(column).tolist() for column in mask.T] == [[10], [1, 2, 3, 10], [8, 10]]
-    assert not stopped(found, {}, AGENTS, np.arange(12)).any(), "an adversary's doing is no fault"
+    assert not stopped_by_links(found, {}, AGENTS, np.arange(12)).any(), "an adversary's doing is no fault"
 
 
 def test_objects_are_looked_up_by_frame_and_id() -> None:
     severed = Severed(np.array([1, 2]), np.array([5, 5]), np.array([True, False]))
     ids, frames = np.array([1, 2, 1, 3]), np.array([5, 5, 6, 5])
-    assert severed.has(ids, frames).tolist() == [True, True, False, False]
-    assert severed.has(ids, frames, tracked=np.array([True] * 4)).tolist() == [True, False, False, False]
-    assert not Severed.nothing().has(ids, frames, tracked=np.array([True] * 4)).any()
+    assert severed.contains(ids, frames).tolist() == [True, True, False, False]
+    assert severed.contains(ids, frames, tracked=np.array([True] * 4)).tolist() == [True, False, False, False]
+    assert not Severed.nothing().contains(ids, frames, tracked=np.array([True] * 4)).any()
 
 
 def test_no_frames_have_no_split() -> None:

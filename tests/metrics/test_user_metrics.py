@@ -124,7 +124,7 @@ def test_an_estimate_is_what_was_judged_with_its_causes() -> None:
         (ToldForRun(np.zeros(2)), "ToldForRun.per_run: found ndarray, expected a number or None"),
     ],
 )
-def test_values_that_are_none_are_refused(metric: Any, message: str) -> None:
+def test_invalid_metric_values_are_refused(metric: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         computed([metric], [[True], [True]])
 
@@ -136,7 +136,7 @@ def test_a_metric_of_the_run_is_a_number_or_null(value: Any) -> None:
     assert value is None or type(summary["told_for_run"]) is float
 
 
-def test_names_are_those_of_the_classes_or_given_ones_and_none_occurs_twice() -> None:
+def test_names_come_from_classes_or_are_given_and_are_unique() -> None:
     class FPNear30m(FrameMetric):
         def per_frame(self, estimate: Estimate) -> Any: ...
 
@@ -144,7 +144,7 @@ def test_names_are_those_of_the_classes_or_given_ones_and_none_occurs_twice() ->
         name = "rmse_m"
 
     assert FPNear30m().label == "fpnear30m"
-    with pytest.raises(ValueError, match="'rmse_m', like one that is always"):
+    with pytest.raises(ValueError, match="'rmse_m', which is the name of a built-in"):
         user_metrics.check([Named()], ("rmse_m",))
     with pytest.raises(ValueError, match="'longest_miss' twice"):
         user_metrics.check([LongestMiss(), LongestMiss()], ())
@@ -158,9 +158,9 @@ def test_an_error_about_what_a_metric_returned_is_located_in_the_users_file(valu
     assert location(caught.value, type) == f"{__file__}:{Told.per_frame.__code__.co_firstlineno}"
 
 
-def test_a_metric_that_is_called_like_one_of_ours_is_told_that_ours_is_meant() -> None:
+def test_a_metric_with_the_name_of_a_built_in_one_is_refused() -> None:
     class FN(Told):
         """A metric whose name in tables is `fn`."""
 
-    with pytest.raises(ValueError, match=r"FN is called 'fn', like one that is always computed: that one"):
+    with pytest.raises(ValueError, match=r"FN is called 'fn', which is the name of a built-in metric"):
         user_metrics.check([FN(0.0)], ["fn"])

@@ -56,8 +56,8 @@ def test_a_host_may_claim_a_link_apart_from_its_agent() -> None:
         ({"west": {"nodes": ["infra_1"], "loss": 2}}, "hosts.west.loss: found 2, expected a number from 0 to 1"),
         ({"west": {"nodes": ["infra_1"], "bits_per_s": 0}}, "hosts.west.bits_per_s: found 0, expected a number"),
         ({"west": {"nodes": ["ego"], "delay_by": "tc"}}, "hosts.west.delay_by: found 'tc'; known: netem, relay"),
-        ({"a": {"nodes": ["ego"]}, "b": {"nodes": ["e*"]}}, "hosts.b.nodes: 'ego' lives on 'a' already"),
-        ({"west": {"nodes": []}}, "hosts.west: no node lives there"),
+        ({"a": {"nodes": ["ego"]}, "b": {"nodes": ["e*"]}}, "hosts.b.nodes: 'ego' is already on host 'a'"),
+        ({"west": {"nodes": []}}, "hosts.west: no node runs on this host"),
     ],
 )
 def test_a_host_that_cannot_be_is_refused_with_the_path_to_it(hosts: object, said: str) -> None:

@@ -89,7 +89,7 @@ def test_objects_are_in_the_world_whose_origin_is_below_the_first_pose(log: Path
     assert recording.times_ns.tolist() == [k * 100_000_000 for k in range(FRAMES)]
 
 
-def test_the_ego_sees_what_the_data_set_counts(log: Path) -> None:
+def test_the_ego_has_the_lidar_returns_of_the_data_set(log: Path) -> None:
     recording = read(log)
     assert recording.agents[0].name == "ego"
     assert recording.agents[0].object_id == 0
@@ -97,7 +97,7 @@ def test_the_ego_sees_what_the_data_set_counts(log: Path) -> None:
     np.testing.assert_allclose(recording.agent_velocity[2, 0], [0.0, 10.0, 0.0], atol=1e-6)
 
 
-def test_poles_stand_beside_the_path_and_see_by_ray_casting(log: Path) -> None:
+def test_poles_are_beside_the_path_and_see_by_ray_casting(log: Path) -> None:
     recording = read(log, n_infrastructure=6)
     assert recording.agent_names[1:] == tuple(f"infra_{k}" for k in range(1, 7))
     position = recording.agent_position[0, 1:]
@@ -126,12 +126,12 @@ def test_the_log_is_found_from_the_folder_above(log: Path) -> None:
     assert read(log.parent).name == "7fab"
 
 
-def test_fewer_frames_are_the_beginning_of_more(log: Path) -> None:
+def test_a_shorter_recording_is_the_start_of_a_longer_one(log: Path) -> None:
     short, whole = AV2Log(path=str(log)).record(0, 2), read(log)
     assert len(short) == 2
     np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
     np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
-    with pytest.raises(ConfigurationError, match="6 frames asked for, the log has 5"):
+    with pytest.raises(ConfigurationError, match="6 frames requested, the log has 5"):
         AV2Log(path=str(log)).record(0, 6)
 
 
@@ -140,7 +140,7 @@ def test_too_many_poles_are_refused(log: Path) -> None:
         AV2Log(path=str(log), n_infrastructure=17)
 
 
-def test_a_log_has_four_poles_unless_asked_and_no_other_car_with_sensors(log: Path) -> None:
+def test_a_log_has_four_poles_by_default_and_no_other_mobile_agent(log: Path) -> None:
     assert read(log).agent_names == read(log, n_infrastructure=4, n_mobile=0).agent_names
     assert len(read(log).agents) == 5
     with pytest.raises(ConfigurationError, match="n_mobile is 1, expected 0: a log has no other car with sensors"):
@@ -166,15 +166,15 @@ def without(name: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
         (BOXES, without("track_uuid"), "no column track_uuid; found timestamp_ns"),
         (BOXES, with_value("tx_m", 7, float("nan")), "column tx_m, row 7 is nan"),
         (BOXES, with_value("tx_m", 7, None), "column tx_m has 1 empty values"),
-        (BOXES, with_value("length_m", 0, 0.0), "a size is not more than 0"),
+        (BOXES, with_value("length_m", 0, 0.0), "a size is 0 or less"),
         (BOXES, with_value("num_interior_pts", 0, -3), "num_interior_pts is negative"),
-        (BOXES, with_value("qw", 0, 3.0), "quaternion .* has not the length 1"),
-        (BOXES, with_value("track_uuid", 2, "bus-1"), "track bus-1 is there twice at timestamp_ns 1000000000000000000"),
+        (BOXES, with_value("qw", 0, 3.0), "quaternion .* does not have length 1"),
+        (BOXES, with_value("track_uuid", 2, "bus-1"), "track bus-1 occurs twice at timestamp_ns 1000000000000000000"),
         (BOXES, lambda columns: {name: values[:0] for name, values in columns.items()}, "no row"),
         (BOXES, lambda columns: columns | {"tx_m": ["x"] * 4 * FRAMES}, "column tx_m: "),
         (POSES, without("qz"), "no column qz"),
         (POSES, with_value("timestamp_ns", 2, 5), "no pose at timestamp_ns 1000000000100000000"),
-        (POSES, with_value("timestamp_ns", 1, 10**18), "timestamp_ns 1000000000000000000 is there twice"),
+        (POSES, with_value("timestamp_ns", 1, 10**18), "timestamp_ns 1000000000000000000 occurs twice"),
         (POSES, with_value("tz_m", 4, float("inf")), "column tz_m, row 4 is inf"),
     ],
 )

@@ -31,7 +31,7 @@ def nothing(key: str) -> list[dict]:
     return [{"frame": frame, "agent": agent, key: []} for frame in FRAMES for agent in (0, 1)]
 
 
-def test_truth_is_in_the_world_with_the_ego_among_it(run: Path) -> None:
+def test_truth_is_in_the_world_frame_and_includes_the_ego(run: Path) -> None:
     recording = read(run)
     truth = recording.truth_at(0)
     assert truth.id.tolist() == [0, 1, EGO_ID]
@@ -65,7 +65,7 @@ def test_a_camera_is_read_from_its_calibration(run: Path) -> None:
     np.testing.assert_allclose(depth, [20.0])
 
 
-def test_what_a_lidar_lists_is_seen_in_proportion_and_what_it_does_not_list_is_not(run: Path) -> None:
+def test_objects_listed_by_a_lidar_have_returns_by_visible_fraction_and_others_none(run: Path) -> None:
     recording = read(run)
     points = recording.points_at(0)
     position, rotation = recording.agent_position[0, 1], recording.agent_rotation[0, 1]
@@ -78,7 +78,7 @@ def test_what_a_lidar_lists_is_seen_in_proportion_and_what_it_does_not_list_is_n
     assert points[2].tolist() == [0, cast[2]]
 
 
-def test_wholly_occluded_objects_are_not_seen(run: Path) -> None:
+def test_completely_occluded_objects_are_not_seen(run: Path) -> None:
     hidden = npcs_at(4)
     hidden[0] |= {"occlusion": 3}
     hidden[1] |= {"occlusion": 0, "visible_fraction": 0.0}
@@ -93,7 +93,7 @@ def test_without_object_files_of_a_lidar_rays_are_cast(run: Path) -> None:
     assert (read(run).points_at(0)[:2, 0] > 100).all()
 
 
-def test_a_velocity_that_is_not_stored_comes_from_the_positions(run: Path) -> None:
+def test_missing_velocities_are_computed_from_positions(run: Path) -> None:
     for frame in FRAMES:
         states = npcs_at(frame)
         states[0]["velocity"] = None
@@ -157,20 +157,20 @@ def test_agents_and_frames_can_be_left_out(run: Path) -> None:
     assert recording.agent_names == ("ego",)
     assert len(recording) == 2
     assert read(run).agent_names == read(run, n_infrastructure=1, n_mobile=0).agent_names == ("ego", "infra_1")
-    with pytest.raises(ConfigurationError, match="5 frames asked for, the scene has 4"):
+    with pytest.raises(ConfigurationError, match="5 frames requested, the scene has 4"):
         AVstackScene(path=str(run)).record(0, 5)
 
 
 @pytest.mark.parametrize(
     ("parameters", "reason"),
     [
-        (dict(n_infrastructure=9), "n_infrastructure is 9, expected 0 to 1: so many static agents are in the scene"),
+        (dict(n_infrastructure=9), "n_infrastructure is 9, expected 0 to 1: the scene has 1 static agents"),
         (dict(n_infrastructure=-1), "n_infrastructure is -1, expected 0 to 1"),
-        (dict(n_mobile=1), "n_mobile is 1, expected 0 to 0: so many mobile agents besides the ego are in the scene"),
+        (dict(n_mobile=1), "n_mobile is 1, expected 0 to 0: the scene has 0 mobile agents besides the ego"),
         (dict(n_mobile=-1), "n_mobile is -1, expected 0 to 0"),
     ],
 )
-def test_a_number_of_agents_that_the_scene_cannot_meet_is_refused(run: Path, parameters: dict, reason: str) -> None:
+def test_more_agents_than_the_scene_has_are_refused(run: Path, parameters: dict, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=f"{run}: {reason}"):
         read(run, **parameters)
 
@@ -181,7 +181,7 @@ def played(*settings: str) -> dict[str, NodeSpec]:
     return scenario.resolve(path, content).nodes
 
 
-def test_all_agents_of_a_scene_with_two_cars_play_unless_fewer_are_asked_for(tmp_path: Path) -> None:
+def test_all_agents_of_a_scene_with_two_cars_are_used_by_default(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run-0", second_car=True)
     assert read(run).agent_names == ("ego", "mobile_2", "infra_1")
     assert read(run, n_mobile=0).agent_names == ("ego", "infra_1")
@@ -274,11 +274,11 @@ def damaged(run: Path, what: str) -> None:
     [
         ("truncated actors", r"objectstate-actors-0000000005-.*\.txt: .*char"),
         ("empty npcs", r"objectstate-npcs-0000000005-.*\.txt"),
-        ("no npcs of a frame", r"objects: no npcs file of frame 5 \(1 of 4"),
+        ("no npcs of a frame", r"objects: no npcs file for frame 5 \(missing for 1 of 4"),
         ("no frame in the middle", r"objects: frame 5 is followed by 7, expected 6"),
-        ("no sensor file", r"lidar-0-1: no objects file of frame 6"),
-        ("no calibration of a frame", r"data/lidar-0-0: no calib file of frame 5"),
-        ("no lidar", r"data: no folder lidar-<k>-0 of agent 0"),
+        ("no sensor file", r"lidar-0-1: no objects file for frame 6"),
+        ("no calibration of a frame", r"data/lidar-0-0: no calib file for frame 5"),
+        ("no lidar", r"data: no folder lidar-<k>-0 for agent 0"),
         ("truncated calibration", r"calib-.*000005\.txt: "),
         (
             "lidar elsewhere",
@@ -287,7 +287,7 @@ def damaged(run: Path, what: str) -> None:
         ("not a number", r"npcs-0000000005-.*data\[1\]: NaN is not a finite number"),
         ("overflow", r"npcs-0000000005-.*data\[1\]: .*not finite"),
         ("no attitude", r"npcs-0000000005-.*data\[0\]: 'attitude' is missing"),
-        ("bad quaternion", r"npcs-0000000005-.*data\[1\]: quaternion .* has not the length 1"),
+        ("bad quaternion", r"npcs-0000000005-.*data\[1\]: quaternion .* does not have length 1"),
         ("bad where", r"data\[0\]: where_is_t is 'top'"),
         ("no size", r"data\[0\]: hwl is"),
         ("same id", r"two objects have the same ID"),
@@ -313,7 +313,7 @@ def test_a_folder_with_two_runs_is_refused_with_their_names(run: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"not an archive", None])
-def test_what_is_no_scene_is_refused_by_name(tmp_path: Path, content: bytes | None) -> None:
+def test_files_that_are_not_scenes_are_refused_by_name(tmp_path: Path, content: bytes | None) -> None:
     path = tmp_path / "scene.tar.gz"
     if content is not None:
         path.write_bytes(content)
@@ -324,11 +324,11 @@ def test_what_is_no_scene_is_refused_by_name(tmp_path: Path, content: bytes | No
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda lines: lines[:-1], "no line of frame 7, agent 1"),
-        (lambda lines: [*lines, lines[2]], "line 9: frame 5 of agent 0 is in line 3 already"),
+        (lambda lines: lines[:-1], "no line for frame 7, agent 1"),
+        (lambda lines: [*lines, lines[2]], "line 9: frame 5 of agent 0 is already in line 3"),
         (lambda lines: [{"frame": 4}, *lines], "line 1: 'agent' is missing"),
         (lambda lines: [lines[0] | {"detections": [{"x": 1.0}]}, *lines[1:]], "line 1: 'y' is missing"),
-        (lambda lines: [lines[0] | {"detections": None}, *lines[1:]], "line 1: detections is no list"),
+        (lambda lines: [lines[0] | {"detections": None}, *lines[1:]], "line 1: detections is not a list"),
         (lambda lines: [lines[0] | {"detections": [{"x": float("nan")}]}, *lines[1:]], "line 1: NaN is not a finite"),
         (
             lambda lines: [
@@ -345,7 +345,7 @@ def test_damaged_detections_are_refused_with_their_line(run: Path, change: objec
         read(run)
 
 
-def test_visibility_of_what_is_not_there_is_refused(run: Path) -> None:
+def test_visibility_of_unknown_objects_is_refused(run: Path) -> None:
     lines = nothing("objects")
     lines[3]["objects"] = [[77, 5]]
     write_lines(run / "visibility.jsonl", lines)
@@ -370,7 +370,7 @@ def test_the_tiny_fixture_of_the_original_reader_is_read(carla_fixture: Path) ->
     assert np.isfinite(recording.detections.position).all()
 
 
-def test_scene_a_is_read_as_its_own_tables_have_it(scene_a: Path) -> None:
+def test_scene_a_is_read_as_in_its_own_tables(scene_a: Path) -> None:
     recording = read(scene_a)
     assert recording.agent_names == ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
     assert len(recording) == 150

@@ -32,21 +32,21 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return cache_folder()
 
 
-def test_a_scene_is_made_once(recording: Recording) -> None:
+def test_a_scene_is_recorded_once(recording: Recording) -> None:
     scene = Counted(recording)
     first, second = prepare(scene, 1, None, "a"), prepare(scene, 1, None, "a")
     assert scene.made == 1
     np.testing.assert_array_equal(first.truth.position, second.truth.position)
 
 
-def test_another_seed_configuration_or_length_is_another_scene(recording: Recording) -> None:
+def test_seed_configuration_and_length_are_part_of_the_cache_key(recording: Recording) -> None:
     scene = Counted(recording)
     for seed, frames, key in ((1, None, "a"), (2, None, "a"), (1, 5, "a"), (1, None, "b")):
         prepare(scene, seed, frames, key)
     assert scene.made == 4
 
 
-def test_without_a_key_nothing_is_kept(recording: Recording, folder: Path) -> None:
+def test_without_a_key_nothing_is_cached(recording: Recording, folder: Path) -> None:
     scene = Counted(recording)
     prepare(scene, 1, None, None)
     prepare(scene, 1, None, None)
@@ -54,7 +54,7 @@ def test_without_a_key_nothing_is_kept(recording: Recording, folder: Path) -> No
     assert not folder.exists()
 
 
-def test_a_broken_file_is_made_anew(recording: Recording, folder: Path) -> None:
+def test_a_broken_cache_file_is_recorded_again(recording: Recording, folder: Path) -> None:
     scene = Counted(recording)
     prepare(scene, 1, None, "a")
     (entry,) = folder.iterdir()
@@ -65,7 +65,7 @@ def test_a_broken_file_is_made_anew(recording: Recording, folder: Path) -> None:
     assert list(folder.iterdir()) == [entry]
 
 
-def test_changed_data_make_a_prepared_scene_stale(recording: Recording, tmp_path: Path) -> None:
+def test_changed_data_invalidate_a_prepared_scene(recording: Recording, tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     file = tmp_path / "data" / "boxes.txt"
     file.write_text("one")
@@ -78,20 +78,20 @@ def test_changed_data_make_a_prepared_scene_stale(recording: Recording, tmp_path
     assert scene.made == 3
 
 
-def test_two_may_prepare_one_scene_at_the_same_time(recording: Recording, folder: Path) -> None:
+def test_two_processes_may_prepare_a_scene_at_the_same_time(recording: Recording, folder: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
         made = list(pool.map(lambda _: prepare(Counted(recording), 1, None, "a"), range(16)))
     assert all(len(each.truth) == 3 for each in made)
     assert len(list(folder.iterdir())) == 1
 
 
-def test_a_cache_that_cannot_be_written_is_no_error(recording: Recording, folder: Path) -> None:
+def test_an_unwritable_cache_is_not_an_error(recording: Recording, folder: Path) -> None:
     folder.parent.mkdir(parents=True)
     folder.write_text("a file where the folder should be")
     assert len(prepare(Counted(recording), 1, None, "a")) == 2
 
 
-def test_the_cache_forgets_what_was_used_longest_ago(
+def test_the_cache_removes_least_recently_used_files(
     recording: Recording, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = Counted(recording)

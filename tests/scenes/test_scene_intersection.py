@@ -32,7 +32,7 @@ def footprints(recording: Recording, frame: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("scene_index", range(10))
-def test_no_two_boxes_overlap_and_none_drives_through_a_house(scene_index: int) -> None:
+def test_no_boxes_overlap_each_other_or_a_building(scene_index: int) -> None:
     recording = junction(scene_index)
     houses = shapely.STRtree(shapely.polygons(np.array(recording.buildings)))
     for frame in range(0, len(recording), 3):
@@ -78,27 +78,27 @@ def test_junctions_differ() -> None:
     assert {"truck", "bus"} <= {CLASSES[k] for recording in outlines.values() for k in recording.truth.class_id}
 
 
-def test_one_seed_one_recording() -> None:
+def test_equal_seeds_give_equal_recordings() -> None:
     one, other = junction(0), Intersection(scene_index=0).record(0, None)
     for name in ("position", "yaw"):
         np.testing.assert_array_equal(getattr(one.truth, name), getattr(other.truth, name))
         np.testing.assert_array_equal(getattr(one.detections, name), getattr(other.detections, name))
 
 
-def test_another_seed_is_other_traffic_at_the_same_junction() -> None:
+def test_another_seed_gives_other_traffic_at_the_same_junction() -> None:
     one, other = junction(0), Intersection(scene_index=0).record(1, 1)
     np.testing.assert_array_equal(one.buildings[0], other.buildings[0])
     assert not np.array_equal(one.truth_at(0).position[:10], other.truth_at(0).position[:10])
 
 
-def test_fewer_frames_are_the_beginning_of_more() -> None:
+def test_a_shorter_recording_is_the_start_of_a_longer_one() -> None:
     short, whole = Intersection(scene_index=0).record(0, 20), junction(0)
     assert len(short) == 20
     np.testing.assert_array_equal(short.truth_at(19).position, whole.truth_at(19).position)
     np.testing.assert_array_equal(short.detections_at(19, 2).position, whole.detections_at(19, 2).position)
 
 
-def test_more_agents_change_neither_the_traffic_nor_what_the_others_detect() -> None:
+def test_more_agents_change_neither_traffic_nor_other_detections() -> None:
     few = Intersection(scene_index=2, n_infrastructure=1).record(0, 15)
     many = Intersection(scene_index=2, n_infrastructure=6, n_mobile=3).record(0, 15)
     assert many.agent_names == ("ego", *(f"mobile_{k}" for k in (1, 2, 3)), *(f"infra_{k}" for k in range(1, 7)))
@@ -122,7 +122,7 @@ def test_mobile_agents_are_where_their_vehicles_are() -> None:
     assert (recording.points_at(3)[ids, range(21)] == 0).all()
 
 
-def test_poles_stand_high_beside_the_road_and_look_down_at_the_middle() -> None:
+def test_poles_are_15_m_high_beside_the_road_and_face_the_centre() -> None:
     recording = Intersection(scene_index=4, n_infrastructure=16).record(0, 1)
     position, forward = recording.agent_position[0, 1:], recording.agent_rotation[0, 1:, :, 0]
     np.testing.assert_allclose(position[:, 2], 15.0)
@@ -145,7 +145,7 @@ def test_the_detections_of_a_typical_junction_are_as_good_as_those_of_real_detec
     assert 0.75 <= (ids >= 0).mean() <= 0.9
 
 
-def test_with_a_clean_detector_detections_are_what_is_seen() -> None:
+def test_a_clean_detector_detects_every_seen_object() -> None:
     recording = Intersection(scene_index=0, detector=CleanDetector()).record(0, 10)
     assert len(recording.detections) == (recording.points >= 5).sum()
 
@@ -168,11 +168,11 @@ def test_a_scene_may_be_long_empty_slow_or_fast() -> None:
         ({"scene_index": -1}, "scene_index is -1, expected 0 or more"),
     ],
 )
-def test_senseless_parameters_are_refused_by_name(parameters: dict, reason: str) -> None:
+def test_invalid_parameters_are_refused_by_name(parameters: dict, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         Intersection(**parameters)
 
 
-def test_more_vehicles_than_have_room_are_refused() -> None:
+def test_more_vehicles_than_fit_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="no room for 5000 x"):
         Intersection(n_vehicles=5000).record(0, 1)

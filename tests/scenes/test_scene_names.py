@@ -15,7 +15,7 @@ from mast_zenoh.scenes import parse_scene
         ("av2:logs/a:b", {"type": "AV2Log", "path": "logs/a:b"}),
     ],
 )
-def test_a_short_name_stands_for_a_configuration(text: str, spec: dict) -> None:
+def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None:
     assert parse_scene(text) == spec
 
 
@@ -23,14 +23,14 @@ def test_a_short_name_stands_for_a_configuration(text: str, spec: dict) -> None:
     ("text", "reason"),
     [
         ("sumo:net.xml", "known: intersection"),
-        ("avstack", "names no path, expected avstack:PATH"),
-        ("av2:", "names no path"),
+        ("avstack", "no path, expected avstack:PATH"),
+        ("av2:", "no path"),
         ("intersection:x", "not an index"),
         ("intersecton", "did you mean 'intersection'"),
         ("carla:x", "unknown name 'carla'.*known: intersection"),
         ("", "unknown name"),
     ],
 )
-def test_an_unknown_name_is_refused_with_what_is_known(text: str, reason: str) -> None:
+def test_an_unknown_name_is_refused_with_the_known_ones(text: str, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         parse_scene(text)

@@ -23,7 +23,7 @@ def test_a_frame_is_a_slice(recording: Recording) -> None:
     assert np.shares_memory(recording.truth_at(0).position, recording.truth.position)
 
 
-def test_what_is_saved_is_loaded(recording: Recording, tmp_path: Path) -> None:
+def test_a_recording_is_loaded_as_it_was_saved(recording: Recording, tmp_path: Path) -> None:
     recording.save(tmp_path / "scene.npz")
     loaded = Recording.load(tmp_path / "scene.npz")
     assert (loaded.name, loaded.period_ns, loaded.agent_names) == ("by hand", 100_000_000, ("ego", "infra_1"))
@@ -54,7 +54,7 @@ def test_a_broken_file_is_refused_by_name(recording: Recording, tmp_path: Path, 
         Recording.load(path)
 
 
-def test_a_sound_recording_is_valid(recording: Recording) -> None:
+def test_a_valid_recording_passes_validation(recording: Recording) -> None:
     recording.validate()
 
 
@@ -70,13 +70,13 @@ def test_a_sound_recording_is_valid(recording: Recording) -> None:
         ({"agents": ()}, "2 frames and 0 agents"),
     ],
 )
-def test_an_unsound_recording_is_refused_with_the_reason(recording: Recording, change: dict, reason: str) -> None:
+def test_an_invalid_recording_is_refused_with_the_reason(recording: Recording, change: dict, reason: str) -> None:
     with pytest.raises(SceneError, match=rf"by hand: .*{reason}"):
         replace(recording, **change).validate()
 
 
 def test_two_rows_of_one_object_in_a_frame_are_refused(recording: Recording) -> None:
-    with pytest.raises(SceneError, match="frame 0 has two truth rows of one id"):
+    with pytest.raises(SceneError, match="frame 0 has two truth rows with the same id"):
         replace(recording, truth=recording.truth.with_(id=np.array([7, 7, 7]))).validate()
 
 

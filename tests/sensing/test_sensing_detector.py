@@ -33,7 +33,7 @@ def detected(detector: Detector, points: np.ndarray, frame: int = 0) -> tuple[De
     return to_world(found, POLE, DOWN), ids
 
 
-def test_the_clean_detector_finds_what_has_five_points_as_it_is() -> None:
+def test_the_clean_detector_reports_objects_with_five_points_exactly() -> None:
     found, ids = detected(CleanDetector(), np.array([0, 4, 5, 500], np.int32))
     truth = objects(4)
     assert ids.tolist() == [102, 103]
@@ -42,7 +42,7 @@ def test_the_clean_detector_finds_what_has_five_points_as_it_is() -> None:
     np.testing.assert_array_equal(found.class_id, truth.class_id[2:])
 
 
-def test_more_points_are_found_more_often() -> None:
+def test_objects_with_more_points_are_detected_more_often() -> None:
     model = DetectionModel(clutter_rate=0.0, points_scale=20.0)
     points = np.repeat(np.array([4, 10, 40, 400], np.int32), 100)
     found = np.zeros(400)
@@ -99,14 +99,14 @@ def test_the_order_of_the_objects_makes_no_difference() -> None:
     np.testing.assert_array_equal(one[0].position, other[0].position)
 
 
-def test_detections_come_best_first_and_do_not_tell_clutter_by_its_place() -> None:
+def test_detections_are_sorted_by_score_so_clutter_is_not_revealed_by_order() -> None:
     found, ids = detected(DetectionModel(clutter_rate=8.0), np.full(20, 200, np.int32))
     assert (np.diff(found.score) <= 0).all()
     assert (ids == -1).any()
     assert not (np.flatnonzero(ids == -1) >= (ids != -1).sum()).all()
 
 
-def test_without_returns_and_clutter_there_is_nothing() -> None:
+def test_without_returns_and_clutter_there_are_no_detections() -> None:
     found, ids = detected(DetectionModel(clutter_rate=0.0), np.zeros(10, np.int32))
     assert len(found) == len(ids) == 0
 
@@ -115,6 +115,6 @@ def test_without_returns_and_clutter_there_is_nothing() -> None:
     "parameters",
     [{"points_scale": 0.0}, {"clutter_rate": -1.0}, {"wrong_class": 1.5}, {"score": (0.9, 0.3)}, {"few_points": -1.0}],
 )
-def test_senseless_parameters_are_refused_by_name(parameters: dict) -> None:
+def test_invalid_parameters_are_refused_by_name(parameters: dict) -> None:
     with pytest.raises(ConfigurationError, match=r"DetectionModel: .*expected"):
         DetectionModel(**parameters)

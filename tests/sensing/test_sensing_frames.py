@@ -32,7 +32,7 @@ def test_to_sensor_is_the_inverse_of_to_world(yaw: float, pitch: float, seed: in
         np.testing.assert_allclose(getattr(back, name), values, atol=1e-9, err_msg=name)
 
 
-def test_no_detections_stay_no_detections() -> None:
+def test_empty_detections_are_transformed_to_empty_ones() -> None:
     assert len(to_world(Detections.empty(), np.zeros(3), np.eye(3))) == 0
 
 
@@ -43,7 +43,7 @@ def test_a_pitched_sensor_adds_only_its_heading_to_a_yaw() -> None:
     assert turned.yaw[0] == pytest.approx(detections.yaw[0] + heading(rotation))
 
 
-def test_what_lies_ahead_of_a_sensor_on_a_turned_car_lies_ahead_of_the_car() -> None:
+def test_a_point_ahead_of_a_sensor_on_a_rotated_car_is_ahead_of_the_car() -> None:
     position, rotation = sensor_pose(
         np.array([10.0, 0.0, 0.0]), rotation_from_yaw(np.pi / 2), np.array([1.0, 0.0, 1.8]), np.eye(3)
     )
@@ -54,7 +54,7 @@ def test_what_lies_ahead_of_a_sensor_on_a_turned_car_lies_ahead_of_the_car() -> 
     np.testing.assert_allclose(to_world(detection, position, rotation).position, [[10.0, 6.0, 0.8]], atol=1e-12)
 
 
-def test_a_camera_puts_what_is_ahead_in_the_middle_and_what_is_left_to_the_left() -> None:
+def test_a_camera_projects_points_ahead_to_the_centre_and_left_points_to_the_left() -> None:
     points = np.array([[10.0, 0.0, 1.6], [10.0, 10.0, 1.6], [10.0, 0.0, 11.6], [-10.0, 0.0, 1.6]])
     pixels, depth = Camera().project(points, np.zeros(3), np.eye(3))
     np.testing.assert_allclose(pixels[:3], [[400, 300], [0, 300], [400, -100]])

@@ -42,7 +42,7 @@ def every_beam(lidar: LidarSensor, origin: np.ndarray, rotation: np.ndarray, box
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_cast_equals_the_test_of_every_beam(seed: int) -> None:
+def test_ray_casting_equals_a_brute_force_test_of_every_beam(seed: int) -> None:
     random = np.random.default_rng(seed)
     n = 25
     boxes = (
@@ -72,7 +72,7 @@ def test_a_car_in_front_hides_the_one_behind() -> None:
     assert points[1] == 0
 
 
-def test_the_own_car_is_in_nobodys_way_and_gets_no_return() -> None:
+def test_the_own_car_occludes_nothing_and_has_no_returns() -> None:
     boxes = cars((0.0, 0.0), (20.0, 0.0))
     inside = np.array([0.0, 0.0, 1.0])
     assert lidar_points(LidarSensor(), inside, EYE, *boxes, own=0)[0] == 0
@@ -108,7 +108,7 @@ def test_the_order_of_the_boxes_makes_no_difference() -> None:
     )
 
 
-def test_no_boxes_no_points() -> None:
+def test_without_boxes_there_are_no_points() -> None:
     assert len(lidar_points(LidarSensor(), ROOF, EYE, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))) == 0
 
 
@@ -119,7 +119,7 @@ def test_in_view_is_sector_channels_and_range() -> None:
     assert in_view(points, ROOF, EYE, sector).tolist() == [True, False, False, False, False]
 
 
-def test_what_gets_returns_is_in_view() -> None:
+def test_objects_with_returns_are_in_view() -> None:
     random = np.random.default_rng(1)
     position, size, yaw = cars(*random.uniform(-90, 90, (60, 2)))
     pole, down = np.array([-20.0, 5.0, 15.0]), rotation_from_yaw_pitch(0.4, np.radians(30))

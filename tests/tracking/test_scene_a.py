@@ -40,7 +40,7 @@ def result(scene: Frames) -> tuple[list[list[ObjectStates]], list[ObjectStates]]
     return run(scene, KalmanBoxTracker3D, pipeline())
 
 
-def test_the_picture_misses_few_objects_and_invents_hardly_any(scene, result):
+def test_the_picture_misses_few_objects_and_has_few_false_ones(scene, result):
     found = score(scene, result[1])
     assert found.fn <= 1.25
     assert found.fp <= 0.15
@@ -48,7 +48,7 @@ def test_the_picture_misses_few_objects_and_invents_hardly_any(scene, result):
     assert found.id_switches <= 3
 
 
-def test_the_ego_alone_misses_what_it_cannot_see_and_invents_nothing(scene, result):
+def test_the_ego_alone_misses_unseen_objects_and_has_few_false_ones(scene, result):
     found = score(scene, [tracks[0] for tracks in result[0]])
     assert found.fn <= 6.35
     assert found.fp <= 0.05
@@ -67,7 +67,7 @@ def test_the_ego_alone_misses_what_it_cannot_see_and_invents_nothing(scene, resu
     ],
     ids=["dbscan", "optimised weights", "best member", "unfiltered"],
 )
-def test_every_other_stage_serves_as_well(scene, result, other):
+def test_every_alternative_stage_performs_as_well(scene, result, other):
     found = score(scene, run_again(scene, result[0], other))
     assert found.fn <= 1.25
     assert found.fp <= 0.15
@@ -105,7 +105,7 @@ def assert_close(a: ObjectStates, b: ObjectStates) -> None:
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9)
 
 
-def test_no_order_of_arrival_changes_a_single_bit(scene, result):
+def test_results_do_not_depend_on_the_order_of_arrival(scene, result):
     frames = 50
     random = np.random.default_rng(3)
     shuffled = Frames(scene.time_ns, [], scene.view, scene.truth, scene.ego)

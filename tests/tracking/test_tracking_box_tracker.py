@@ -41,7 +41,7 @@ def test_an_object_is_a_track_by_its_third_detection():
     assert counts[2] == 1
 
 
-def test_what_is_gone_from_view_is_soon_gone_from_the_tracks():
+def test_a_track_ends_soon_after_its_object_has_left():
     tracker = KalmanBoxTracker3D()
     settled(tracker, [20.0, 5.0], 30)
     after = [len(tracker.step(nanoseconds(30 + frame), NOTHING, view())) for frame in range(10)]
@@ -49,7 +49,7 @@ def test_what_is_gone_from_view_is_soon_gone_from_the_tracks():
     assert after[-1] == 0
 
 
-def test_what_cannot_be_seen_is_not_missed():
+def test_objects_out_of_view_do_not_count_as_missed():
     tracker = KalmanBoxTracker3D()
     before = settled(tracker, [20.0, 5.0])
     narrow = view(azimuth=0.05)
@@ -59,7 +59,7 @@ def test_what_cannot_be_seen_is_not_missed():
     assert after.score[0] > 0.98 * before.score[0]
 
 
-def test_what_stands_behind_a_lorry_is_not_missed():
+def test_objects_behind_a_lorry_do_not_count_as_missed():
     tracker = KalmanBoxTracker3D()
     lorry, car = detected([15.0, 0.0], np.pi / 2, "truck"), detected([40.0, 0.0])
     for frame in range(10):
@@ -71,7 +71,7 @@ def test_what_stands_behind_a_lorry_is_not_missed():
     assert hidden.score.min() > 0.95
 
 
-def test_an_object_seen_now_and_then_stays_one_track():
+def test_an_intermittently_detected_object_stays_one_track():
     tracker = KalmanBoxTracker3D()
     settled(tracker, [20.0, 5.0])
     ids = set()
@@ -81,7 +81,7 @@ def test_an_object_seen_now_and_then_stays_one_track():
     assert len(ids) == 1
 
 
-def test_an_object_that_comes_back_within_a_second_has_its_id_again():
+def test_an_object_that_returns_within_a_second_keeps_its_id():
     tracker = KalmanBoxTracker3D()
     before = settled(tracker, [20.0, 5.0], 20)
     for frame in range(20, 30):
@@ -91,7 +91,7 @@ def test_an_object_that_comes_back_within_a_second_has_its_id_again():
     np.testing.assert_array_equal(after.id, before.id)
 
 
-def test_after_a_long_absence_the_id_is_a_new_one():
+def test_after_a_long_absence_an_object_gets_a_new_id():
     tracker = KalmanBoxTracker3D()
     before = settled(tracker, [20.0, 5.0])
     tracker.step(nanoseconds(60), NOTHING, view())
@@ -122,7 +122,7 @@ def test_two_detections_give_a_fast_cars_velocity():
     np.testing.assert_allclose(tracks.velocity[0, :2], [33.0, 0.0], atol=3.0)
 
 
-def test_a_car_goes_where_it_points_a_pedestrian_anywhere_slowly():
+def test_cars_move_along_their_heading_and_pedestrians_in_any_direction():
     tracker = KalmanBoxTracker3D()
     tracker.step(0, joined(detected([0.0, 0.0], np.pi / 2), detected([30.0, 0.0], 0.0, "pedestrian")))
     tracks = tracker.step(
@@ -133,7 +133,7 @@ def test_a_car_goes_where_it_points_a_pedestrian_anywhere_slowly():
     assert pedestrian.max() < 2.0
 
 
-def test_the_heading_is_not_turned_by_a_detection_the_wrong_way_round():
+def test_a_reversed_detection_does_not_reverse_the_heading():
     tracker = KalmanBoxTracker3D()
     for frame in range(20):
         yaw = 0.3 + (np.pi if frame % 4 == 3 else 0.0)
@@ -142,7 +142,7 @@ def test_the_heading_is_not_turned_by_a_detection_the_wrong_way_round():
             assert abs(tracks.yaw[0] - 0.3) < 0.05
 
 
-def test_a_heading_that_began_the_wrong_way_round_follows_the_motion():
+def test_an_initially_reversed_heading_is_corrected_by_motion():
     tracker = KalmanBoxTracker3D()
     for frame in range(15):
         tracks = tracker.step(nanoseconds(frame), detected([frame * 1.0, 0.0], np.pi if frame < 3 else 0.0))
@@ -156,7 +156,7 @@ def test_the_class_is_that_of_most_detections():
     assert tracks.class_id[0] == CLASS_INDEX["truck"]
 
 
-def test_a_detection_that_says_it_is_precise_is_believed():
+def test_a_detection_with_a_small_covariance_has_a_large_weight():
     sure, unsure = KalmanBoxTracker3D(), KalmanBoxTracker3D()
     for frame in range(3):
         covariance = np.eye(3)[None] * 1e-3
@@ -165,7 +165,7 @@ def test_a_detection_that_says_it_is_precise_is_believed():
     assert a.covariance[0, 0, 0] < 0.05 * b.covariance[0, 0, 0]
 
 
-def test_errors_are_as_large_as_the_covariance_says():
+def test_errors_are_consistent_with_the_covariance():
     random = np.random.default_rng(1)
     tracker = KalmanBoxTracker3D()
     xy = np.column_stack([np.arange(20) * 15.0, np.zeros(20)])
@@ -228,7 +228,7 @@ def test_matched_names_the_row_each_track_was_updated_with():
     assert tracker.matched.tolist() == [0 if round(x) == 20 else -1 for x in tracks.position[:, 0]]
 
 
-def test_what_is_returned_is_the_callers():
+def test_returned_tracks_are_copies():
     tracker = KalmanBoxTracker3D()
     tracks = settled(tracker, [10.0, 0.0])
     tracks.position[:] = 1e6
@@ -237,7 +237,7 @@ def test_what_is_returned_is_the_callers():
     np.testing.assert_allclose(again.position[0, :2], [10.0, 0.0], atol=0.1)
 
 
-def test_reset_starts_anew():
+def test_reset_restores_the_initial_state():
     tracker = KalmanBoxTracker3D()
     first = settled(tracker, [10.0, 0.0])
     tracker.reset()
@@ -246,7 +246,7 @@ def test_reset_starts_anew():
         np.testing.assert_array_equal(column, second.columns()[name])
 
 
-def test_steps_of_any_length_and_of_none_are_fine():
+def test_steps_may_have_any_length_including_zero():
     tracker = KalmanBoxTracker3D()
     for time_s in (0.0, 0.05, 0.05, 0.3, 0.31, 1.0, 1.1):
         tracks = tracker.step(round(time_s * 1e9), detected([10.0 * time_s, 0.0]))
@@ -254,7 +254,7 @@ def test_steps_of_any_length_and_of_none_are_fine():
     assert tracks.velocity[0, 0] == pytest.approx(10.0, abs=1.5)
 
 
-def test_time_does_not_run_backwards():
+def test_an_earlier_time_is_refused():
     tracker = KalmanBoxTracker3D()
     tracker.step(100, NOTHING)
     with pytest.raises(ValueError, match="found 99, expected at least 100"):
@@ -262,12 +262,12 @@ def test_time_does_not_run_backwards():
 
 
 @pytest.mark.parametrize("name", ["detection_probability", "clutter_per_m2", "position_std_m", "jump_probability"])
-def test_a_parameter_that_makes_no_sense_is_refused_by_name(name):
+def test_an_invalid_parameter_is_refused_by_name(name):
     with pytest.raises(ValueError, match=f"{name}: found -1.0"):
         KalmanBoxTracker3D(**{name: -1.0})
 
 
-def test_a_class_that_does_not_exist_is_an_unknown_one():
+def test_an_invalid_class_is_treated_as_unknown():
     tracker = KalmanBoxTracker3D()
     for frame in range(4):
         seen = detected([10.0, 0.0])
@@ -276,7 +276,7 @@ def test_a_class_that_does_not_exist_is_an_unknown_one():
     assert tracks.class_id.tolist() == [CLASS_INDEX["unknown"]]
 
 
-def test_thousands_of_detections_are_no_trouble():
+def test_thousands_of_detections_are_processed():
     tracker = KalmanBoxTracker3D()
     random = np.random.default_rng(0)
     spread, pile = random.uniform(-300, 300, (2000, 2)), random.normal(size=(500, 2))
@@ -309,14 +309,14 @@ def test_repeated_states_are_not_counted_as_new_evidence():
     assert tracks.covariance[0, 0, 0] > 0.5 * 0.04
 
 
-def test_states_bring_their_velocity_along():
+def test_states_contribute_their_velocity():
     tracker = KalmanBoxTracker3D()
     for frame in range(3):
         tracks = tracker.step_states(nanoseconds(frame), states([2.0 * frame, 0.0], (20.0, 0.0, 0.0)))
     np.testing.assert_allclose(tracks.velocity[0], [20.0, 0.0, 0.0], atol=1e-6)
 
 
-def test_a_doubtful_report_is_not_taken_up_at_once():
+def test_a_state_with_a_low_score_is_not_confirmed_at_once():
     tracker = KalmanBoxTracker3D()
     assert len(tracker.step_states(0, states([10.0, 0.0], score=0.5))) == 0
 
@@ -326,7 +326,7 @@ def test_a_doubtful_report_is_not_taken_up_at_once():
     [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.triu(np.full((9, 9), 5.0)), np.diag([1e-300] * 9)],
     ids=["none", "negative", "huge", "not symmetric", "tiny"],
 )
-def test_no_covariance_from_outside_stops_the_tracker(covariance):
+def test_invalid_covariances_do_not_stop_the_tracker(covariance):
     tracker = KalmanBoxTracker3D()
     for frame in range(6):
         said = np.stack([np.eye(3) * 0.1, covariance[:3, :3]])

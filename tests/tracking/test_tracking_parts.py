@@ -47,7 +47,7 @@ def test_bipartite_assignment_has_the_least_total_cost(pairs):
 
 
 @given(costs, st.sampled_from([BipartiteAssignment(), GreedyAssignment()]))
-def test_nothing_is_assigned_twice_or_at_a_loss(pairs, assignment):
+def test_no_row_is_assigned_twice_or_at_positive_cost(pairs, assignment):
     row, column, cost = columns(pairs)
     chosen = assignment.match(row, column, cost)
     assert len(set(row[chosen])) == len(chosen) == len(set(column[chosen]))
@@ -55,7 +55,7 @@ def test_nothing_is_assigned_twice_or_at_a_loss(pairs, assignment):
     assert (np.diff(chosen) > 0).all()
 
 
-def test_greedy_assignment_takes_the_cheapest_pair_even_if_that_is_dear_in_total():
+def test_greedy_assignment_takes_the_cheapest_pair_even_at_a_higher_total_cost():
     row, column, cost = columns([(0, 0, -9.0), (0, 1, -8.0), (1, 0, -8.0)])
     assert GreedyAssignment().match(row, column, cost).tolist() == [0]
     assert BipartiteAssignment().match(row, column, cost).tolist() == [1, 2]
@@ -74,7 +74,7 @@ def some_tracks(n: int, seed: int = 0):
     return random, t
 
 
-def test_the_batched_filter_is_filterpys():
+def test_the_batched_filter_equals_filterpy():
     random, t = some_tracks(20)
     Q = process_noise(0.1, random.uniform(0.5, 4, 7), 0.2, 1e-3)
     direction = np.exp(1j * random.uniform(0, 6, 20))
@@ -114,14 +114,14 @@ def test_process_noise_adds_up_over_steps():
     np.testing.assert_allclose(covariances(t), whole, atol=1e-12)
 
 
-def test_a_new_cars_speed_is_open_along_its_heading_only():
+def test_a_new_cars_speed_is_uncertain_only_along_its_heading():
     covariance = first_covariance(np.eye(6)[None], np.array([np.pi / 6]), np.array([1]))[0]
     along, across = np.array([np.cos(np.pi / 6), 0.5]), np.array([-0.5, np.cos(np.pi / 6)])
     assert np.sqrt(along @ covariance[6:8, 6:8] @ along) == pytest.approx(12.0)
     assert np.sqrt(across @ covariance[6:8, 6:8] @ across) == pytest.approx(3.0)
 
 
-def test_filterpy_is_loaded_by_those_who_use_it_only():
+def test_filterpy_is_imported_only_when_used():
     code = "import sys, mast_zenoh.tracking; sys.exit('filterpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
@@ -131,14 +131,14 @@ def test_filterpy_is_loaded_by_those_who_use_it_only():
 
 @settings(max_examples=100)
 @given(st.lists(st.floats(-1e300, 1e300, allow_nan=False), min_size=9, max_size=9))
-def test_any_finite_matrix_is_made_sound(values):
+def test_any_finite_matrix_is_repaired(values):
     result = sound(np.array(values).reshape(1, 3, 3))
     assert np.isfinite(np.linalg.inv(result)).all()
     assert np.linalg.eigvalsh(result).min() > 0
     np.testing.assert_array_equal(result, result.transpose(0, 2, 1))
 
 
-def test_a_sound_covariance_is_left_as_it_is():
+def test_a_valid_covariance_is_unchanged():
     P = covariances(some_tracks(4)[1])
     P = 0.5 * (P + P.transpose(0, 2, 1))
     np.testing.assert_array_equal(sound(P), P)
@@ -148,7 +148,7 @@ def test_a_sound_covariance_is_left_as_it_is():
 
 
 @pytest.mark.parametrize("coupled", [True, False])
-def test_the_inverse_is_that_of_the_whole_matrix_whatever_is_coupled(coupled):
+def test_the_blockwise_inverse_equals_the_full_inverse(coupled):
     P = covariances(some_tracks(7)[1])
     if not coupled:
         block = np.array([0, 0, 1, 2, 3, 4, 0, 0, 1])
@@ -193,13 +193,13 @@ def test_a_full_turn_has_no_edge_behind():
     assert roof.expects(boxes([[-20.0, 0.0, 0.0], [-20.0, -0.01, 0.0]], CAR), NO_BOXES).tolist() == [1.0, 1.0]
 
 
-def test_an_object_hides_what_is_behind_it_but_not_what_is_beside_or_before_it():
+def test_an_object_occludes_only_objects_behind_it():
     cars = boxes([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7], [8.0, 0.0, 0.7], [-40.0, 0.0, 0.7]], CAR)
     lorry = boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])
     assert all_round([0.0, 0.0, 1.8]).expects(cars, lorry).tolist() == [0.0, 1.0, 1.0, 1.0]
 
 
-def test_what_is_hidden_is_not_expected():
+def test_occluded_objects_are_not_expected():
     roof = SensorView(np.array([0.0, 0.0, 1.8]), np.eye(3), -np.pi, np.pi, -0.3, 0.3, 50.0)
     cars = boxes([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7]], CAR)
     assert roof.expects(cars, boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])).tolist() == [0.0, 1.0]
@@ -210,7 +210,7 @@ def test_a_pole_looks_over_a_car():
     assert all_round([0.0, 0.0, 15.0]).expects(behind, before).tolist() == [1.0]
 
 
-def test_nothing_hides_itself():
+def test_no_object_occludes_itself():
     cars = boxes([[40.0, 0.0, 0.7], [60.0, 30.0, 0.7]], CAR)
     assert all_round([0.0, 0.0, 0.0]).expects(cars, cars).tolist() == [1.0, 1.0]
 
@@ -229,6 +229,6 @@ def test_nothing_hides_itself():
         ((1.0, 1.0), np.pi / 2, True),
     ],
 )
-def test_cars_are_one_where_they_would_overlap(offset, yaw, same):
+def test_overlapping_cars_are_one_object(offset, yaw, same):
     size = np.array([[4.5, 1.8, 1.5]])
     assert overlap(np.array([offset]), size, np.zeros(1), size, np.array([yaw]), ONE_OBJECT)[0] == same

@@ -51,7 +51,7 @@ def run(world, assignment=None, **sensor):
 
 
 @pytest.mark.parametrize("world", [motorway, stop_and_go, junction, pavement])
-def test_hardly_anything_is_missed_or_invented_and_ids_last(world):
+def test_few_objects_are_missed_or_false_and_ids_persist(world):
     result = run(world)
     assert result["fn"] <= 0.10
     assert result["fp"] <= 0.15
@@ -64,7 +64,7 @@ def test_a_lane_change_in_one_step_keeps_the_id():
 
 
 @pytest.mark.parametrize("error", [0.3, 0.8, np.pi / 2])
-def test_cars_whose_heading_is_measured_wrong_are_followed_all_the_same(error):
+def test_cars_with_wrong_measured_headings_are_tracked(error):
     def askew(random):
         return [("car", (lambda t, y=8.0 * row: (15.0 * t - 60.0, y - 20.0, error))) for row in range(6)]
 
