@@ -1,7 +1,6 @@
-"""What the columns of a message must be, by their schema: dtype, shape, and the limits of their values.
+"""Layout of a message's columns, from its schema: dtype, shape, and limits of values.
 
-Nearly all messages are as they must be, and that is found out here in one go. What is odd about the others, `flaws`
-says.
+Nearly all messages are valid, which is checked here in one pass. For the others, `validation` explains the error.
 """
 
 from __future__ import annotations
@@ -21,15 +20,15 @@ from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Schema
 MAX_BYTES = 16 * 1024 * 1024  #: no message is longer
 MAX_ROWS = 100_000  #: no column has more rows
 MAX_TEXT = 256  #: characters in one string
-MAX_MAGNITUDE = 1e9  #: no quantity of a scene in SI units comes near it; more would overflow the filters
-LEAST_QUATERNION = 1e-3  #: length of a quaternion; they are normalised by those who use them
+MAX_MAGNITUDE = 1e9  #: far above any quantity of a scene in SI units; larger values would overflow the filters
+MIN_QUATERNION = 1e-3  #: length of a quaternion; nodes normalise quaternions before use
 
-#: By dtype of a column: what it is in memory, little-endian, and what it is called in a message.
+#: By dtype of a column: its NumPy dtype in memory (little-endian), and its name in a message.
 WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")}
 DTYPE_NAME = {name: dtype.str for name, dtype in WIRE_DTYPE.items()} | {"str": "str"}
 assert sys.byteorder == "little", "columns are sent as they lie in memory"
 
-#: By name of a column of indices: what they are below; 256 of others.
+#: Exclusive upper limit of the values of a column of indices, by its name; 256 for others.
 INDEX_LIMITS = {"class_id": len(CLASSES), "action": 3, "port": 5, "fate": 5}
 
 MAX_SQUARES = MAX_MAGNITUDE**2
@@ -37,7 +36,7 @@ _MAX_PLANS = 1024
 
 
 class Planned(NamedTuple):
-    """What one column of a body of known sizes must hold; `dtype` is None for text. `limit`: see `_limit`."""
+    """What one column of a body of known sizes must hold; `dtype` is None for text; `limit` as from `_limit`."""
 
     name: str
     dtype: np.dtype[Any] | None
@@ -49,21 +48,21 @@ class Planned(NamedTuple):
 
 
 def index_limit(column: Column) -> int:
-    """What an index in this column must be below."""
+    """Exclusive upper limit of the indices in a column."""
     return INDEX_LIMITS.get(column.name.removeprefix("add_").removeprefix("remove_").removeprefix("move_"), 256)
 
 
 def _limit(column: Column) -> float:
-    """What the values of a column are held to besides being finite: 0 for nothing. Of text the length."""
+    """The limit of a column's values: text length, index, or squared quaternion length; 0 for none."""
     if column.dtype == "str":
         return MAX_TEXT
     if column.dtype == "uint8":
         return index_limit(column)
-    return LEAST_QUATERNION**2 if column.dtype == "float64" and column.name.endswith("rotation") else 0.0
+    return MIN_QUATERNION**2 if column.dtype == "float64" and column.name.endswith("rotation") else 0.0
 
 
 class Layout:
-    """The shapes that the columns of one schema must have, for given sizes of its letters; remembered."""
+    """The shapes of one schema's columns for given sizes of its letters, cached."""
 
     def __init__(self, schema: Schema) -> None:
         # for each letter, the column and the axis that give its size
@@ -75,25 +74,25 @@ class Layout:
         self._sources = tuple(self._letters.values())
         self._schema = schema
         self._plans: dict[tuple[int, ...], list[Planned]] = {}
-        self._fit: set[tuple[int, ...]] = set()  # sizes with which a message is not too long
+        self._fitting: set[tuple[int, ...]] = set()  # sizes of messages within MAX_BYTES
 
     def named(self, sizes: tuple[int, ...]) -> dict[str, int]:
         """The sizes by letter."""
         return dict(zip(self._letters, sizes, strict=True))
 
     def plan(self, sizes: tuple[int, ...]) -> list[Planned]:
-        """For every column what a body must hold; `sizes` are those of the letters, in their order.
+        """What every column of a body must hold; `sizes` are those of the letters, in their order.
 
-        Raises ValueError if one is no size.
+        Raises ValueError for an invalid size.
         """
         plan = self._plans.get(sizes)
         if plan is None:
             if not all(type(size) is int and 0 <= size <= MAX_ROWS for size in sizes):
                 raise ValueError
-            of = self.named(sizes)
+            size_of = self.named(sizes)
             plan = []
             for column in self._schema.columns:
-                shape = tuple(of[size] if isinstance(size, str) else size for size in column.shape)
+                shape = tuple(size_of[size] if isinstance(size, str) else size for size in column.shape)
                 dtype = WIRE_DTYPE.get(column.dtype)
                 n_bytes = prod(shape) * (dtype.itemsize if dtype else 0)
                 name = DTYPE_NAME[column.dtype]
@@ -103,11 +102,11 @@ class Layout:
         return plan
 
     def sizes(self, body: Body) -> tuple[int, ...]:
-        """The sizes of the letters, from arrays; raises KeyError or IndexError where a column or an axis is missing."""
+        """The sizes of the letters, from arrays; raises KeyError or IndexError if a column or an axis is missing."""
         return tuple([body[name].shape[axis] for name, axis in self._sources])
 
-    def quick(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
-        """The columns of a packed body with nothing odd about it; None where there is, whatever it may be."""
+    def unpack(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """The columns of a packed body; None if it is invalid in any way."""
         try:
             plan = self.plan(tuple([body[name][1][axis] for name, axis in self._sources]))
         except (KeyError, IndexError, TypeError, ValueError):
@@ -115,21 +114,21 @@ class Layout:
         columns = packed_columns(body, plan)
         return columns if columns is not None and sound_values(columns, plan) <= MAX_SQUARES else None
 
-    def sound(self, body: Body) -> bool:
-        """Whether there is nothing odd about the values of a body that `conform` made; what it is, others find out."""
+    def is_valid(self, body: Body) -> bool:
+        """Whether the values of a body that `conform` made are valid."""
         sizes = self.sizes(body)
         plan = self.plan(sizes)
-        if sizes not in self._fit:
+        if sizes not in self._fitting:
             if sum([planned.n_bytes for planned in plan]) > MAX_BYTES:
                 return False
-            if len(self._fit) < _MAX_PLANS:
-                self._fit.add(sizes)
+            if len(self._fitting) < _MAX_PLANS:
+                self._fitting.add(sizes)
         return sound_values(body, plan) <= MAX_SQUARES
 
 
 @kernel
 def packed_columns(body: Mapping[str, Any], plan: list[Planned]) -> dict[str, NDArray[Any]] | None:
-    """The columns of a packed body, if all are as planned; their values may be anything."""
+    """The columns of a packed body if all match the plan, else None; values are not checked."""
     columns: dict[str, NDArray[Any]] = {}
     for planned in plan:
         packed = body.get(planned.name)
@@ -155,7 +154,7 @@ def packed_columns(body: Mapping[str, Any], plan: list[Planned]) -> dict[str, ND
 
 @kernel
 def exact_columns(body: Mapping[str, Any], plan: list[Planned]) -> dict[str, NDArray[Any]] | None:
-    """The columns of a body, read-only, if they are arrays as planned, of contiguous memory."""
+    """The columns of a body, read-only, if they are contiguous arrays that match the plan, else None."""
     columns: dict[str, NDArray[Any]] = {}
     for planned in plan:
         array = body.get(planned.name)
@@ -173,11 +172,11 @@ def exact_columns(body: Mapping[str, Any], plan: list[Planned]) -> dict[str, NDA
 
 @kernel
 def sound_values(columns: Mapping[str, NDArray[Any]], plan: list[Planned]) -> float:
-    """The sum of the squares of all that is float64; infinite where anything else is beyond its limit.
+    """The sum of the squares of all float64 values; infinite if another value is beyond its limit.
 
-    columns: arrays as planned
+    columns: arrays that match the plan
     """
-    # All numbers at once. Less than the limit in all is less than what a column may have by itself.
+    # All numbers at once: if the total is within the limit, so is every column.
     squares = 0.0
     for planned in plan:
         array = columns[planned.name]
