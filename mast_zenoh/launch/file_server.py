@@ -158,7 +158,7 @@ class Depot:
             self._mismatch(error)
             raise error
         resolved = self._resolved()
-        self._kept[node] = kept = dict(belongings(resolved, node, self._folder))
+        self._kept[node] = kept = dict(files_for_node(resolved, node, self._folder))
         sizes = {path: len(c) if isinstance(c, bytes) else c.stat().st_size for path, c in kept.items()}
         written = [path for path in written_by(resolved, node) if (self._folder / path).exists()]
         return {"files": sizes, "without": self._without(node), "written": written}
@@ -183,7 +183,7 @@ def _asked(query: zenoh.Query) -> tuple[str, str]:
     return what, node
 
 
-def belongings(resolved: Resolved, node: str, folder: Path) -> Iterator[tuple[str, bytes | Path]]:
+def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tuple[str, bytes | Path]]:
     """What a node needs: name and content, or the file with it. Paths inside are those that it will find there."""
     spec = resolved.nodes[node]
     places: dict[Path, str] = {}

@@ -1,4 +1,4 @@
-"""What is no control message takes no room of those that wait: it is refused where it comes."""
+"""Malformed control messages are refused on arrival and take no room in a queue."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mast_zenoh.launch.mesh_run import Launch
 launch, depot = findings.launch, findings.depot  # fixtures
 
 
-def test_malformed_acts_take_no_room_of_what_the_driver_asks_for(launch: Launch) -> None:
+def test_malformed_acts_take_no_room_from_valid_ones(launch: Launch) -> None:
     asked = flow.encode_act(3, [("kill", "ego")])
     for payload in [*RUBBISH * 200, asked]:
         launch._ask(payload)
@@ -27,7 +27,7 @@ def test_malformed_acts_take_no_room_of_what_the_driver_asks_for(launch: Launch)
     assert launch.invalid.counts == {"act": len(RUBBISH) * 200}
 
 
-def test_malformed_requests_take_no_room_of_sound_ones(launch: Launch) -> None:
+def test_malformed_requests_take_no_room_from_valid_ones(launch: Launch) -> None:
     interceptions = Interceptions(launch, MagicMock(), MagicMock(children={}))
     sound = Query("intercept", seal({"do": "release", "name": "eve", "wire": None}, interceptions._secret))
     forged = [Query("intercept", payload) for payload in [*RUBBISH * 20, seal({"do": "release"}, b"guessed")]]
@@ -39,7 +39,7 @@ def test_malformed_requests_take_no_room_of_sound_ones(launch: Launch) -> None:
     assert interceptions._requests.empty()
 
 
-def test_malformed_questions_take_no_room_of_sound_ones(
+def test_malformed_queries_take_no_room_from_valid_ones(
     depot: Depot, launch: Launch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on, give = threading.Event(), depot._give

@@ -14,7 +14,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import HandlerFailed, VersionMismatch
 from mast_zenoh.launch import latency
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.launch.file_server import belongings
+from mast_zenoh.launch.file_server import files_for_node
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.explain import explain
 
@@ -87,7 +87,7 @@ def test_a_users_own_files_and_what_they_import_from_beside_reach_the_nodes(tmp_
     resolved = scenario.resolve(path, loaded, frames=3, record=True)
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     assert here.error is None
-    sent = {name: dict(belongings(resolved, name, here.folder)) for name in ("ego", "command_center")}
+    sent = {name: dict(files_for_node(resolved, name, here.folder)) for name in ("ego", "command_center")}
     assert {path for path in sent["ego"] if path.endswith(".py")} == {
         "files/0/my_agent.py",
         "files/0/my_scenario.py",

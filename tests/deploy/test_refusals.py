@@ -20,7 +20,7 @@ from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.compose.containers import connected_as
 from mast_zenoh.errors import BackendError, DiskFull, EngineError, RunError
 from mast_zenoh.launch import run
-from mast_zenoh.launch.file_server import belongings, with_neighbours
+from mast_zenoh.launch.file_server import files_for_node, with_neighbours
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.runtime.file_client import _below, written_by
 
@@ -160,10 +160,10 @@ def test_a_node_gets_its_own_file_with_what_it_imports_and_nobody_elses(tmp_path
 
 def test_the_scene_goes_to_whoever_drives_it_and_to_nobody_else(tmp_path: Path) -> None:
     resolved = small()
-    files = {name: {path for path, _ in belongings(resolved, name, tmp_path)} for name in resolved.nodes}
+    files = {name: {path for path, _ in files_for_node(resolved, name, tmp_path)} for name in resolved.nodes}
     assert files["simulator"] == {"scenario.json", "wiring.json", "files/0/simulator.py", "scene.npz"}
     assert files["ego"] == {"scenario.json", "wiring.json", "files/0/agent.py"}
-    told = dict(belongings(resolved, "ego", tmp_path))["scenario.json"]
+    told = dict(files_for_node(resolved, "ego", tmp_path))["scenario.json"]
     assert isinstance(told, bytes)
     assert str(Path(__file__).parents[2]).encode() not in told, "no path of the launcher's machine"
 

@@ -325,7 +325,7 @@ class MeshNode:
                 self.host.joined(name, members[name])
         if told is not None:
             self.rewiring.follow(told)
-            if told.speak and told.wiring != self.host.wiring:
+            if told.active and told.wiring != self.host.wiring:
                 self.host.rewired(told.wiring)
         early, self._early, self._early_room = self._early, [], Room(EARLY)
         for message in early:

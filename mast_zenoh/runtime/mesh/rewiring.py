@@ -102,7 +102,7 @@ class Rewiring:
         self.leaving, self._questions = self._node.name in told.leaving, 0
         if self.leaving and self._node.lockstep:
             self._node.host.flush()
-        if told.speak:
+        if told.active:
             self._switch(told)
 
     def handle(self, event: tuple[Any, ...]) -> None:
@@ -292,15 +292,15 @@ class Rewirer:
             return self._begin()
         assert self.told is not None
         late = time.monotonic() - self._since > CHANGE_TIMEOUT_S
-        if not self.told.speak and not change.join.keys() <= driver.alive:
+        if not self.told.active and not change.join.keys() <= driver.alive:
             return self._call_off(change, f"{', '.join(change.join)} ended before it took part")
         if driver.pacer.silent or driver.rewiring.busy:
-            if late and not self.told.speak:
+            if late and not self.told.active:
                 return self._call_off(change, f"not ready within {CHANGE_TIMEOUT_S:.0f} s: {self._missing()}")
             if not late:
                 return True
             driver.host.log.warning("the wiring has changed, but not a word from %s", self._missing())
-        if not self.told.speak:
+        if not self.told.active:
             for name in change.leave:
                 driver.expected.pop(name, None)
             change.frame = driver.frames  # in real time the next may begin before all have said that they have switched
