@@ -1,4 +1,4 @@
-"""Whatever can go wrong, at random: a list of faults drawn from a seed, all of them healed before the run ends."""
+"""Random faults, drawn from a seed and all healed before the run ends."""
 
 from baseline import scenario as baseline
 
@@ -17,11 +17,11 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """chaos_seed: of the faults; settle_s: at the end, without any; most_faults: at most; servers: hit like agents;
+    """chaos_seed: seed of the faults; settle_s: time without faults at the end; most_faults: their greatest number;
 
-    n_infrastructure: None: two on a generated junction, else all that the scene has.
+    servers: nodes that faults can affect besides agents; n_infrastructure: None: two on a generated junction, else all.
 
-    The scene, and all draws in it, are those of the run's own seed: runs of two chaos seeds differ by their faults.
+    The scene and its random draws depend on the run's own seed: runs of two chaos seeds differ by their faults only.
     """
     if n_infrastructure is None and str(scene).startswith("intersection"):
         n_infrastructure = 2
