@@ -188,8 +188,8 @@ def _unpack(payload: bytes, expected: str) -> tuple[Header, Any]:
     schema, version, source, frame, time_ns, seq, body = [fields[name] for name in _HEADER_KEYS]
     expected_version = SCHEMAS[expected].version
     if schema != expected or type(version) is not int or version != expected_version:
-        found = f"{str(schema)[:40]} version {str(version)[:10]}"
-        raise MessageError(f"{expected}: found {found}, expected {expected} version {expected_version}")
+        actual = f"{str(schema)[:40]} version {str(version)[:10]}"
+        raise MessageError(f"{expected}: found {actual}, expected {expected} version {expected_version}")
     header = Header(expected, source, frame, time_ns, seq)
     _check_header(header)
     return header, body

@@ -98,5 +98,5 @@ def check_references(message: Message) -> None:
 def names_differ(schema: str, body: Any, columns: tuple[Column, ...]) -> str:
     """An error message that lists the missing and the unknown columns of a body."""
     expected = {column.name for column in columns}
-    found = set(map(str, body)) if isinstance(body, Mapping) else set()
-    return f"{schema}: columns missing: {sorted(expected - found)}, unknown: {sorted(found - expected)[:8]}"
+    actual = set(map(str, body)) if isinstance(body, Mapping) else set()
+    return f"{schema}: columns missing: {sorted(expected - actual)}, unknown: {sorted(actual - expected)[:8]}"

@@ -97,8 +97,8 @@ def interposer_of(wiring: Wiring, wire: str) -> str:
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
     interposers = wires[wire].interposers
     if len(interposers) != 1:
-        found = ", ".join(interposers) or "no node"
-        raise WiringError(f"the wire {wire!r}: found {found} on it, expected one: name the node instead")
+        names = ", ".join(interposers) or "no node"
+        raise WiringError(f"the wire {wire!r}: found {names} on it, expected one: name the node instead")
     return interposers[0]
 
 

@@ -270,8 +270,8 @@ def to_text(wiring: Wiring) -> str:
     lines = []
     for wire in wiring.wires:
         marker = "*" if wire.interposers else " "
-        first, *rest = wire.legs
-        chain = f"{first.publisher.node} ─▶ " + "".join(f"[{leg.publisher.node}] ─▶ " for leg in rest)
+        first, *remaining = wire.legs
+        chain = f"{first.publisher.node} ─▶ " + "".join(f"[{leg.publisher.node}] ─▶ " for leg in remaining)
         branch_chains = {
             branch.subscriber: "".join(f"[{leg.publisher.node}] ─▶ " for leg in branch.legs) for branch in wire.branches
         }
