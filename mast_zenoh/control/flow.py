@@ -74,18 +74,18 @@ def decode_counts(payload: bytes) -> Counts:
 
 def encode_epoch(number: int, members: Mapping[str, str], update: WiringUpdate | None) -> bytes:
     """Encode an Epoch."""
-    plain = None if update is None else [update.wiring.to_json(), update.active, list(update.leaving)]
-    packed: bytes = msgpack.packb([number, dict(members), plain])
+    change = None if update is None else [update.wiring.to_json(), update.active, list(update.leaving)]
+    packed: bytes = msgpack.packb([number, dict(members), change])
     return packed
 
 
 def decode_epoch(payload: bytes) -> Epoch:
     """Decode an Epoch; raises MessageError."""
-    number, members, plain = fields.items(fields.unpack(payload, "epoch"), 3, "epoch")
+    number, members, change = fields.items(fields.unpack(payload, "epoch"), 3, "epoch")
     fields.whole(number, "epoch: number", 1, MAX_EPOCH)
     update = None
-    if plain is not None:
-        wiring, active, leaving = fields.items(plain, 3, "epoch: wiring update")
+    if change is not None:
+        wiring, active, leaving = fields.items(change, 3, "epoch: wiring update")
         update = WiringUpdate(
             wiring_of(wiring, "epoch: wiring"),
             fields.flag(active, "epoch: active"),

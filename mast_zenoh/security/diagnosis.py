@@ -76,7 +76,7 @@ class Facts:
 
 #: Meaning of a router's alert, by OpenSSL's name for it.
 _VERDICTS = {
-    "CERTIFICATE_REQUIRED": "it admits nobody without a certificate, and none was shown",
+    "CERTIFICATE_REQUIRED": "it requires a certificate, and none was shown",
     "UNKNOWN_CA": "another authority has issued ours than the one it trusts",
     "CERTIFICATE_EXPIRED": "it finds ours expired: compare the clocks of the two hosts",
     "CERTIFICATE_UNKNOWN": "it does not accept ours",
