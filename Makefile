@@ -4,10 +4,14 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run test fuzz insiders lint bench docs lock dist clean
+.PHONY: run dev test fuzz insiders lint bench docs lock dist clean
 
-run: .venv/ready
+# Installs what running needs; the other targets add the tools for tests and development.
+run: .venv/installed
 	$(BIN)/mast study case_study
+
+# All optional packages and the tools for tests and development.
+dev: .venv/ready
 
 # Three at a time, also on two cores: tests that start processes wait for most of their time. Those of a file share what is
 # slow to make, so they stay together.
@@ -37,10 +41,12 @@ bench: .venv/ready
 docs: .venv/ready
 	$(BIN)/python tools/generate_docs.py docs
 
-# After a change of dependencies in pyproject.toml; `make lock UPGRADE=--upgrade` takes the newest versions of all.
+# Run this after changing dependencies in pyproject.toml. `make lock UPGRADE=--upgrade` takes the newest versions of all.
+# The lock file for running is a subset of the one for development: the same versions, with the same hashes.
 LOCK := $(TOOLS)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --custom-compile-command 'make lock'
 lock: .venv/tools/ready
 	$(LOCK) $(UPGRADE) --extra dev --output-file requirements-dev.txt pyproject.toml
+	$(LOCK) --constraint requirements-dev.txt --group build --output-file requirements.txt pyproject.toml
 	$(LOCK) $(UPGRADE) --group tools --output-file requirements-tools.txt
 
 # What is released: source archive, wheel, and the bill of materials (CycloneDX) of the wheel and all that it needs.
@@ -52,13 +58,17 @@ dist: .venv/ready .venv/tools/ready
 	$(TOOLS)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file dist/mast-zenoh.cdx.json dist/installed
 	rm -rf dist/installed
 
-# Kernels are compiled when the package is installed: again when their sources have changed. Third parties' packages are those of
-# the lock file, to the byte; --no-build-isolation, or the build would take others.
-.venv/ready: pyproject.toml requirements-dev.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd)
+# Kernels are compiled when the package is installed, and again when their sources change. Other packages are exactly those of
+# the lock file. --no-build-isolation makes the build use them too.
+.venv/installed: pyproject.toml requirements.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed, this is " + sys.version'
 	$(PYTHON) -m venv .venv
-	$(BIN)/$(PIP) --require-hashes --requirement requirements-dev.txt
+	$(BIN)/$(PIP) --require-hashes --requirement requirements.txt
 	$(BIN)/$(PIP) --no-deps --no-build-isolation --editable .
+	touch $@
+
+.venv/ready: requirements-dev.txt | .venv/installed
+	$(BIN)/$(PIP) --require-hashes --requirement requirements-dev.txt
 	touch $@
 
 .venv/tools/ready: requirements-tools.txt

@@ -50,9 +50,10 @@ def compiled(root: Path, folder: Path) -> list[Path]:
 
     sys.path.insert(0, str(root / PACKAGE))
     from source_digest import digest  # type: ignore[import-not-found]
+    from table_columns import macros as columns  # type: ignore[import-not-found]
 
     flags = [] if sys.platform == "win32" else FLAGS
-    macros = [("SOURCE_DIGEST", f'"{digest()}"'), ("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")]
+    macros = [("SOURCE_DIGEST", f'"{digest()}"'), ("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION"), *columns()]
     names = sorted(path.stem for path in (root / PACKAGE).glob("*.pyx"))
     extensions = [
         Extension(

@@ -1,31 +1,33 @@
-"""The one error tree. Every leaf that ends a command has its own exit code (docs/exit_codes.md).
+"""All errors of this package, as one tree.
 
-    MastError                     1   anything not named below
-    ├── ConfigurationError       10   a scenario or study is wrong
-    │   ├── WiringError          11   a key-expression map or rewrite is wrong
+Each error that can end a command has its own exit code (docs/exit_codes.md).
+
+    MastError                     1   any error that is not listed below
+    ├── ConfigurationError       10   a scenario or study is invalid
+    │   ├── WiringError          11   a key-expression map or rewrite is invalid
     │   └── NodeFileError        12   a node's file is missing or does not define the node
     ├── SceneError               13   a scene's data is missing, truncated or inconsistent
     ├── MessageError             14   bytes that are not a message of the expected schema
     ├── RunFolderError           15   a run folder is missing, incomplete or already in use
     │   └── NotComparable        17   two runs cannot be compared
     ├── CredentialsError         16   a certificate or key is missing, expired or refused
-    └── RunError                 20   a run ended badly
-        ├── StartError           21   the nodes did not all come up in time
-        ├── NodeDied             22   a node whose policy is `fail` ended
+    └── RunError                 20   a run failed
+        ├── StartError           21   a node did not start in time
+        ├── NodeDied             22   a node whose `on_exit` policy is `fail` ended before the run
         ├── StallError           23   lock-step made no progress in time
         ├── TrialsFailed         24   some trials of a study failed; the others are kept
-        ├── BackendError         25   this machine cannot carry out a fault
-        ├── NotRunning           26   a run that is to be changed does not run
-        ├── EngineError          27   an engine, a host or an image is missing, out of reach, or has failed
-        ├── DiskFull             28   there is no room for what a run writes
-        ├── VersionMismatch      29   a node elsewhere runs another version
-        ├── HandlerFailed        30   a handler of a node raised an exception: the numbers may be wrong
-        ├── ImplausibleCounts    31   a node reports messages that it cannot have sent or handled
-        ├── ServiceDied          32   a part of the launcher that serves the nodes has ended
-        ├── NodeLost             33   a node was lost in lock-step though nothing in the scenario said so
+        ├── BackendError         25   this machine or runtime cannot carry out a fault
+        ├── NotRunning           26   the run to be changed is not running
+        ├── EngineError          27   an engine, a host or an image is missing, unreachable or has failed
+        ├── DiskFull             28   there is no space for the files of a run
+        ├── VersionMismatch      29   a remote node has another version than the launcher
+        ├── HandlerFailed        30   a node's handler raised an exception, so the numbers may be wrong
+        ├── ImplausibleCounts    31   a node reports impossible message counts
+        ├── ServiceDied          32   a service of the launcher has ended
+        ├── NodeLost             33   a node was lost in lock-step, unplanned
         └── Interrupted         130   Ctrl-C, SIGTERM or SIGHUP
 
-A usage error on the command line exits with 2, as everywhere.
+A usage error on the command line exits with 2, as usual.
 """
 
 from __future__ import annotations
@@ -36,19 +38,19 @@ from collections.abc import Iterable
 
 
 class MastError(Exception):
-    """Root of all errors this package raises on purpose; `exit_code` is the command line's."""
+    """Base of all errors that this package raises; `exit_code` is the exit code of the command."""
 
     exit_code = 1
 
 
 class ConfigurationError(MastError):
-    """A scenario or study is wrong: names the file, the path inside it, what was found and expected."""
+    """A scenario or study is invalid: names the file, the path inside it, what was found and what was expected."""
 
     exit_code = 10
 
 
 class WiringError(ConfigurationError):
-    """A key-expression map, a rewrite, or what they resolve to is wrong."""
+    """A key-expression map, a rewrite or the resulting wiring is invalid."""
 
     exit_code = 11
 
@@ -66,7 +68,7 @@ class SceneError(MastError):
 
 
 class MessageError(MastError):
-    """Bytes that are not a message of the expected schema. Costs one message, never a node."""
+    """Bytes are not a message of the expected schema. The message is dropped; the node continues."""
 
     exit_code = 14
 
@@ -78,7 +80,7 @@ class RunFolderError(MastError):
 
 
 class NotComparable(RunFolderError):
-    """Two runs cannot be compared: they play different scenes or lengths, or one has no results. Says in what."""
+    """Two runs cannot be compared: names the difference in scene or length, or the run without results."""
 
     exit_code = 17
 
@@ -90,61 +92,61 @@ class CredentialsError(MastError):
 
 
 class RunError(MastError):
-    """A run ended badly."""
+    """A run failed."""
 
     exit_code = 20
 
 
 class StartError(RunError):
-    """The nodes did not all come up in time."""
+    """At least one node did not start in time."""
 
     exit_code = 21
 
 
 class NodeDied(RunError):
-    """A node whose `on_exit` policy is `fail` ended before the run did."""
+    """A node whose `on_exit` policy is `fail` ended before the run."""
 
     exit_code = 22
 
 
 class StallError(RunError):
-    """Lock-step made no progress in time: names what each node still owes."""
+    """Lock-step made no progress in time: names the nodes that it waited for."""
 
     exit_code = 23
 
 
 class TrialsFailed(RunError):
-    """Some trials of a study failed: names each with the command that runs it alone; the others are kept."""
+    """Some trials of a study failed: names each, with the command that runs it alone. The others are kept."""
 
     exit_code = 24
 
 
 class BackendError(RunError):
-    """This machine, or this way of running, cannot carry out a fault: says what lacks, and what to install."""
+    """This machine or runtime cannot carry out a fault: names what is missing and what to install."""
 
     exit_code = 25
 
 
 class NotRunning(RunError):
-    """A run that is to be changed does not run any more, plays in one process, or does not answer."""
+    """The run to be changed is over, runs in one process, or does not answer."""
 
     exit_code = 26
 
 
 class EngineError(RunError):
-    """An engine, a host or an image is missing, out of reach, or has failed: says which, and what to do."""
+    """An engine, a host or an image is missing, unreachable or has failed: says which, and what to do."""
 
     exit_code = 27
 
 
 class DiskFull(RunError):
-    """There is no room for what a run writes: names the place, what is free and what is needed."""
+    """There is no space for the files of a run: names the place, the free and the required space."""
 
     exit_code = 28
 
 
 class VersionMismatch(RunError):
-    """A node elsewhere runs another version than the launcher: names both."""
+    """A remote node has another version than the launcher: names both."""
 
     exit_code = 29
 
@@ -156,35 +158,35 @@ class HandlerFailed(RunError):
 
 
 class ImplausibleCounts(RunError):
-    """A node reports messages that it cannot have sent or handled, so lock-step cannot go by it: names the node."""
+    """A node reports impossible message counts, so lock-step cannot rely on them: names the node."""
 
     exit_code = 31
 
 
 class ServiceDied(RunError):
-    """A part of the launcher that serves the nodes has ended, so what they ask for or hand in is lost: names it."""
+    """A service of the launcher has ended, so requests and results of nodes are lost: names the service."""
 
     exit_code = 32
 
 
 class NodeLost(RunError):
-    """A node was lost in lock-step though nothing in the scenario said so: names it and the frame."""
+    """A node was lost in lock-step although the scenario did not plan it: names the node and the frame."""
 
     exit_code = 33
 
 
 class Interrupted(RunError):
-    """The run was stopped by Ctrl-C, SIGTERM or SIGHUP; what was recorded up to then is kept."""
+    """The run was stopped by Ctrl-C, SIGTERM or SIGHUP. Everything recorded up to then is kept."""
 
     exit_code = 130
 
 
-#: No space, no quota left, and a file larger than the process may write.
+#: Out of space, out of quota, and file larger than the process may write.
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def is_disk_full(error: BaseException) -> bool:
-    """Whether an error of the operating system says that there is no room for what is written."""
+    """Whether the operating system reports that there is no space for a file."""
     return isinstance(error, OSError) and error.errno in _NO_ROOM
 
 

@@ -14,6 +14,9 @@ from typing import Generic, TypeVar
 Member = TypeVar("Member", bound=Hashable)
 Item = TypeVar("Item")
 
+#: s, default: the newest message of a publisher counts for so long when no newer one arrives.
+MAX_AGE_S = 0.25
+
 _REMEMBERED = 64  #: frames of an agent's words by which a duplicate is known
 
 

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 #: From the top down: what a layer holds, by its package or module.
 LAYERS: dict[str, str] = {
+    "__init__": "the public Python API",
     "__main__": "the process: signals and standard streams, before anything slow is imported",
     "cli": "thin: every command is one call into the packages below",
     "study": "sweeps, Monte Carlo, statistics, tables; rogue/: what attackers achieve against a run",
+    "api": "runs as Python objects, and what a scenario can name: for notebooks and scripts",
     "report": "pages of runs and studies; figures/ tables/ narrative/ templates/",
     "deploy": "nodes that run elsewhere: an engine each in compose/, swarm/ and ssh/",
     "launch": "starts, watches and ends the processes of a run; writes the run folder; interception/ netns/",
@@ -26,6 +28,7 @@ LAYERS: dict[str, str] = {
     "messagelog": "every message of a run as a file: written, read, compared",
     "security": "certificates of a run, rights derived from the wiring, signing keys",
     "wiring": "key-expression maps, rewrites, and the key of every port",
+    "pipelines": "the stages of an agent and of the command centre, put together",
     "fusion": "tracks of many agents to one picture",
     "scenes": "where the truth comes from",
     "messages": "schemas, codec, memory layout, validation",
@@ -40,7 +43,6 @@ LAYERS: dict[str, str] = {
     "streams": "named random streams",
     "errors": "the tree of all errors",
     "layers": "this list",
-    "__init__": "the public Python API",
 }
 
 #: The first layer, from the top, that decides what a node does: those above only start it and read what it left.

@@ -11,9 +11,9 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Detections, ObjectStates, propagate
-from mast_zenoh.fusion.agent_pipeline import AgentPipeline, Pose
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.pipelines import AgentPipeline, Pose
 from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.sensing import LidarSensor
 

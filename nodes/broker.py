@@ -11,7 +11,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
-from mast_zenoh.gather import CollationBuffer
+from mast_zenoh.gather import MAX_AGE_S, CollationBuffer
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
@@ -35,7 +35,9 @@ class Broker(Node):
     inputs = {"clock": "clock", "tracks": "tracks", "status": "status"}
     outputs = {"collated": "collated"}
 
-    def __init__(self, latency_s: float = 0.0, patience: int = 0, capacity: int = 10, max_age_s: float = 0.25) -> None:
+    def __init__(
+        self, latency_s: float = 0.0, patience: int = 0, capacity: int = 10, max_age_s: float = MAX_AGE_S
+    ) -> None:
         for name, value, least in (
             ("latency_s", latency_s, 0),
             ("patience", patience, 0),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.fusion import Pipeline
 from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.pipelines import Pipeline
 from mast_zenoh.runtime.mesh.main import main
 
 

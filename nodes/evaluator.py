@@ -15,7 +15,7 @@ from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Pose
 from mast_zenoh.evaluation import Evaluation, Heard
-from mast_zenoh.metrics import Driving, Metric, Record, Scorer, Series
+from mast_zenoh.metrics import Attribution, CutOff, Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Snapshot
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.mesh.main import main
@@ -41,7 +41,10 @@ class Route(NamedTuple):
 class Evaluator(Node):
     """Scores the run.
 
-    agents: names of the agents; scorer: None: Scorer(); the others: as in `evaluation.Evaluation`
+    agents:  their names
+    scorer:  how to score, None: Scorer()
+    attribution, cut_off: when an error is due to what, None: Attribution(), CutOff()
+    The other parameters are those of `evaluation.Evaluation`.
     """
 
     role = "evaluator"
@@ -57,6 +60,8 @@ class Evaluator(Node):
         picture_ages_s: dict[str, float] | None = None,
         driving: Driving | None = None,
         metrics: tuple[Metric, ...] = (),
+        attribution: Attribution | None = None,
+        cut_off: CutOff | None = None,
     ) -> None:
         self.agents = agents
         self.evaluation = Evaluation(
@@ -67,6 +72,8 @@ class Evaluator(Node):
             picture_ages_s=picture_ages_s or {},
             driving=driving or Driving(),
             metrics=metrics,
+            attribution=attribution or Attribution(),
+            cut_off=cut_off or CutOff(),
         )
         self.heard = Heard(Record(agents))
         self.routes: dict[str, Route] = {}

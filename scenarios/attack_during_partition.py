@@ -18,7 +18,12 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """The first infrastructure agents are compromised, the last two are cut off, and the last one is killed later."""
+    """The first infrastructure agents are compromised, the last two are cut off, and the last one is killed later.
+
+    attack_start_s: when the attack begins; partition_s, partition_until_s: when the partition begins and is healed;
+
+    kill_s: when the last agent is killed; restart_after_s: how long it stays away. All in scene time.
+    """
     attacked = uncoordinated(
         n_adversaries=n_adversaries,
         attack_start_s=attack_start_s,

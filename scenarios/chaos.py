@@ -17,11 +17,13 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """chaos_seed: seed of the faults; settle_s: time without faults at the end; most_faults: their greatest number;
+    """chaos_seed: of the faults; duration_s: of the run; settle_s: at its end, without any fault;
 
-    servers: nodes that faults can affect besides agents; n_infrastructure: None: two on a generated junction, else all.
+    most_faults: at most; servers: nodes that are hit like agents;
 
-    The scene and its random draws depend on the run's own seed: runs of two chaos seeds differ by their faults only.
+    n_infrastructure: None: two on a generated junction, else all that the scene has.
+
+    The scene, and all draws in it, are those of the run's own seed: runs of two chaos seeds differ by their faults.
     """
     if n_infrastructure is None and str(scene).startswith("intersection"):
         n_infrastructure = 2

@@ -9,7 +9,10 @@ def study(
     fraction_false_negatives=0.2,
     attack_start_s=4.0,
 ):
-    """scenes: short names, separated by commas: intersection:INDEX, avstack:PATH, av2:PATH, …"""
+    """scenes: short names, separated by commas: intersection:INDEX, avstack:PATH, av2:PATH, …;
+
+    adversaries: numbers of adversaries to compare.
+    """
     attack = dict(
         n_infrastructure=n_infrastructure,
         false_positives=false_positives,

@@ -1,5 +1,6 @@
 """What the documentation says is what the code does."""
 
+import re
 from pathlib import Path
 
 import generate_docs
@@ -28,8 +29,30 @@ def test_the_error_tree_is_printed_in_its_module() -> None:
 
 
 def test_every_page_that_a_page_links_to_is_there() -> None:
-    import re
-
     for page in (*DOCS.glob("*.md"), DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md"):
         for target in re.findall(r"\]\(([^)#:]+?)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_every_heading_that_a_page_links_to_is_there() -> None:
+    pages = (*DOCS.glob("*.md"), *DOCS.parent.glob("*.md"))
+    headings = {page.resolve(): headings_of(page.read_text(encoding="utf-8")) for page in pages}
+    for page in pages:
+        for file, anchor in re.findall(r"\]\(([^)#:\s]*)#([^)\s]+)\)", page.read_text(encoding="utf-8")):
+            target = (page.parent / file).resolve() if file else page.resolve()
+            assert anchor in headings[target], f"{page.name} links to {file}#{anchor}"
+
+
+def headings_of(text: str) -> set[str]:
+    """The anchors of a page, as GitHub makes them of its headings."""
+    prose = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    titles = re.findall(r"^#+ (.*)$", prose, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def test_the_test_map_names_every_folder_of_tests_and_only_files_that_exist() -> None:
+    page = (DOCS / "test_map.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(tests/[\w/.]+)`", page))
+    assert {name for name in named if not (DOCS.parent / name).exists()} == set()
+    folders = {f"tests/{path.parent.name}" for path in (DOCS.parent / "tests").glob("*/test_*.py")}
+    assert folders <= named

@@ -35,7 +35,84 @@ def test_imports_run_down(path: Path) -> None:
             assert RANK[parts[1]] >= RANK[own], f"imports {name}, which stands above it"
 
 
-ALGORITHMS = {"tracking", "fusion", "attacks", "effects", "evaluation", "metrics", "links", "faults"}
+@pytest.mark.parametrize(
+    "path",
+    [*FILES[1:], *sorted((ROOT / "nodes").glob("*.py"))],
+    ids=lambda path: path.relative_to(ROOT).as_posix(),
+)
+def test_no_module_imports_from_the_public_api(path: Path) -> None:
+    """`import mast_zenoh` and `from mast_zenoh import run` are for users: the API is the top layer."""
+    assert FILES[0] == PACKAGE / "__init__.py"
+    for name in imported(path):
+        parts = name.split(".")
+        if parts[0] == "mast_zenoh":
+            assert len(parts) > 2 or name == "mast_zenoh" or parts[1] in RANK, f"imports {name} from the API"
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            assert "mast_zenoh" not in {alias.name for alias in node.names}, "imports the API"
+
+
+def module_of(path: Path) -> str:
+    """The name by which a file is imported."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported_modules(path: Path, modules: set[str]) -> set[str]:
+    """The modules of the package that a file imports anywhere, for type checking only as well."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{path}: a relative import"
+            full = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= {name if name in modules else str(node.module) for name in full}
+    return (names & modules) - {module_of(path)}
+
+
+def cycles(graph: dict[str, set[str]]) -> list[set[str]]:
+    """The strongly connected components of more than one module."""
+
+    def reached(start: str) -> set[str]:
+        found, waiting = set[str](), [start]
+        while waiting:
+            new = graph[waiting.pop()] - found
+            found |= new
+            waiting += new
+        return found
+
+    reach = {name: reached(name) for name in graph}
+    circles = {frozenset(other for other in reach[name] if name in reach[other]) for name in graph}
+    return [set(circle) for circle in circles if circle]
+
+
+def test_no_file_imports_itself_by_way_of_others() -> None:
+    modules = {module_of(path) for path in FILES}
+    assert cycles({module_of(path): imported_modules(path, modules) for path in FILES}) == []
+
+
+def test_a_cycle_is_found_wherever_it_begins() -> None:
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}
+    assert cycles(graph) == [{"b", "c"}]
+
+
+MAX_LINES = 300
+MAX_TOP_LEVEL = 8
+
+
+@pytest.mark.parametrize(
+    "path", [*FILES, *sorted(PACKAGE.rglob("*.pyx"))], ids=lambda path: str(path.relative_to(PACKAGE))
+)
+def test_a_file_is_read_in_one_sitting(path: Path) -> None:
+    assert len(path.read_text().splitlines()) <= MAX_LINES
+
+
+def test_the_top_level_of_the_package_has_few_modules() -> None:
+    assert len([*PACKAGE.glob("*.py")]) <= MAX_TOP_LEVEL
+
+
+ALGORITHMS = {"tracking", "fusion", "pipelines", "attacks", "effects", "evaluation", "metrics", "links", "faults"}
 PURE = [path for path in FILES if path.relative_to(PACKAGE).parts[0] in ALGORITHMS]
 FORBIDDEN = {"zenoh", "socket", "time", "random", "os", "subprocess", "threading", "asyncio"}
 

@@ -15,9 +15,11 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PYTHONS = ("3.11", "3.12", "3.13")
 LOCKS = {
+    "requirements.txt": [*PROJECT["project"]["dependencies"], *PROJECT["dependency-groups"]["build"]],
     "requirements-dev.txt": [
         *PROJECT["project"]["dependencies"],
         *PROJECT["project"]["optional-dependencies"]["dev"],
+        *PROJECT["dependency-groups"]["build"],
         *PROJECT["build-system"]["requires"],
     ],
     "requirements-tools.txt": PROJECT["dependency-groups"]["tools"],
@@ -27,10 +29,19 @@ LOCKS = {
 UNBOUNDED = {"cryptography", "rich", "pyarrow", "pillow", "dask", "setuptools"}
 
 
+def hashes_by_entry(name: str) -> dict[str, tuple[str, frozenset[str]]]:
+    """The hashes of every entry of a lock file; an entry is `name==version ; marker`."""
+    lines = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
+    return {
+        line.partition(" --hash")[0].strip(): frozenset(re.findall(r"--hash=(\S+)", line))
+        for line in lines
+        if line and not line.lstrip().startswith("#")
+    }
+
+
 def locked(name: str) -> list[Requirement]:
     """The entries of a lock file."""
-    lines = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
-    return [Requirement(line.partition(" --hash")[0]) for line in lines if line and not line.lstrip().startswith("#")]
+    return [Requirement(entry) for entry in hashes_by_entry(name)]
 
 
 def pins(name: str, python: str) -> dict[str, str]:
@@ -72,6 +83,29 @@ def test_the_lock_file_has_all_that_pyproject_asks_for(name: str, python: str) -
         assert asked.specifier.contains(version), (
             f"{name} has {asked.name} {version}, expected {asked}: run `make lock`"
         )
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_running_and_development_use_the_same_versions(python: str) -> None:
+    running, development = pins("requirements.txt", python), pins("requirements-dev.txt", python)
+    assert running.items() <= development.items(), "run `make lock`"
+    assert len(running) < len(development)
+
+
+def test_running_and_development_accept_the_same_hashes() -> None:
+    hashes = {entry.partition(" ;")[0]: of for entry, of in hashes_by_entry("requirements-dev.txt").items()}
+    for entry, of in hashes_by_entry("requirements.txt").items():
+        assert of == hashes[entry.partition(" ;")[0]], entry
+
+
+def test_the_lock_file_for_running_can_build_the_package() -> None:
+    build = {Requirement(text).name for text in PROJECT["build-system"]["requires"]}
+    assert build <= pins("requirements.txt", "3.11").keys()
+
+
+@pytest.mark.parametrize("tool", ["pytest", "ruff", "mypy", "hypothesis", "dask", "stonesoup"])
+def test_running_installs_no_development_tool(tool: str) -> None:
+    assert tool not in pins("requirements.txt", "3.11")
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mast_zenoh
 from mast_zenoh import errors
+from mast_zenoh.api.catalogue import Entry
+from mast_zenoh.api.messages import WireMessage
+from mast_zenoh.api.parameters import Parameter
+from mast_zenoh.api.plots import Plots
+from mast_zenoh.api.runs import Agent
+from mast_zenoh.api.surface import BASE_CLASSES, base_class
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.deploy.compose.examples import EXAMPLES, example
 from mast_zenoh.layers import LAYERS
 from mast_zenoh.messages.schemas import SCHEMAS
+from mast_zenoh.study.interface import carry_out
 
 _PACKAGE = Path(mast_zenoh.__file__).parent
 
@@ -24,18 +34,26 @@ def messages_page() -> str:
         "# Messages",
         "",
         _GENERATED.format(source="mast_zenoh/messages/schemas.py"),
+        "Look up here what each message contains, and which messages a node refuses.",
+        "",
         "A message is a MessagePack map: a header (`schema`, `version`, `source`, `frame`, `time_ns`, `seq`) and a",
         "`body` that maps each column to `[dtype, shape, data]`, the data being raw little-endian bytes in C order.",
-        "In a shape, `n`, `m` and `k` are numbers of objects and `a` is a number of agents; equal letters in one",
-        "message are equal numbers. `time_ns` is nanoseconds since the scene began. Frames are right-handed, x forward",
-        "(world: east), y left (north), z up; quaternions are (w, x, y, z) of the active rotation into the world.",
+        "In a shape, `n`, `m` and `k` are numbers of objects and `a` is a number of agents. Equal letters in one",
+        "message are equal numbers. `time_ns` is nanoseconds since the scene began.",
+        "",
+        "Coordinate frames are right-handed: x forward (world: east), y left (north), z up. Quaternions are",
+        "(w, x, y, z) of the active rotation into the world.",
         "",
         f"Classes, by `class_id`: {', '.join(f'{i} {name}' for i, name in enumerate(CLASSES))}.",
         "",
-        "A receiver refuses, counts and drops a message that is truncated, oversized, of another schema or version,",
-        "has a missing or further column, another dtype or shape, a number that is not finite or absurdly large, a",
-        "class out of range, or (tracks and pictures) an id twice. A covariance may be anything finite: filters and",
-        "fusion make it sound.",
+        "A subscriber refuses, counts and drops a message if",
+        "",
+        "- it is truncated, oversized, or of another schema or version,",
+        "- it has a missing or an additional column, another dtype or another shape,",
+        "- a number is not finite or implausibly large, or a class is out of range,",
+        "- in tracks and pictures, an id occurs twice.",
+        "",
+        "A covariance may be any finite matrix. Filters and fusion make it usable.",
         "",
     ]
     for schema in SCHEMAS.values():
@@ -46,7 +64,7 @@ def messages_page() -> str:
             "",
         ]
         if not schema.columns:
-            lines += ["No columns: the header says it all.", ""]
+            lines += ["It has no columns, only a header.", ""]
             continue
         lines += ["| column | dtype | shape | unit | meaning |", "|---|---|---|---|---|"]
         for column in schema.columns:
@@ -62,6 +80,8 @@ def exit_codes_page() -> str:
         "# Exit codes",
         "",
         _GENERATED.format(source="mast_zenoh/errors.py"),
+        "Look up here what the exit code of a command means. [troubleshooting.md](troubleshooting.md) says what to do.",
+        "",
         "| code | error | meaning |",
         "|---:|---|---|",
     ]
@@ -69,11 +89,20 @@ def exit_codes_page() -> str:
     rows += [(0, "", "Success"), (2, "", "Usage error")]
     lines += [f"| {code} | {name} | {meaning} |" for code, name, meaning in sorted(rows)]
     return "\n".join(
-        [*lines, "", "`mast diff`: 0 two runs are equal, 1 they differ, 2 they cannot be compared.", "", _ENDINGS, ""]
+        [
+            *lines,
+            "",
+            "`mast diff` exits with 0 if two runs are equal, 1 if they differ, 2 if it cannot compare them.",
+            "",
+            _ENDINGS,
+            "",
+        ]
     )
 
 
-_ENDINGS = "[endings.md](endings.md): for each way in which a run can end, the status in `run.json` and what is left."
+_ENDINGS = (
+    "[endings.md](endings.md) lists, for each way in which a run can end, its status and what is left on the disk."
+)
 
 
 def error_types(base: type[errors.MastError] = errors.MastError) -> list[type[errors.MastError]]:
@@ -81,8 +110,8 @@ def error_types(base: type[errors.MastError] = errors.MastError) -> list[type[er
     return [base, *(found for child in base.__subclasses__() for found in error_types(child))]
 
 
-def _first_line(error: type[errors.MastError]) -> str:
-    return (error.__doc__ or "").strip().splitlines()[0].rstrip(".")
+def _first_line(of: type) -> str:
+    return (of.__doc__ or "").strip().splitlines()[0].rstrip(".")
 
 
 _LAYERS = re.compile(r"(<!-- Written by `make docs` from mast_zenoh/layers.py. -->\n).*?(<!-- end -->\n)", re.DOTALL)
@@ -97,7 +126,61 @@ def architecture_page() -> str:
     return _LAYERS.sub(lambda match: f"{match[1]}\n```text\n{listing}```\n\n{match[2]}", page)
 
 
-PAGES = {"architecture.md": architecture_page, "messages.md": messages_page, "exit_codes.md": exit_codes_page}
+def api_page() -> str:
+    """docs/api.md: the public names with signatures and docstrings, and the base classes."""
+    lines = [
+        "# API",
+        "",
+        _GENERATED.format(source="mast_zenoh/__init__.py and mast_zenoh/api/surface.py"),
+        "After reading this page you know every public name. [python.md](python.md) shows how they work together,",
+        "[stability.md](stability.md) says what stays.",
+        "",
+        "## import mast_zenoh as mast",
+        "",
+    ]
+    functions = [name for name in mast_zenoh.__all__ if name[0].islower()]
+    classes = [name for name in mast_zenoh.__all__ if name[0].isupper()]
+    for name in functions:
+        function = carry_out if name == "study" else getattr(mast_zenoh, name)
+        lines += [f"### `mast.{name}{_signature(function)}`", "", *_text(function), ""]
+    lines += ["### `mast.__version__`", "", "Version of the package, as text.", ""]
+    for cls in [getattr(mast_zenoh, name) for name in classes] + [Agent, Plots, WireMessage, Entry, Parameter]:
+        lines += [f"## `{cls.__name__}`", "", *_text(cls), ""]
+        for name, member in vars(cls).items():
+            if not name.startswith("_") and (callable(member) or isinstance(member, property)):
+                shown = name if isinstance(member, property) else f"{name}{_signature(member)}"
+                lines += [f"### `{cls.__name__}.{shown}`", "", *_text(member), ""]
+    lines += ["## Base classes", "", "| to write a | derive from | which is |", "|---|---|---|"]
+    for purpose, places in BASE_CLASSES.items():
+        for place in places:
+            lines.append(f"| {purpose} | `{place}` | {_first_line(base_class(place))} |")
+    return "\n".join([*lines, ""])
+
+
+def _signature(function: Callable[..., Any]) -> str:
+    """The parameters of a function and their defaults, without annotations."""
+    found = inspect.signature(function)
+    plain = [each.replace(annotation=inspect.Parameter.empty) for name, each in found.parameters.items()]
+    plain = plain[1:] if plain and plain[0].name == "self" else plain
+    return str(found.replace(parameters=plain, return_annotation=inspect.Signature.empty))
+
+
+def _text(of: object) -> list[str]:
+    """A docstring: paragraphs as they are, descriptions of parameters as a block."""
+    first, *others = (inspect.getdoc(of) or "").split("\n\n")
+    lines = [*first.split("\n"), ""]
+    for paragraph in others:
+        block = re.match(r"[a-z_]\w*(, [a-z_]\w*)*:\s", paragraph)
+        lines += ["```text", *paragraph.split("\n"), "```", ""] if block else [*paragraph.split("\n"), ""]
+    return lines[:-1]
+
+
+PAGES = {
+    "api.md": api_page,
+    "architecture.md": architecture_page,
+    "messages.md": messages_page,
+    "exit_codes.md": exit_codes_page,
+}
 
 
 def main(folder: Path) -> None:

@@ -6,13 +6,13 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 
 from mast_zenoh.arrays.geometry import within_range
+from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.attacks.application import carry_out
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, check_start
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
-from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.propagation import Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited

@@ -9,9 +9,9 @@ import numpy as np
 from mast_zenoh.arrays.geometry import within_range
 from mast_zenoh.arrays.matching import greedy
 from mast_zenoh.arrays.neighbours import neighbours
+from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.attacks.imitation import typical
-from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.targets import Changes, Tampering, Targets
 
 

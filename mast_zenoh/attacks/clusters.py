@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.clustering import merged, pairs_near
+from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Ints, ObjectStates
-from mast_zenoh.attacks.ordering import canonical_order
-from mast_zenoh.fusion.clustering import merged, pairs_near
 
 
 def cluster_centres(objects: ObjectStates, source: Ints, radius_m: float) -> ObjectStates:

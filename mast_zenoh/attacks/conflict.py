@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.attacks.clusters import cluster_centres
 from mast_zenoh.attacks.coverage import Coverage, boxes_of
-from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.selection import Selection
 from mast_zenoh.attacks.surroundings import AgentSensor
 from mast_zenoh.attacks.targets import Targets

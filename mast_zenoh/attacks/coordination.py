@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.attacks.adversary import OWN_TARGET_M
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign
 from mast_zenoh.attacks.coverage import Coverage
 from mast_zenoh.attacks.following import Follower
-from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.propagation import Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.selection import CoordinatedSelection, Selection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited

@@ -7,6 +7,7 @@ neighbour: the neighbour's own track takes that row.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,26 +16,37 @@ from mast_zenoh.arrays.neighbours import TABLE, neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.kernels import REFERENCES, kernel
+from mast_zenoh.kernels import table_columns as columns
 
-#: Columns of the table of tracks: place and velocity; s since it was last seen, and since it began; messages in which
-#: it was seen; the victim's id (-1: the wire has none); number of the target that it is (-1: none); row of the newest
-#: message (-1: not seen in it).
-PLACE, VELOCITY = slice(0, 3), slice(3, 6)
-UNSEEN, AGE, HITS, ID, TARGET, ROW = range(6, 12)
-COLUMNS = 12
+#: Columns of the table of tracks, see `kernels.table_columns`.
+PLACE, VELOCITY = slice(0, columns.FOLLOWED_VX), slice(columns.FOLLOWED_VX, columns.FOLLOWED_UNSEEN)
+UNSEEN, AGE, HITS = columns.FOLLOWED_UNSEEN, columns.FOLLOWED_AGE, columns.FOLLOWED_HITS
+ID, TARGET, ROW = columns.FOLLOWED_ID, columns.FOLLOWED_TARGET, columns.FOLLOWED_ROW
+COLUMNS = columns.FOLLOWED_COLUMNS
 
-#: m, gate of an object whose velocity is known, at once; and m per s without being seen.
-GATE_M, GATE_GROWTH_MPS = 1.5, 3.0
-#: m/s, the fastest road user; the gate of an object seen once grows with it.
-FASTEST_MPS = 20.0
-#: s, after which an object that is no target is forgotten; and one that was seen only once.
-FORGOTTEN_S, CLUTTER_S = 1.0, 0.35
-#: m; a row with the id of a track is that track unless it is farther from it than this: the victim's tracker mixes up
-#: neighbours at times.
-SAME_ID_M = 2.5
-#: Least gains of the filter: position, velocity.
-LEAST_GAINS = 0.5, 0.15
-LIMITS = (GATE_M, GATE_GROWTH_MPS, FASTEST_MPS, FORGOTTEN_S, CLUTTER_S, SAME_ID_M, *LEAST_GAINS)
+
+class Limits(NamedTuple):
+    """How far and how long an object is followed.
+
+    gate_m, gate_growth_mps: m, gate of an object whose velocity is known; m per s without being seen, by which it grows
+    fastest_mps: m/s, the fastest road user: the gate of an object seen once grows with it
+    forgotten_s, clutter_s: s, after which an object that is no target is forgotten; and one that was seen only once
+    same_id_m: m; a row with the id of a track is that track unless it is farther from it than this: the victim's
+               tracker mixes up neighbours at times
+    least_alpha, least_beta: least gains of the filter for position and velocity
+    """
+
+    gate_m: float = 1.5
+    gate_growth_mps: float = 3.0
+    fastest_mps: float = 20.0
+    forgotten_s: float = 1.0
+    clutter_s: float = 0.35
+    same_id_m: float = 2.5
+    least_alpha: float = 0.5
+    least_beta: float = 0.15
+
+
+LIMITS = Limits()
 
 #: s; a track is new for so long: it may be the object of a target that this victim did not see before.
 NEW_S = 0.5
@@ -155,12 +167,12 @@ def followed(
     id: Ints,
     elapsed_s: float,
     radius_m: float,
-    limits: tuple[float, ...],
+    limits: Limits,
 ) -> Floats:
     """The table of tracks (m', COLUMNS) after one more message, of that before it (m, COLUMNS).
 
     position, velocity: (n, 3) m, m/s, of the rows of the message; velocity zero: not known. id: (n,), -1: none
-    elapsed_s: s since the message before; radius_m: m, the widest gate; limits: LIMITS
+    elapsed_s: s since the message before; radius_m: m, the widest gate
 
     Rows with the id of a track are its own. The others are joined nearest pair first, within gates that grow with the
     time that an object was not seen. Where rows have no velocity, an alpha-beta filter with growing memory estimates it

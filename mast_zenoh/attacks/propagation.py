@@ -46,6 +46,8 @@ class StaticPropagation(Propagation):
 class MarkovPropagation(Propagation):
     """A random walk of the velocity: v += a·dt with a ~ N(0, `sigma_mps2`) on x and y, speed at most `max_speed_mps`.
 
+    sigma_mps2: standard deviation of the acceleration on each axis;  max_speed_mps: that no object exceeds
+
     This is the originals' `v += dv·dt` with dv σ 0.5: in a step of dt seconds the velocity changes by σ = 0.5·dt m/s
     on each axis, so over T seconds by 0.5·sqrt(T·dt) m/s. Of each change, the part along the heading is bounded by
     MAX_ACCELERATION_MPS2 and never reverses the object; the part across turns it by MAX_YAW_RATE at most.
@@ -71,6 +73,8 @@ class MarkovPropagation(Propagation):
 
 class TrajectoryPropagation(Propagation):
     """A planned path: constant velocity for `duration_s` seconds, then braking at `braking_mps2` to a stop.
+
+    duration_s: of constant velocity;  braking_mps2: deceleration after it
 
     Raises ValueError for a deceleration that is not positive.
     """

@@ -7,10 +7,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import CLASS_INDEX, Ints, ObjectStates
 from mast_zenoh.attacks.clusters import cluster_centres
 from mast_zenoh.attacks.coverage import Coverage
-from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.regions import REGIONS, Shape
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.errors import nearest
@@ -137,6 +137,8 @@ class CoordinatedSelection(UncoordinatedSelection):
     What the adversaries see is joined into clusters of at most one object of each, nearest first and no farther
     apart than `cluster_radius_m`; a target is then hidden (moved) for every adversary. The other parameters are
     those of UncoordinatedSelection, counted for all adversaries together.
+
+    cluster_radius_m: within which objects seen by different adversaries are one
     """
 
     def __init__(

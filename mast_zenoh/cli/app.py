@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from mast_zenoh import scenario
-from mast_zenoh.cli import deploy, intercept
+from mast_zenoh.cli import deploy, intercept, listing
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -215,6 +215,7 @@ def diff(
     raise typer.Exit(0 if difference.first is None else 1)
 
 
+app.command("list")(listing.list_kind)
 app.command()(intercept.intercept)
 app.command()(intercept.release)
 

@@ -11,22 +11,25 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from weakref import WeakKeyDictionary
 
-from mast_zenoh.config import bundle
+from mast_zenoh.config import bundle, registry
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.node import Node, handler_names
 
 
 def module(path: Path) -> ModuleType:
-    """Load a file as a module, once; it can import files beside it by name, which do not stay in sys.modules.
+    """The module in a file, run once, and again after a change of it or of files beside it that it has imported.
+
+    Files beside it can be imported by name; what it imports that way is not kept.
 
     Raises ConfigurationError, with file and line, when it fails.
     """
     path = path.resolve()
-    # Dataclasses look their module up in sys.modules. It gets a unique name there, so that a user's file called
-    # `types.py` replaces no other module.
+    # Dataclasses look their module up in sys.modules; there it has a name of its own, so that a user's file called
+    # `types.py` stands in for no other module.
     name = f"{path.stem.replace('.', '_')}_{hashlib.blake2b(os.fsencode(path), digest_size=6).hexdigest()}"
-    if name in sys.modules:
+    if name in sys.modules and _unchanged(sys.modules[name]):
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
@@ -43,10 +46,30 @@ def module(path: Path) -> ModuleType:
         raise ConfigurationError(f"{path}:{line}: {type(error).__name__}: {error}") from error
     finally:
         sys.path.remove(str(path.parent))
-        for sibling in set(sys.modules) - before:
+        files = [path]
+        for sibling in set(sys.modules) - before - {name}:
             if _folder(sys.modules[sibling]) == path.parent:
+                files.append(Path(sys.modules[sibling].__file__ or path))
                 del sys.modules[sibling]
+        _SOURCES[loaded] = {file: _changed_at(file) for file in files}
     return loaded
+
+
+#: Of a loaded module, the files that it is made of, and when each was changed last.
+_SOURCES: WeakKeyDictionary[ModuleType, dict[Path, tuple[int, int] | None]] = WeakKeyDictionary()
+
+
+def _unchanged(loaded: ModuleType) -> bool:
+    return all(_changed_at(file) == changed for file, changed in _SOURCES.get(loaded, {}).items())
+
+
+def _changed_at(file: Path) -> tuple[int, int] | None:
+    """Time of change in ns and size; None where there is no such file."""
+    try:
+        stat = file.stat()
+    except OSError:
+        return None
+    return stat.st_mtime_ns, stat.st_size
 
 
 def function(kind: str, name: str, function_name: str) -> tuple[Path, Callable[..., Any]]:
@@ -69,17 +92,40 @@ def function(kind: str, name: str, function_name: str) -> tuple[Path, Callable[.
     return path.resolve(), target
 
 
+def place_of(function: Callable[..., Any]) -> Path:
+    """The file that defines a function; for one of a notebook or script, its name in that one's folder."""
+    home = sys.modules.get(function.__module__)
+    file = getattr(home, "__file__", None)
+    if file and function.__module__ != "__main__":
+        return Path(file).resolve()
+    folder = Path(file).resolve().parent if file else Path()
+    return folder / getattr(function, "__name__", "scenario").strip("<>")
+
+
+def file_of_class(cls: type) -> Path | None:
+    """The file from which another process can load a class; None: it is of this session, a notebook or a script."""
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    return Path(file).resolve() if file and cls.__module__ != "__main__" else None
+
+
+def session_classes() -> dict[str, type]:
+    """The classes that `type=…` can name and that this session defines, a notebook or a script, by name."""
+    found = [value for value in vars(sys.modules["__main__"]).values() if isinstance(value, type)]
+    return {cls.__name__: cls for cls in found if cls.__module__ == "__main__" and _ours(cls)}
+
+
+def _ours(cls: type) -> bool:
+    """Whether a class derives from one of this package."""
+    return any(base.__module__.startswith("mast_zenoh.") for base in cls.__mro__[1:])
+
+
 def defines_algorithms(loaded: ModuleType) -> bool:
     """Whether a user's module, or one beside it that it imports, adds classes that `type=…` can name."""
     classes = [value for value in vars(loaded).values() if isinstance(value, type)]
     for value in vars(loaded).values():
         if isinstance(value, ModuleType) and _folder(value) == _folder(loaded):
             classes += [item for item in vars(value).values() if isinstance(item, type)]
-    return any(
-        not cls.__module__.startswith("mast_zenoh.")
-        and any(base.__module__.startswith("mast_zenoh.") for base in cls.__mro__[1:])
-        for cls in classes
-    )
+    return any(not cls.__module__.startswith("mast_zenoh.") and _ours(cls) for cls in classes)
 
 
 def _folder(loaded: ModuleType) -> Path | None:
@@ -91,13 +137,37 @@ def _folder(loaded: ModuleType) -> Path | None:
 _nodes: dict[tuple[str, str | None], type[Node]] = {}
 
 
+#: Stands for the file of a node class that this session defines, a notebook or a script.
+SESSION = Path("__main__")
+
+
+def node_file(name: object) -> Path | None:
+    """The file of a node class that a scenario names without its file, the class itself or by name; None: unknown.
+
+    Raises NodeFileError for a class whose handlers do not fit its ports.
+    """
+    named = {cls.__name__: cls for cls in registry.known_types(Node).values() if cls.__module__ == "__main__"}
+    cls = name.cls if isinstance(name, registry.ClassName) else named.get(str(name))
+    if cls is None:
+        return None
+    if not issubclass(cls, Node):
+        raise NodeFileError(f"type={cls.__name__}: is no node, expected a subclass of mast_zenoh.node.Node")
+    file = file_of_class(cls)
+    if file is None:
+        _nodes[str(SESSION), cls.__name__] = _sound(cls, SESSION)
+    return file or SESSION
+
+
 def node_class(file: Path, name: str | None = None) -> type[Node]:
     """The node class in a file: the one called `name`, or the only one that the file defines."""
     if name is not None and not isinstance(name, str):
         raise NodeFileError(f"{file}: type is {name!r}, expected the name of a node")
-    if (str(file), name) in _nodes:
-        return _nodes[str(file), name]
+    known = _nodes.get((str(file), name))
+    if file == SESSION and known is not None:
+        return known
     loaded = module(file)
+    if known is not None and known.__module__ == loaded.__name__ and getattr(loaded, known.__name__, None) is known:
+        return _nodes[str(file), name]
     classes = {
         key: value
         for key, value in vars(loaded).items()
@@ -108,11 +178,16 @@ def node_class(file: Path, name: str | None = None) -> type[Node]:
     if name is None and len(classes) != 1:
         raise NodeFileError(f"{file}: defines {len(classes)} nodes ({', '.join(sorted(classes))}): say which by type=…")
     cls = classes[name] if name else next(iter(classes.values()))
+    _nodes[str(file), name] = _sound(cls, file)
+    return cls
+
+
+def _sound(cls: type[Node], file: Path) -> type[Node]:
+    """A node class whose handlers fit its ports; raises NodeFileError for any other."""
     try:
         handler_names(cls)
     except TypeError as error:
         raise NodeFileError(f"{file}: {error}") from None
-    _nodes[str(file), name] = cls
     return cls
 
 

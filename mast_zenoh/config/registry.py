@@ -1,4 +1,4 @@
-"""Builds objects from plain dicts: `dict(type="ClassName", parameter=…)`.
+"""Builds objects from plain dicts: `dict(type="ClassName", parameter=…)`, or with the class itself as `type`.
 
 Any subclass of a base can be named where that base is expected; there is nothing to register. A package imports
 all its modules that define algorithms, so that they exist as soon as their base does. Parameters are checked
@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -18,6 +18,35 @@ from weakref import WeakKeyDictionary
 from mast_zenoh.errors import ConfigurationError, nearest
 
 _Signature = tuple[dict[str, inspect.Parameter], dict[str, Any]]
+
+
+class ClassName(str):
+    """The name of a class in a scenario, and the class: what `type=MyAttack` becomes; in JSON it is the name alone."""
+
+    cls: type
+
+    def __new__(cls, named: type) -> ClassName:
+        name = super().__new__(cls, named.__name__)
+        name.cls = named
+        return name
+
+
+def own_copy(value: Any) -> Any:
+    """A copy of nested dicts and lists in which none stands in two places, and a class as `type` is a ClassName."""
+    if isinstance(value, dict):
+        return {
+            key: ClassName(item) if key == "type" and isinstance(item, type) else own_copy(item)
+            for key, item in value.items()
+        }
+    return type(value)(map(own_copy, value)) if type(value) in (list, tuple) else value
+
+
+def type_names(value: Any) -> Iterator[str]:
+    """What stands as `type` in nested dicts and lists: names, some of which know their class (`ClassName`)."""
+    if isinstance(value, Mapping) and isinstance(value.get("type"), str):
+        yield value["type"]
+    for item in value.values() if isinstance(value, Mapping) else value if isinstance(value, (list, tuple)) else ():
+        yield from type_names(item)
 
 
 def known_types(base: type) -> dict[str, type]:
@@ -42,7 +71,9 @@ def build(spec: object, base: type, path: str) -> Any:
             spec = {"type": next(iter(classes)), **spec}
         else:
             raise ConfigurationError(f"{path}: no type given{nearest('', classes)}")
-    name = spec["type"]
+    name = ClassName(spec["type"]) if isinstance(spec["type"], type) else spec["type"]
+    if isinstance(name, ClassName) and issubclass(name.cls, base):
+        classes = {name: name.cls}  # of two classes of one name, the one that is meant
     if not isinstance(name, str) or name not in classes:
         raise ConfigurationError(f"{path}.type: no {base.__name__} named {name!r}{nearest(str(name), classes)}")
     return construct(classes[name], {key: value for key, value in spec.items() if key != "type"}, path)

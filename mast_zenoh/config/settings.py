@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, nearest
@@ -33,6 +33,26 @@ def split(settings: Sequence[str], function: Callable[..., Any], place: str) -> 
             parameters[key] = _typed(value, known[key].default, f"{place}: --set {key}")
         else:
             raise ConfigurationError(f"{place}: --set {key}: no such launch-time parameter{nearest(key, known)}")
+    return parameters, dotted
+
+
+def from_values(
+    values: Mapping[str, Any], function: Callable[..., Any] | None, place: str, known: Iterable[str] = ()
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """(parameters of the function, dotted settings) of Python values; None: there is no function, a dict is given.
+
+    known: further names to suggest where one is unknown
+    """
+    takes = inspect.signature(function).parameters if function is not None else {}
+    parameters = {
+        key: _checked(value, takes[key].default, f"{place}: {key}", value)
+        for key, value in values.items()
+        if key in takes
+    }
+    dotted = {key: value for key, value in values.items() if "." in key}
+    for key in values:
+        if key not in takes and key not in dotted:
+            raise ConfigurationError(f"{place}: {key}: no such parameter{nearest(key, {*takes, *known})}")
     return parameters, dotted
 
 
@@ -80,13 +100,20 @@ def _typed(value: str, default: Any, place: str) -> Any:
     """A setting in the type of its default."""
     if isinstance(default, str):
         return value
-    parsed = _literal(value)
-    if default is None or default is inspect.Parameter.empty:
-        return parsed
-    if isinstance(default, float) and type(parsed) is int:
-        return float(parsed)
-    if type(parsed) is not type(default) and not (
-        isinstance(default, (list, tuple)) and isinstance(parsed, (list, tuple))
+    return _checked(_literal(value), default, place, value)
+
+
+def _checked(found: Any, default: Any, place: str, written: Any) -> Any:
+    """A value, which must be of the type of a parameter's default; where that is text or a class, it may be anything.
+
+    written: the value as the user wrote it
+    """
+    if default is None or default is inspect.Parameter.empty or isinstance(default, (str, type)):
+        return found
+    if isinstance(default, float) and type(found) is int:
+        return float(found)
+    if type(found) is not type(default) and not (
+        isinstance(default, (list, tuple)) and isinstance(found, (list, tuple))
     ):
-        raise ConfigurationError(f"{place}: found {value!r}, expected {type(default).__name__} as in {default!r}")
-    return parsed
+        raise ConfigurationError(f"{place}: found {written!r}, expected {type(default).__name__} as in {default!r}")
+    return found

@@ -1,18 +1,19 @@
 """Schemas of the control messages of a run: pure functions, bytes in, typed values out.
 
-A decoder returns a value or raises MessageError, whatever its input: types, ranges and sizes are checked, and unknown
-parts are refused. Each encoder is next to its decoder.
+A decoder returns a value or raises MessageError, whatever bytes it is given: types, ranges and sizes are checked, and
+nothing more than expected is accepted. Each encoder stands beside its decoder.
 
 fields         strict readers of parts: numbers, names, keys, texts
-flow           counts, epoch, act, stop, leave, drain, rewire: changes of frames, members and the wiring
-files          fetch, file: transfers between a node on another host and the launcher
-interception   intercept, release: a user's requests to a run
-reports        failed, result: a node's reports to the launcher
-results        the results themselves, packed;  failures: of handlers, counted, merged, as text
-invalid        counts refused messages
-signatures     authenticates senders: the driver and the launcher sign their messages above the level "open"
+flow           counts, epoch, act, stop, leave, drain, rewire: how frames, members and the wiring change
+files          fetch, file: what a node on another host gets from the launcher and gives to it
+interception   intercept, release: what a user asks of a run
+reports        failed, result: what a node tells the launcher of itself
+results        the results themselves, packed;  failures: of handlers, counted, merged, in words
+stop_reasons   why a run stops
+invalid        counts what was refused
+signatures     who a message is from: those of the driver and the launcher are signed above the level "open"
 
-CONTROLS is the table of all keys below mast/{run}/@control/. security/access.py grants no rights beyond it.
+CONTROLS is the table of all keys below mast/{run}/@control/. security/access.py gives nobody more rights than it says.
 """
 
 from __future__ import annotations

@@ -14,13 +14,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import mast_zenoh
 from mast_zenoh.errors import HandlerFailed
 
 Entry = dict[str, Any]
 
 _MAX_TEXT = 300
-_PACKAGE = Path(mast_zenoh.__file__).parent
+_PACKAGE = Path(__file__).parents[1]
 _PYTHON = sysconfig.get_path("stdlib")
 _INSTALLED = {"site-packages", "dist-packages"}
 #: Parts of the package that a node calls: an error raised there is attributed to the caller.

@@ -26,10 +26,7 @@ class Counts(NamedTuple):
 
 
 class WiringUpdate(NamedTuple):
-    """The wiring of an epoch, and the nodes that are about to leave it.
-
-    active: nodes publish under the wiring; before that, they only subscribe
-    """
+    """What an epoch says of the wiring: as it will be, or is when it is active, and which nodes are about to leave."""
 
     wiring: Wiring
     active: bool
@@ -73,14 +70,14 @@ def decode_counts(payload: bytes) -> Counts:
 
 
 def encode_epoch(number: int, members: Mapping[str, str], update: WiringUpdate | None) -> bytes:
-    """Encode an Epoch."""
+    """See Epoch."""
     change = None if update is None else [update.wiring.to_json(), update.active, list(update.leaving)]
     packed: bytes = msgpack.packb([number, dict(members), change])
     return packed
 
 
 def decode_epoch(payload: bytes) -> Epoch:
-    """Decode an Epoch; raises MessageError."""
+    """See Epoch; raises MessageError."""
     number, members, change = fields.items(fields.unpack(payload, "epoch"), 3, "epoch")
     fields.whole(number, "epoch: number", 1, MAX_EPOCH)
     update = None
@@ -88,7 +85,7 @@ def decode_epoch(payload: bytes) -> Epoch:
         wiring, active, leaving = fields.items(change, 3, "epoch: wiring update")
         update = WiringUpdate(
             wiring_of(wiring, "epoch: wiring"),
-            fields.flag(active, "epoch: active"),
+            fields.flag(active, "epoch: speak"),
             fields.names(leaving, "epoch: leaving"),
         )
     return Epoch(number, fields.roles(members, "epoch: members"), update)

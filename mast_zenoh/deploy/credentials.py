@@ -8,25 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.deploy.compose.document import CREDENTIALS, ROUTER, ROUTER_SETTINGS
-from mast_zenoh.launch.mesh_run import Launch
-from mast_zenoh.runtime.mesh.node import prefix
+from mast_zenoh.launch.context import RunContext
 from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring.model import Wiring
 
 
-def deployment(launch: Launch) -> Deployment:
+def deployment(context: RunContext) -> Deployment:
     """Certificates for all nodes of a run, in its folder. Nodes reach the router by name, the launcher by 127.0.0.1."""
-    run, nodes = launch.record["id"], launch.resolved.nodes
-    return Deployment(
-        launch.secure,
-        run,
-        Wiring.from_json(launch.resolved.wiring),
-        nodes,
-        prefix=prefix(run),
-        driver=next((name for name, spec in nodes.items() if spec.role == "simulator"), ""),
-        hosts=[ROUTER, "127.0.0.1"],
-        folder=launch.folder / CREDENTIALS,
-    )
+    return context.make_deployment([ROUTER, "127.0.0.1"], context.folder / CREDENTIALS)
 
 
 def write_settings(folder: Path, router: dict[str, Any]) -> Path:

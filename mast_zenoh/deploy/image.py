@@ -6,7 +6,6 @@ import shutil
 import tempfile
 from pathlib import Path
 
-import mast_zenoh
 from mast_zenoh import kernels, version
 from mast_zenoh.config import bundle
 from mast_zenoh.deploy import wheel
@@ -14,7 +13,7 @@ from mast_zenoh.deploy.docker import docker
 from mast_zenoh.errors import EngineError
 
 BASE = "python:3.12-slim"
-TAG = f"mast-zenoh:{mast_zenoh.__version__}"
+TAG = f"mast-zenoh:{version.__version__}"
 
 #: The default user of processes in its containers.
 USER = "10001:10001"
@@ -55,7 +54,7 @@ def check(tag: str = TAG) -> None:
     code = docker("image", "inspect", "--format", f'{{{{index .Config.Labels "{LABEL}"}}}}', tag).strip()
     if code != _code():
         raise EngineError(
-            f"the image {tag} holds mast-zenoh {mast_zenoh.__version__} (sources {code or 'unknown'}), this is "
+            f"the image {tag} holds mast-zenoh {version.__version__} (sources {code or 'unknown'}), this is "
             f"{version.version_string()}: build it again by `mast deploy image`"
         )
 

@@ -15,12 +15,12 @@ from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 
-import mast_zenoh
 from mast_zenoh.config import bundle
 from mast_zenoh.errors import EngineError
+from mast_zenoh.version import __version__
 
 REQUIREMENTS = "node-requirements.txt"
-_PACKAGE = Path(mast_zenoh.__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
 _KINDS = ("nodes", "keyexpr_maps", "scenarios", "studies", "deploy")
 #: Compiled kernels are included with their sources; an interpreter that they do not fit ignores them.
 _SUFFIXES = (".py", ".j2", ".toml", ".txt", ".yml", ".json", ".pyx", ".pxd", ".so")
@@ -29,7 +29,7 @@ _OLDEST = (1980, 1, 1, 0, 0, 0)  # earliest time in a zip file: equal content gi
 
 def build(folder: Path) -> Path:
     """Build a wheel of this package in a folder, from a checkout or an installation, without a build tool."""
-    name = f"mast_zenoh-{mast_zenoh.__version__}"
+    name = f"mast_zenoh-{__version__}"
     target = folder / f"{name}-py3-none-any.whl"
     records = []
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:

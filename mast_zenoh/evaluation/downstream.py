@@ -21,7 +21,7 @@ def reached(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_l
 
     An agent's own tracks are made from what it senses alone. A port of which nothing is known may reach everything
     else. What links do to tracks on their way reaches, here, only the tracks as they are received: whether the
-    picture lacks an object because of it depends on who else reports that object (`metrics.severed`).
+    picture lacks an object because of it depends on who else reports that object (`metrics.cut_off`).
     """
     result = np.zeros((len(passages), len(series)), bool)
     for row, passage in enumerate(passages):

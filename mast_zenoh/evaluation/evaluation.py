@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.effects import Effects, effects_of, reports
-from mast_zenoh.evaluation.from_effects import Limits, absent, manipulations, stopped
+from mast_zenoh.evaluation.from_effects import absent, manipulations, stopped
 from mast_zenoh.evaluation.heard import Heard
 from mast_zenoh.evaluation.poses import with_poses
 from mast_zenoh.evaluation.tables import attacks
 from mast_zenoh.links import WIRES
 from mast_zenoh.metrics import (
     Attribution,
+    CutOff,
     Driving,
     Manipulations,
     Metric,
-    Reach,
     Scorer,
     Scores,
     Severed,
@@ -45,19 +45,19 @@ class Evaluation:
              frames to begin with; kept when they would be more than half of the run
     picture_age_s: s, for how long an agent goes on with a picture when no newer one arrives; picture_ages_s: of single
              agents, by name
-    attribution, reach: when an error is due to what
+    attribution, cut_off: when an error is due to what
     Raises ValueError for values that make no sense.
     """
 
     scorer: Scorer
     metrics: tuple[Metric, ...] = ()
     driving: Driving = field(default_factory=Driving)
-    skip_first: int = 6
-    skip_last: int = 10
-    picture_age_s: float = 0.5
+    skip_first: int
+    skip_last: int
+    picture_age_s: float
     picture_ages_s: Mapping[str, float] = field(default_factory=dict)
     attribution: Attribution = field(default_factory=Attribution)
-    reach: Reach = field(default_factory=Reach)
+    cut_off: CutOff = field(default_factory=CutOff)
 
     def __post_init__(self) -> None:
         if self.skip_first < 0 or self.skip_last < 0:
@@ -85,13 +85,15 @@ class Evaluation:
             _boxes(truth, scores),
             heard.period_s,
             away,
+            self.attribution,
         )
         spoofs, agents = [meter.effects.spoofs for meter in heard.meter.meters], heard.record.agents
-        lasts = round(Limits().coast_s / heard.period_s)
+        lasts = round(self.attribution.coast_s / heard.period_s)
         done = with_poses(done, effects, spoofs, truth, agents, scores.frames, self.scorer.min_points, lasts)
         severed = self._severed(heard, scores, truth, effects)
-        attribution = replace(self.attribution, min_points=self.scorer.min_points)
-        labels = attribution.label(scores, done, truth, heard.record.agents, heard.period_s, severed)
+        labels = self.attribution.label(
+            scores, done, truth, heard.record.agents, heard.period_s, severed, self.scorer.min_points
+        )
         return _Results(self, heard, scores, truth, effects, away, done, labels).results()
 
     def scored(self, frames: int) -> slice:
@@ -109,11 +111,11 @@ class Evaluation:
         silent = heard.presence.absent(agents, frames) | stopped(effects, heard.roles, agents, frames)
         unheard = self._unheard(heard, frames.tolist())
         points = self.scorer.min_points
-        return self.reach.severed(scores, truth, agents, frames, heard.period_s, silent, unheard, points)
+        return self.cut_off.severed(scores, truth, agents, frames, heard.period_s, silent, unheard, points)
 
     def _unheard(self, heard: Heard, frames: Sequence[int]) -> Bools:
         """(f, a) bool: an agent's tracks of a frame were not sent in time for the broker to use them."""
-        agents, within = heard.record.agents, self.reach.aged_s / heard.period_s + 1e-6
+        agents, within = heard.record.agents, self.cut_off.max_age_s / heard.period_s + 1e-6
         sent = [[heard.spoken.get((agent, frame), np.inf) - frame <= within for agent in agents] for frame in frames]
         return ~np.array(sent, bool).reshape(len(frames), len(agents))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,26 +10,10 @@ from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.episodes import insertions
 from mast_zenoh.evaluation.downstream import reached
-from mast_zenoh.metrics import Boxes, Manipulations
+from mast_zenoh.metrics import Attribution, Boxes, Manipulations
 from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED
 from mast_zenoh.metrics.places import Places, nearest
 from mast_zenoh.wiring.model import Passage
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """Which effects count as manipulations.
-
-    hidden_m:     m, from where an object was removed, moved or altered to the truth object that it is
-    least_move_m: m, an object that was displaced by less counts as where it was: the metrics cannot tell
-    coast_s:      s, how long an estimate may still be wrong because of it
-    picture_s:    s, the same for pictures that a link held back: an agent holds the one before for so long
-    """
-
-    hidden_m: float = 4.0
-    least_move_m: float = 0.5
-    coast_s: float = 4.0
-    picture_s: float = 0.5
 
 
 def manipulations(
@@ -40,7 +23,7 @@ def manipulations(
     truth: Boxes,
     period_s: float,
     away: Bools,
-    limits: Limits | None = None,
+    limits: Attribution,
 ) -> Manipulations:
     """The manipulations among the measured effects.
 
@@ -48,8 +31,8 @@ def manipulations(
     series: s pairs (agent, estimator)
     truth:  all objects, world frame; group = frame
     away:   (n,) of the effects, those that are due to an interposer not being there and so nobody's doing
+    limits: which effects count, and for how long
     """
-    limits = limits or Limits()
     is_link = np.array([roles.get(passage.node) == "link" for passage in effects.passages], bool)
     culprits = tuple(sorted({p.node for p, link in zip(effects.passages, is_link, strict=True) if not link}))
     number = np.array(
@@ -82,15 +65,15 @@ def manipulations(
     return result.select(~away[rows])
 
 
-def _lasts(passage: Passage, is_link: bool, limits: Limits, period_s: float) -> int:
+def _lasts(passage: Passage, is_link: bool, limits: Attribution, period_s: float) -> int:
     """Frames after its own for which a manipulation counts. What a link does to tracks counts at once or, by what the
-    picture lacks, in `metrics.severed`."""
+    picture lacks, in `metrics.cut_off`."""
     if not is_link or passage.port in ("detections", "pose"):
         return round(limits.coast_s / period_s)
-    return round(limits.picture_s / period_s) if passage.port == "picture" else 0
+    return round(limits.late_picture_s / period_s) if passage.port == "picture" else 0
 
 
-def _hidden(effects: Effects, limits: Limits) -> tuple[Ints, Ints]:
+def _hidden(effects: Effects, limits: Attribution) -> tuple[Ints, Ints]:
     """Rows of objects that were removed, moved far enough or altered, and the kind of each."""
     rows = effects.rows("removed", "moved", "altered")
     rows = rows[np.isfinite(effects.before[rows]).all(axis=1)]

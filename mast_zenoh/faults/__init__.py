@@ -1,9 +1,10 @@
 """Faults as a user writes them on one timeline, and what they mean for links, processes and the host network.
 
-    base       what a fault is;  impairments  what happens to messages;  churn  what happens to processes
+    base       what a fault is
+    impairments  what happens to messages
+    churn      what happens to processes
     targets    whom a fault hits
     plan       a list of faults → rules of links, steps of processes, bands of the timeline
-    steps      what is done to processes, by frame
     network    hosts and their links
     schedule   random lists of faults
 

@@ -105,6 +105,8 @@ class Join(ProcessFault):
 class Pause(ProcessFault):
     """Its targets stand still until `until`, and then go on with all that has come for them.
 
+    until: s of scene time at which they go on
+
     In real time their processes are stopped and continued. In lock-step everyone would wait for them; there a pause is
     what others see of it: links hold back what they say and hear, and then let it go in order.
     """
@@ -129,6 +131,8 @@ class Pause(ProcessFault):
 @dataclass(frozen=True, kw_only=True)
 class Unplug(ProcessFault):
     """Its targets are taken off their networks until `until`, and go on alone; then they find back by themselves.
+
+    until: s of scene time at which they are put back
 
     In real time only, and only where nodes have networks of their own: in the containers of engine compose. Anywhere
     else a Partition does it.

@@ -9,6 +9,8 @@ from typing import Any
 
 from mast_zenoh.errors import nearest
 from mast_zenoh.faults.base import DIRECTIONS, Fault, Rule, check_after
+from mast_zenoh.links.copies import FLOOD_COPIES
+from mast_zenoh.links.timing import QUEUE_S
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +62,10 @@ class Partition(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Loss(LinkFault):
-    """Each message is lost with this probability, whatever became of the one before."""
+    """Each message is lost with this probability, whatever became of the one before.
+
+    probability: of losing a message, 0 to 1
+    """
 
     probability: float
 
@@ -71,7 +76,11 @@ class Loss(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class BurstLoss(LinkFault):
-    """Messages are lost in bursts (Gilbert-Elliott): probabilities of changing state, and of loss in each."""
+    """Messages are lost in bursts (Gilbert-Elliott): the channel is good or bad, and changes between two messages.
+
+    good_to_bad, bad_to_good: probability of a change from one message to the next, 0 to 1
+    loss_good, loss_bad:      probability of losing a message in the good, or in the bad state, 0 to 1
+    """
 
     good_to_bad: float
     bad_to_good: float
@@ -86,7 +95,10 @@ class BurstLoss(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Delay(LinkFault):
-    """Messages come later: by mean_s, more or less jitter_s."""
+    """Messages arrive late.
+
+    mean_s, jitter_s: mean and standard deviation of the delay
+    """
 
     mean_s: float
     jitter_s: float = 0.0
@@ -98,7 +110,9 @@ class Delay(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class SlowNode(LinkFault):
-    """A node takes delay_s longer than it should: what it says comes late, what it hears does not.
+    """A node takes longer than it should: what it says comes late, what it hears does not.
+
+    delay_s: how much longer
 
     What a slow broker or command centre says is the picture.
     """
@@ -116,10 +130,13 @@ class SlowNode(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class BandwidthLimit(LinkFault):
-    """At most bits_per_s get through; what waits longer than queue_s is lost."""
+    """A link carries no more than this.
+
+    bits_per_s: that it carries;  queue_s: how long a message may wait for its turn before it is lost
+    """
 
     bits_per_s: float
-    queue_s: float = 0.5
+    queue_s: float = QUEUE_S
 
     def as_rule(self) -> Rule:
         """See LinkFault."""
@@ -128,7 +145,10 @@ class BandwidthLimit(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Corrupt(LinkFault):
-    """In a message, with this probability, some bits come out wrong."""
+    """In a message, with this probability, some bits come out wrong.
+
+    probability: that a message is corrupted, 0 to 1;  flips: bits that are flipped in it
+    """
 
     probability: float
     flips: int = 1
@@ -140,7 +160,10 @@ class Corrupt(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Duplicate(LinkFault):
-    """A message, with this probability, comes again, `copies` times."""
+    """Some messages arrive more than once.
+
+    probability: that a message is repeated, 0 to 1;  copies: how many more of it arrive
+    """
 
     probability: float
     copies: int = 1
@@ -152,9 +175,12 @@ class Duplicate(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Flood(LinkFault):
-    """Every message comes `copies` times more."""
+    """Every message arrives many times.
 
-    copies: int = 5
+    copies: how many more of each arrive
+    """
+
+    copies: int = FLOOD_COPIES
 
     def as_rule(self) -> Rule:
         """See LinkFault."""
@@ -163,7 +189,10 @@ class Flood(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Reorder(LinkFault):
-    """A message, with this probability, comes by_s later, so that others overtake it."""
+    """Some messages are held up, so that others overtake them.
+
+    probability: that a message is held up, 0 to 1;  by_s: for how long
+    """
 
     probability: float
     by_s: float = 0.1
@@ -175,7 +204,10 @@ class Reorder(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Impair(LinkFault):
-    """Any rule of a link, for a time: rule=dict(type="PoseError", …), of our own or of the user's."""
+    """Any rule of a link, for a time: one of ours or your own.
+
+    rule: dict(type="PoseError", …), see `mast list links`
+    """
 
     rule: dict[str, Any]
 

@@ -1,21 +1,18 @@
 """Fusion at the command centre: from the tracks of many agents to one picture (docs/tracking.md)."""
 
-from mast_zenoh.fusion.base import Clusterer, Fusion, GroupTracker, Pipeline
+from mast_zenoh.fusion.base import Clusterer, Fusion, GroupTracker
 from mast_zenoh.fusion.clustering import DBSCANClusterer, SampledAssignmentClusterer
 from mast_zenoh.fusion.covariance_intersection import BestMemberFusion, CovarianceIntersectionFusion
 from mast_zenoh.fusion.group_tracking import GroupTrackerWrapper, UnfilteredGroupTracker
-from mast_zenoh.fusion.pipeline import CommandCenterPipeline
 
 __all__ = [
     "BestMemberFusion",
     "Clusterer",
-    "CommandCenterPipeline",
     "CovarianceIntersectionFusion",
     "DBSCANClusterer",
     "Fusion",
     "GroupTracker",
     "GroupTrackerWrapper",
-    "Pipeline",
     "SampledAssignmentClusterer",
     "UnfilteredGroupTracker",
 ]

@@ -1,4 +1,4 @@
-"""The stages of a command centre: clustering, fusion, group tracking, and the pipeline of them."""
+"""The stages of a command centre: clustering, fusion and group tracking."""
 
 from __future__ import annotations
 
@@ -42,27 +42,6 @@ class GroupTracker(ABC):
         self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
         """(picture, support): objects at `time_ns`, sorted by id, and how many agents' tracks are now in each (n,)."""
-
-    @abstractmethod
-    def reset(self) -> None:
-        """Back to the state of a newly made one."""
-
-
-class Pipeline(ABC):
-    """The whole way from the agents' tracks to the picture."""
-
-    @abstractmethod
-    def step(
-        self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None
-    ) -> tuple[ObjectStates, Ints]:
-        """(picture, support): objects at `time_ns`, sorted by id, and how many agents' tracks are now in each (n,).
-
-        states: n tracks of all agents, world frame, at `time_ns`
-        agent: (n,) int64, rows of `agents`, the agents' names
-        weights: (n,), see `Fusion.fuse`
-
-        The result does not depend on the order of the rows, nor on that of the agents.
-        """
 
     @abstractmethod
     def reset(self) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.soundness import sound
@@ -34,21 +35,16 @@ class Members:
     @classmethod
     def of(cls, states: ObjectStates, labels: Ints, weights: Floats | None) -> Members:
         """The members of positive weight of the clusters `labels` (n,); without weights all members alike."""
-        x = states.position[:, 0]
-        order = np.lexsort((x, labels))
-        label = labels.take(order)
-        within = label[1:] == label[:-1]
-        x = x.take(order)
-        if np.count_nonzero(within & (x[1:] == x[:-1])):
-            order = np.lexsort((states.id, *states.velocity.T, *states.position.T, labels))
+        x, y, z = states.position.T
+        order = row_order(x, labels, ties=(states.id, *states.velocity.T, z, y))
         if weights is None:
             weight = np.ones(len(order))
         else:
             order = order[weights[order] > 0.0]
-            weight, label = weights[order], labels[order]
-            within = label[1:] == label[:-1]
+            weight = weights[order]
+        label = labels.take(order)
         first = np.ones(len(label), bool)
-        first[1:] = ~within
+        first[1:] = label[1:] != label[:-1]
         states = states.select(order)
         states = states.with_(covariance=sound(states.covariance))
         return cls(states, weight, first.nonzero()[0], first.cumsum() - 1, label[first]).weighted(weight)

@@ -8,60 +8,53 @@ from libc.string cimport memcpy
 
 from mast_zenoh.kernels.algebra cimport wrapped
 from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, squares, table, whole, writable, zeros
-from mast_zenoh.kernels.table cimport SOURCE_DIGEST
+from mast_zenoh.kernels.table cimport (
+    SOURCE_DIGEST, FOLLOWED_VX, FOLLOWED_UNSEEN, FOLLOWED_AGE, FOLLOWED_HITS, FOLLOWED_ID, FOLLOWED_TARGET,
+    FOLLOWED_ROW, FOLLOWED_COLUMNS,
+)
 
 np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
 
-#: Columns of the table, as in `attacks.following`.
-cdef enum:
-    VX = 3
-    UNSEEN = 6
-    AGE = 7
-    HITS = 8
-    ID = 9
-    TARGET = 10
-    ROW = 11
-    COLUMNS = 12
-
 
 def followed(tracks, position, velocity, id, double elapsed_s, double radius_m, limits):
     tracks, position, velocity = whole(tracks), whole(position), whole(velocity)
-    cdef double gate_m = limits[0], growth = limits[1], fastest = limits[2], forgotten = limits[3], clutter = limits[4]
-    cdef double same_id_m = limits[5], least_alpha = limits[6], least_beta = limits[7]
+    cdef double gate_m = limits.gate_m, growth = limits.gate_growth_mps, fastest = limits.fastest_mps
+    cdef double forgotten = limits.forgotten_s, clutter = limits.clutter_s, same_id_m = limits.same_id_m
+    cdef double least_alpha = limits.least_alpha, least_beta = limits.least_beta
     cdef Py_ssize_t m = length(tracks), n = length(position), t, r, p, axis, best, kept = 0, fresh = 0, count = 0
     cdef const double* there = floats(position, 2)
     cdef const double* speed = floats(velocity, 2)
     cdef const np.int64_t* ids = ints(id)
-    state = table(m, COLUMNS)
+    state = table(m, FOLLOWED_COLUMNS)
     cdef double* row = writable(state, 2)
     cdef double* first = row
     cdef double* own
     cdef double dx, dy, gate, alpha, beta, k, surprise, elapsed
-    memcpy(row, floats(tracks, 2), m * COLUMNS * sizeof(double))
+    memcpy(row, floats(tracks, 2), m * FOLLOWED_COLUMNS * sizeof(double))
     taken_ = zeros(np.NPY_BOOL, n)
     cdef np.uint8_t* taken = octets(taken_)
     for t in range(m):
-        own = first + t * COLUMNS
+        own = first + t * FOLLOWED_COLUMNS
         for axis in range(3):
-            own[axis] += own[VX + axis] * elapsed_s
-        own[UNSEEN] += elapsed_s
-        own[AGE] += elapsed_s
-        own[ROW] = -1.0
-        if own[ID] < 0.0:
+            own[axis] += own[FOLLOWED_VX + axis] * elapsed_s
+        own[FOLLOWED_UNSEEN] += elapsed_s
+        own[FOLLOWED_AGE] += elapsed_s
+        own[FOLLOWED_ROW] = -1.0
+        if own[FOLLOWED_ID] < 0.0:
             continue
         for r in range(n):
-            if ids[r] >= 0 and <double>ids[r] == own[ID] and not taken[r]:
+            if ids[r] >= 0 and <double>ids[r] == own[FOLLOWED_ID] and not taken[r]:
                 dx, dy = own[0] - there[3 * r], own[1] - there[3 * r + 1]
                 if dx * dx + dy * dy < same_id_m * same_id_m:
-                    own[ROW], taken[r] = <double>r, 1
+                    own[FOLLOWED_ROW], taken[r] = <double>r, 1
                     break
     # Pairs within the gates: counted, written, and joined nearest first.
     for t in range(m):
-        own = first + t * COLUMNS
-        if own[ROW] >= 0.0:
+        own = first + t * FOLLOWED_COLUMNS
+        if own[FOLLOWED_ROW] >= 0.0:
             continue
-        gate = fmin(gate_m + growth * own[UNSEEN] if own[HITS] > 1.0 else fastest * own[UNSEEN], radius_m)
+        gate = fmin(gate_m + growth * own[FOLLOWED_UNSEEN] if own[FOLLOWED_HITS] > 1.0 else fastest * own[FOLLOWED_UNSEEN], radius_m)
         for r in range(n):
             if not taken[r]:
                 dx, dy = there[3 * r] - own[0], there[3 * r + 1] - own[1]
@@ -72,10 +65,10 @@ def followed(tracks, position, velocity, id, double elapsed_s, double radius_m, 
     cdef double* cost = writable(costs_, 1)
     count = 0
     for t in range(m):
-        own = first + t * COLUMNS
-        if own[ROW] >= 0.0:
+        own = first + t * FOLLOWED_COLUMNS
+        if own[FOLLOWED_ROW] >= 0.0:
             continue
-        gate = fmin(gate_m + growth * own[UNSEEN] if own[HITS] > 1.0 else fastest * own[UNSEEN], radius_m)
+        gate = fmin(gate_m + growth * own[FOLLOWED_UNSEEN] if own[FOLLOWED_HITS] > 1.0 else fastest * own[FOLLOWED_UNSEEN], radius_m)
         for r in range(n):
             if not taken[r]:
                 dx, dy = there[3 * r] - own[0], there[3 * r + 1] - own[1]
@@ -85,46 +78,46 @@ def followed(tracks, position, velocity, id, double elapsed_s, double radius_m, 
     while True:
         best = -1
         for p in range(count):
-            if first[of_track[p] * COLUMNS + ROW] < 0.0 and not taken[of_row[p]] and (best < 0 or cost[p] < cost[best]):
+            if first[of_track[p] * FOLLOWED_COLUMNS + FOLLOWED_ROW] < 0.0 and not taken[of_row[p]] and (best < 0 or cost[p] < cost[best]):
                 best = p
         if best < 0:
             break
-        first[of_track[best] * COLUMNS + ROW], taken[of_row[best]] = <double>of_row[best], 1
+        first[of_track[best] * FOLLOWED_COLUMNS + FOLLOWED_ROW], taken[of_row[best]] = <double>of_row[best], 1
     for t in range(m):
-        own = first + t * COLUMNS
-        if own[ROW] >= 0.0:
-            r = <Py_ssize_t>own[ROW]
+        own = first + t * FOLLOWED_COLUMNS
+        if own[FOLLOWED_ROW] >= 0.0:
+            r = <Py_ssize_t>own[FOLLOWED_ROW]
             if speed[3 * r] != 0.0 or speed[3 * r + 1] != 0.0 or speed[3 * r + 2] != 0.0:
                 for axis in range(3):
-                    own[axis], own[VX + axis] = there[3 * r + axis], speed[3 * r + axis]
+                    own[axis], own[FOLLOWED_VX + axis] = there[3 * r + axis], speed[3 * r + axis]
             else:
-                k = own[HITS]
+                k = own[FOLLOWED_HITS]
                 alpha = fmax(2.0 * (2.0 * k + 1.0) / ((k + 1.0) * (k + 2.0)), least_alpha)
                 beta = fmax(6.0 / ((k + 1.0) * (k + 2.0)), least_beta)
-                elapsed = fmax(own[UNSEEN], 1e-9)
+                elapsed = fmax(own[FOLLOWED_UNSEEN], 1e-9)
                 for axis in range(3):
                     surprise = there[3 * r + axis] - own[axis]
                     own[axis] += alpha * surprise
-                    own[VX + axis] += beta / elapsed * surprise
-            own[ID], own[UNSEEN] = <double>ids[r], 0.0
-            own[HITS] += 1.0
-        kept += own[TARGET] >= 0.0 or own[UNSEEN] <= (forgotten if own[HITS] > 1.0 else clutter)
+                    own[FOLLOWED_VX + axis] += beta / elapsed * surprise
+            own[FOLLOWED_ID], own[FOLLOWED_UNSEEN] = <double>ids[r], 0.0
+            own[FOLLOWED_HITS] += 1.0
+        kept += own[FOLLOWED_TARGET] >= 0.0 or own[FOLLOWED_UNSEEN] <= (forgotten if own[FOLLOWED_HITS] > 1.0 else clutter)
     for r in range(n):
         fresh += not taken[r]
-    result = table(kept + fresh, COLUMNS)
+    result = table(kept + fresh, FOLLOWED_COLUMNS)
     cdef double* out = writable(result, 2)
     for t in range(m):
-        own = first + t * COLUMNS
-        if own[TARGET] >= 0.0 or own[UNSEEN] <= (forgotten if own[HITS] > 1.0 else clutter):
-            memcpy(out, own, COLUMNS * sizeof(double))
-            out += COLUMNS
+        own = first + t * FOLLOWED_COLUMNS
+        if own[FOLLOWED_TARGET] >= 0.0 or own[FOLLOWED_UNSEEN] <= (forgotten if own[FOLLOWED_HITS] > 1.0 else clutter):
+            memcpy(out, own, FOLLOWED_COLUMNS * sizeof(double))
+            out += FOLLOWED_COLUMNS
     for r in range(n):
         if not taken[r]:
             for axis in range(3):
-                out[axis], out[VX + axis] = there[3 * r + axis], speed[3 * r + axis]
-            out[UNSEEN], out[AGE], out[HITS], out[ID] = 0.0, 0.0, 1.0, <double>ids[r]
-            out[TARGET], out[ROW] = -1.0, <double>r
-            out += COLUMNS
+                out[axis], out[FOLLOWED_VX + axis] = there[3 * r + axis], speed[3 * r + axis]
+            out[FOLLOWED_UNSEEN], out[FOLLOWED_AGE], out[FOLLOWED_HITS], out[FOLLOWED_ID] = 0.0, 0.0, 1.0, <double>ids[r]
+            out[FOLLOWED_TARGET], out[FOLLOWED_ROW] = -1.0, <double>r
+            out += FOLLOWED_COLUMNS
     return result
 
 

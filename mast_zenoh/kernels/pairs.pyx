@@ -73,9 +73,8 @@ cdef inline double distance_of(double dx, double dy, double a, double b, double 
     return distance
 
 
-def gated(
-    t, position, covariance, jump, i, j, dx, dy, tuple gates, double level_m, tuple moving, double log_jump,
-):
+def gated(t, position, covariance, jump, near, gates, double log_jump):
+    i, j, dx, dy = near
     cdef const double* rows = floats(t, 2)
     cdef const double* at = floats(position, 2)
     cdef const double* noise = floats(covariance, 3)
@@ -86,13 +85,14 @@ def gated(
     cdef const double* y = floats(dy, 1)
     cdef Py_ssize_t n = length(t), m = length(position), wide = length(position, 1), w = length(covariance, 1)
     cdef Py_ssize_t p, q, r, s, k = 0, count = length(i)
-    cdef double gate = gates[0], sudden_gate = gates[1], standing = moving[0], per_speed = moving[1]
+    cdef double gate = gates.steady, sudden_gate = gates.sudden, level_m = gates.level_m
+    cdef double standing = gates.standing, per_speed = gates.moving
     cdef double a, b, c, more
     cdef const double* row
     cdef const double* own
-    near, explained, measured = zeros(np.NPY_UINT8, count), zeros(np.NPY_UINT8, n), zeros(np.NPY_UINT8, m)
+    inside, explained, measured = zeros(np.NPY_UINT8, count), zeros(np.NPY_UINT8, n), zeros(np.NPY_UINT8, m)
     density, added = made(np.NPY_DOUBLE, count), zeros(np.NPY_DOUBLE, count)
-    cdef np.uint8_t* chosen = octets(near)
+    cdef np.uint8_t* chosen = octets(inside)
     cdef np.uint8_t* of_track = octets(explained)
     cdef np.uint8_t* of_measurement = octets(measured)
     cdef double* log_density = writable(density, 1)
@@ -192,18 +192,16 @@ def useful_pairs(row, column, cost):
     return chosen, alone
 
 
-def expected(
-    boxes, screens, position, rotation, tuple azimuth, tuple elevation, double max_range, double edge_m,
-    double nearest_m,
-):
-    boxes, screens, rotation = whole(boxes), whole(screens), whole(rotation)
+def expected(boxes, screens, view, double edge_m, double nearest_m):
+    boxes, screens, rotation, position = whole(boxes), whole(screens), whole(view.rotation), view.position
     cdef const double* box = floats(boxes, 2)
     cdef const double* screen = floats(screens, 2)
     cdef const double* origin = floats(position, 1)
     cdef const double* R = floats(rotation, 2)
     cdef Py_ssize_t r, s, k, n = length(boxes), m = length(screens)
     cdef Py_ssize_t wide = length(boxes, 1), broad = length(screens, 1)
-    cdef double low = azimuth[0], high = azimuth[1], down = elevation[0], up = elevation[1]
+    cdef double low = view.azimuth_min, high = view.azimuth_max, down = view.elevation_min, up = view.elevation_max
+    cdef double max_range = view.max_range
     cdef double ground, distance, inside, angle, top, x, y, z, u, v
     cdef bint partial = high - low < 2 * PI - 1e-6
     cdef double[3] at
@@ -245,29 +243,6 @@ def expected(
                 break
             other += 5
         box += wide
-    return result
-
-
-def overlap(offset, size, yaw, other_size, other_yaw, double one_object):
-    offset, size, yaw = whole(offset), whole(size), whole(yaw)
-    other_size, other_yaw = whole(other_size), whole(other_yaw)
-    cdef const double* off = floats(offset, 2)
-    cdef const double* own = floats(size, 2)
-    cdef const double* heading = floats(yaw, 1)
-    cdef const double* other = floats(other_size, 2)
-    cdef const double* other_heading = floats(other_yaw, 1)
-    cdef Py_ssize_t p, n = length(offset), wide = length(offset, 1)
-    cdef double c, s, u, v
-    result = made(np.NPY_BOOL, n)
-    cdef np.uint8_t* out = octets(result)
-    for p in range(n):
-        c, s = cos(heading[p]), sin(heading[p])
-        u, v = fabs(cos(other_heading[p] - heading[p])), fabs(sin(other_heading[p] - heading[p]))
-        out[p] = (
-            fabs(c * off[0] + s * off[1]) < 0.5 * one_object * (own[0] + u * other[0] + v * other[1])
-            and fabs(c * off[1] - s * off[0]) < 0.5 * one_object * (own[1] + v * other[0] + u * other[1])
-        )
-        off, own, other = off + wide, own + 3, other + 3
     return result
 
 

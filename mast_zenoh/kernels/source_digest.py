@@ -1,12 +1,13 @@
-"""What the compiled kernels were made from."""
+"""Digest of the sources from which the kernels are compiled."""
 
 import hashlib
 from pathlib import Path
 
 
 def digest() -> str:
-    """Of the sources that lie beside this file; the build puts it into what it compiles."""
-    found = hashlib.blake2b(digest_size=8)
-    for path in sorted(Path(__file__).parent.glob("*.p[yx][xd]")):
-        found.update(path.read_bytes())
-    return found.hexdigest()
+    """Of the sources beside this file, 16 hexadecimal digits; the build puts it into what it compiles."""
+    folder = Path(__file__).parent
+    result = hashlib.blake2b(digest_size=8)
+    for path in sorted([*folder.glob("*.p[yx][xd]"), folder / "table_columns.py"]):
+        result.update(path.read_bytes())
+    return result.hexdigest()

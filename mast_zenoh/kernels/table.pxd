@@ -1,5 +1,5 @@
 # cython: language_level=3
-"""Columns of the table of tracks, as in `tracking.tracks`: a test compares them. And what the kernels were made from."""
+"""What the build hands to the C compiler: the columns of `table_columns.py`, and what the kernels were made from."""
 
 cdef extern from *:
     """
@@ -9,23 +9,31 @@ cdef extern from *:
     """
     const char* SOURCE_DIGEST
 
-cdef enum:
-    P = 9
-    XX = 9
-    XY = 10
-    YY = 19
-    YAW = 90
-    YAW_VARIANCE = 91
-    TURN = 92
-    ASIDE = 93
-    ODDS = 94
-    HITS = 95
-    MISSES = 96
-    VOTES = 97
-    N_CLASSES = 7
-    CLASS = 104
-    CONFIRMED = 105
-    AGE = 106
-    ID = 107
-    ROW = 108
-    WIDTH = 109
+    enum:
+        N_CLASSES "MAST_N_CLASSES"
+        P "MAST_P"
+        XX "MAST_XX"
+        XY "MAST_XY"
+        YY "MAST_YY"
+        YAW "MAST_YAW"
+        YAW_VARIANCE "MAST_YAW_VARIANCE"
+        TURN "MAST_TURN"
+        LATERAL_RESIDUAL "MAST_LATERAL_RESIDUAL"
+        ODDS "MAST_ODDS"
+        HITS "MAST_HITS"
+        MISSES "MAST_MISSES"
+        VOTES "MAST_VOTES"
+        CLASS "MAST_CLASS"
+        CONFIRMED "MAST_CONFIRMED"
+        AGE "MAST_AGE"
+        ID "MAST_ID"
+        ROW "MAST_ROW"
+        WIDTH "MAST_WIDTH"
+        FOLLOWED_VX "MAST_FOLLOWED_VX"
+        FOLLOWED_UNSEEN "MAST_FOLLOWED_UNSEEN"
+        FOLLOWED_AGE "MAST_FOLLOWED_AGE"
+        FOLLOWED_HITS "MAST_FOLLOWED_HITS"
+        FOLLOWED_ID "MAST_FOLLOWED_ID"
+        FOLLOWED_TARGET "MAST_FOLLOWED_TARGET"
+        FOLLOWED_ROW "MAST_FOLLOWED_ROW"
+        FOLLOWED_COLUMNS "MAST_FOLLOWED_COLUMNS"

@@ -8,17 +8,12 @@ from libc.string cimport memcpy, memset
 from mast_zenoh.kernels.algebra cimport factorise, forward, wrapped
 from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, squares, table, whole, writable
 from mast_zenoh.kernels.table cimport (
-    SOURCE_DIGEST, P, XX, XY, YY, YAW, YAW_VARIANCE, TURN, ASIDE, ODDS, HITS, MISSES, VOTES, N_CLASSES, CLASS,
-    CONFIRMED, AGE, ID, ROW, WIDTH,
+    SOURCE_DIGEST, P, XX, XY, YY, YAW, YAW_VARIANCE, TURN, LATERAL_RESIDUAL, ODDS, HITS, MISSES, VOTES, N_CLASSES,
+    CLASS, CONFIRMED, AGE, ID, ROW, WIDTH,
 )
 
 np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
-
-COLUMNS = dict(
-    XX=XX, XY=XY, YY=YY, YAW=YAW, YAW_VARIANCE=YAW_VARIANCE, TURN=TURN, ASIDE=ASIDE, ODDS=ODDS, HITS=HITS,
-    MISSES=MISSES, CLASS=CLASS, CONFIRMED=CONFIRMED, AGE=AGE, ID=ID, ROW=ROW, WIDTH=WIDTH,
-)
 
 cdef double PI = 3.141592653589793
 
@@ -40,26 +35,6 @@ def predict(t, double dt, noise):
         for k in range(81):
             row[P + k] += added[k]
         row += WIDTH
-
-
-def with_speed(box, mean, swing, cross, double vertical):
-    box = whole(box)
-    cdef const double* noise = floats(box, 3)
-    cdef const double* middle = floats(mean, 1)
-    cdef const double* half = floats(swing, 1)
-    cdef const double* common = floats(cross, 1)
-    cdef Py_ssize_t r, i, n = length(mean)
-    result = squares(n, 9)
-    cdef double* out = writable(result, 3)
-    memset(out, 0, 81 * n * sizeof(double))
-    for r in range(n):
-        for i in range(6):
-            memcpy(out + 9 * i, noise + 6 * i, 6 * sizeof(double))
-        out[60], out[70] = middle[r] + half[r], middle[r] - half[r]
-        out[61] = out[69] = common[r]
-        out[80] = vertical
-        out, noise = out + 81, noise + 36
-    return result
 
 
 def correct(t, measured, noise):
@@ -156,9 +131,9 @@ def across(t, surprise, free, double slip, double share, double s):
     cdef double* variance = writable(variances, 1)
     for r in range(n):
         c, d = cos(row[YAW]), sin(row[YAW])
-        row[ASIDE] += share * (off[2 * r + 1] * c - off[2 * r] * d - row[ASIDE])
+        row[LATERAL_RESIDUAL] += share * (off[2 * r + 1] * c - off[2 * r] * d - row[LATERAL_RESIDUAL])
         squared = row[6] * row[6] + row[7] * row[7]
-        variance[r] = slip * slip + (row[ASIDE] / s) ** 2 + squared * row[YAW_VARIANCE]
+        variance[r] = slip * slip + (row[LATERAL_RESIDUAL] / s) ** 2 + squared * row[YAW_VARIANCE]
         variance[r] += by_class[<Py_ssize_t>row[CLASS]]
         direction[2 * r], direction[2 * r + 1] = -d, c
         row += WIDTH
@@ -188,17 +163,6 @@ def survive(t, double dt, double lifetime_s, double memory_s):
         for k in range(HITS, VOTES + N_CLASSES):
             row[k] *= fades
         row += WIDTH
-
-
-def detection_probability(t, double prior, double weight):
-    cdef const double* row = floats(t, 2)
-    cdef Py_ssize_t r, n = length(t)
-    result = made(np.NPY_DOUBLE, n)
-    cdef double* out = writable(result, 1)
-    for r in range(n):
-        out[r] = fmin((row[HITS] + prior * weight) / (row[HITS] + row[MISSES] + weight), prior)
-        row += WIDTH
-    return result
 
 
 def hit(t, detected, log_ratio, double most):

@@ -1,23 +1,18 @@
-"""Where the nodes of a run live, if not on this machine as processes of the launcher. mast_zenoh.deploy has engines."""
+"""The base class of deployment engines, which start nodes elsewhere; mast_zenoh.deploy has ours."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
-
-import zenoh
+from typing import Any, ClassVar
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.launch.supervisor import Supervisor
-
-if TYPE_CHECKING:
-    from mast_zenoh.launch.mesh_run import Launch
+from mast_zenoh.launch.context import Mesh, RunContext
 
 
 class Engine(ABC):
-    """What brings a mesh and its nodes into being somewhere, and takes all of it away again.
+    """Creates the mesh of a run and its nodes somewhere, and removes all of it again.
 
     name: as `--engine` has it; unplugs: whether nodes can be taken off their networks
     """
@@ -30,12 +25,12 @@ class Engine(ABC):
         """Raise EngineError for what makes the run impossible. Called before anything is started or written."""
 
     @abstractmethod
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
-        """Bring up the router and make ready the nodes; the launcher's session, and who starts the nodes.
+    def join(self, context: RunContext, stack: ExitStack) -> Mesh:
+        """Start the router and prepare the nodes; the launcher's session, the nodes' supervisor and their credentials.
 
-        Whatever is made is taken away by callbacks on the stack, however the run ends. Signals are only noted in
-        launch.signals meanwhile, so whoever waits looks there. launch.record["endpoint"] and ["deployment"] are set,
-        the latter to {"engine": name, …}: all that `status`, `logs` and `down` need.
+        Callbacks on the stack remove whatever is made, however the run ends. Signals are only noted in
+        context.signals meanwhile: check it in every wait. Set context.record["endpoint"] and ["deployment"], the
+        latter to {"engine": name, …}: all that `status`, `logs` and `down` need.
 
         Raises EngineError, Interrupted.
         """

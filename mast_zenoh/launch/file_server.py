@@ -1,4 +1,4 @@
-"""What the launcher keeps for nodes that live elsewhere, and takes from them: the other end of runtime.file_client.
+"""Serves files to nodes that live elsewhere, and takes theirs: the launcher's end of runtime.file_client.
 
 A node gets scenario.json and wiring.json, the scene if it drives it, and the user's Python files that it is made of:
 its own and those that define algorithms, with what they import from beside them. It may give the files that its
@@ -32,17 +32,18 @@ from mast_zenoh.runtime.file_client import written_by
 from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.scenes.recording import Recording
 
-#: Questions of one node that may wait; it asks one at a time, and again after five seconds.
+#: Requests of one node that may wait; it sends one at a time, and again after five seconds.
 MAX_WAITING = 16
 
 Request = files.Join | files.Clock | files.Piece | files.Written
 
 
-class Depot:
-    """Serves all nodes of one run, in a thread of its own, from when it is made until it is closed.
+class FileServer:
+    """Serves the files of all nodes of one run, in a thread of its own, until it is closed.
 
-    resolved: what is run now; without: nodes that are not up now, by whom it matters to
-    mismatch: told of a node of another version, which has been refused
+    resolved: returns the scenario as it is run now
+    without:  returns the nodes that a node need not wait for
+    mismatch: called when a node of another version has been refused
     invalid: counts what is refused
     taken_at: when the last piece of a file was taken, on the monotonic clock
     """
@@ -66,22 +67,22 @@ class Depot:
         self._waiting: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._closed = False
-        self.death = ""  # what its thread has ended of, when nobody had closed it
+        self.death = ""  # the exception that has ended its thread, if one has
         self._kept: dict[str, dict[str, bytes | Path]] = {}
         self._asked: queue.SimpleQueue[tuple[zenoh.Query, Request, int] | None] = queue.SimpleQueue()
         handler: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         base = f"{prefix(run)}/@control"
         self._declared = [session.declare_queryable(f"{base}/{what}/*", handler) for what in ("fetch", "file")]
-        self._thread = threading.Thread(target=self._live, name="depot")
+        self._thread = threading.Thread(target=self._live, name="file-server")
         self._thread.start()
 
     @property
     def died(self) -> bool:
-        """Whether its thread has ended, though nobody has closed it."""
+        """Whether its thread has ended before it was closed."""
         return not self._closed and not self._thread.is_alive()
 
     def close(self) -> None:
-        """Serve nobody any more."""
+        """Stop serving."""
         self._closed = True
         for queryable in self._declared:
             queryable.undeclare()
@@ -91,11 +92,11 @@ class Depot:
     def _live(self) -> None:
         try:
             self._serve()
-        except BaseException as error:  # the run is told, see `died`
+        except BaseException as error:  # `died` says so to the run
             self.death = described(error)
 
     def _on_query(self, query: zenoh.Query) -> None:
-        """Take up a question, in Zenoh's thread: what is none takes nobody's room."""
+        """Take up a request, in Zenoh's thread; a malformed one takes no room in the queue."""
         (what, node), came_ns = _asked(query), time.time_ns()
         try:
             if node not in self._resolved().nodes:
@@ -124,7 +125,7 @@ class Depot:
                     answer = self._give(node, request, came_ns)
                 query.reply(query.key_expr, files.encode(answer))
                 query.drop()
-            except Exception as error:  # whatever a node asks, the others are served
+            except Exception as error:  # one request never stops the others
                 self._refuse(query, what, node, error)
             del asked, query
 
@@ -132,9 +133,9 @@ class Depot:
         """Answer with an error; count it, unless it says what a sound node has to know."""
         if not isinstance(error, VersionMismatch):
             self._invalid.note(f"{what}/{node if node in self._resolved().nodes else '*'}", described(error))
-        told = error if isinstance(error, MastError) else MessageError(described(error))
-        with suppress(Exception):  # whoever asked may have gone
-            query.reply_err(files.encode_refusal(told))
+        refusal = error if isinstance(error, MastError) else MessageError(described(error))
+        with suppress(Exception):  # the node may have gone
+            query.reply_err(files.encode_refusal(refusal))
             query.drop()
 
     def _give(self, node: str, request: files.Join | files.Clock | files.Piece, came_ns: int) -> dict[str, Any]:
@@ -178,13 +179,13 @@ class Depot:
 
 
 def _asked(query: zenoh.Query) -> tuple[str, str]:
-    """For what, and for which node: the last two chunks of the key."""
+    """Kind of request and node: the last two chunks of the key."""
     what, node = str(query.key_expr).rsplit("/", 2)[1:]
     return what, node
 
 
 def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tuple[str, bytes | Path]]:
-    """What a node needs: name and content, or the file with it. Paths inside are those that it will find there."""
+    """The files that a node needs: name there, and content or the file here. Paths in them are those of the node."""
     spec = resolved.nodes[node]
     places: dict[Path, str] = {}
 
@@ -193,7 +194,7 @@ def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tupl
         return f"{places.setdefault(path.parent, f'files/{len(places)}')}/{path.name}"
 
     own = [spec.file, *resolved.modules]
-    told = replace(
+    placed_scenario = replace(
         resolved,
         modules=tuple(placed(file) for file in resolved.modules),
         nodes={
@@ -201,7 +202,7 @@ def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tupl
             for name, other in resolved.nodes.items()
         },
     )
-    yield "scenario.json", json.dumps(told.to_json()).encode()
+    yield "scenario.json", json.dumps(placed_scenario.to_json()).encode()
     yield "wiring.json", json.dumps(resolved.wiring).encode()
     sent: set[Path] = set()
     for file in own:

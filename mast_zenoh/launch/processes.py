@@ -42,7 +42,7 @@ class Processes(Supervisor[Process]):
     Each child's standard input is a pipe that we hold: when we end, however that may be, it closes, and they leave.
 
     inside: what to put before the command of a node; it must become that command, in the same process
-    told:   what a node's command is told besides
+    extra_arguments: further arguments of a node's command
     """
 
     def __init__(
@@ -51,14 +51,14 @@ class Processes(Supervisor[Process]):
         run: str,
         endpoint: str,
         inside: Callable[[str], list[str]] = lambda name: [],
-        told: Callable[[str], list[str]] = lambda name: [],
+        extra_arguments: Callable[[str], list[str]] = lambda name: [],
     ) -> None:
         super().__init__()
         self.folder = folder
         self.run = run
         self.endpoint = endpoint
         self.inside = inside
-        self.told = told
+        self.extra_arguments = extra_arguments
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
         """See Supervisor."""
@@ -70,7 +70,7 @@ class Processes(Supervisor[Process]):
         """What starts a node now."""
         module = ["-P", "-m", "mast_zenoh.runtime", spec.file]  # without what lies in the working directory
         command = [*self.inside(name), sys.executable, *module, "--run-folder", str(self.folder), "--name", name]
-        command += ["--endpoint", self.endpoint, "--run", self.run, *self.told(name)]
+        command += ["--endpoint", self.endpoint, "--run", self.run, *self.extra_arguments(name)]
         without = ",".join(self.without[name])
         return [*command, "--without", without] if without else command
 
@@ -84,10 +84,10 @@ class Processes(Supervisor[Process]):
         child.process.kill()
         child.process.wait()
 
-    def _stand_still(self, child: Process) -> None:
+    def _suspend(self, child: Process) -> None:
         child.process.send_signal(signal.SIGSTOP)
 
-    def _go_on(self, children: Iterable[Process]) -> None:
+    def _resume(self, children: Iterable[Process]) -> None:
         for child in children:
             child.process.send_signal(signal.SIGCONT)
 
@@ -99,7 +99,7 @@ class Processes(Supervisor[Process]):
             return False
         return True
 
-    def let_go(self, child: Process) -> None:
+    def dispose(self, child: Process) -> None:
         """See Supervisor."""
         _close(child.process)
         child.log.close()
@@ -118,7 +118,7 @@ class Processes(Supervisor[Process]):
             for child in self.running():
                 self.wait(child, max(0.0, deadline - time.monotonic()))
         for child in self.children.values():
-            self.let_go(child)
+            self.dispose(child)
 
     def _spawn(self, command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
         return subprocess.Popen(

@@ -6,7 +6,7 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,11 +18,11 @@ from mast_zenoh import checks
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures
 from mast_zenoh.errors import BackendError, MastError
-from mast_zenoh.launch import conclusion, ending, liveness, steps, stop_signals
+from mast_zenoh.launch import conclusion, ending, liveness, mesh_run, steps, stop_signals
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.launch.nodelogs import NodeLogs
 from mast_zenoh.messagelog import churn
 from mast_zenoh.runtime.inproc import InProcess
@@ -59,8 +59,9 @@ def run(
     engine: Engine | None = None,
     allow_failures: bool = False,
     allow_churn: bool = False,
-    prepare: Callable[[Launch], None] = lambda launch: None,
+    prepare: Callable[[RunContext], None] = lambda context: None,
     console: Console | None = None,
+    command: Sequence[str] | str | None = None,
 ) -> Run:
     """Run a scenario and write its run folder; what goes wrong is in the result and in run.json.
 
@@ -69,7 +70,8 @@ def run(
     engine:   where the nodes live, if not here as processes: it brings its own router
     allow_failures: whether a run in which a handler failed is "ok" all the same; otherwise its error is HandlerFailed
     allow_churn: whether a lock-step run in which a node was lost is "ok" all the same; otherwise its error is NodeLost
-    prepare:  called with what will launch the run on its mesh, before it does
+    prepare:  called with the context of a run on a mesh before it starts: to set detours, and to observe the run
+    command:  what started the run, for run.json; None: this process's command line
     Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
     """
     console = console or Console(quiet=True)
@@ -91,7 +93,7 @@ def run(
             "seed": resolved.seed,
             "frames": resolved.frames,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "command": [os.path.basename(sys.argv[0]), *sys.argv[1:]],
+            "command": command or [os.path.basename(sys.argv[0]), *sys.argv[1:]],
             "launcher": liveness.identity(),
             "versions": run_folder.versions(),
             "timings": {},
@@ -109,11 +111,9 @@ def run(
                 if runtime == "inproc":
                     _run_inproc(resolved, folder, record, display, received)
                 else:
-                    launch = Launch(
-                        resolved, folder, record, display, endpoint, listen, secure, engine, signals=received
-                    )
-                    prepare(launch)
-                    launch.run()
+                    context = RunContext(resolved, folder, record, display.say, secure, received)
+                    prepare(context)
+                    mesh_run.run(context, display, endpoint, listen, engine)
         except BaseException as raised:  # whatever it is, the run folder says how the run ended
             caught = raised
         record["timings"]["total_s"] = round(time.monotonic() - begun, 3)

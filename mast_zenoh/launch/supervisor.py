@@ -1,4 +1,4 @@
-"""Who starts, watches, restarts and ends the nodes of a run, wherever they live. Ends only what it has started."""
+"""Starts, watches, restarts and ends the nodes of a run, wherever they live. Ends only what it has started."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Child(ABC):
         self.name = name
         self.spec = spec
         self.restarts = 0
-        self.told = False  # whether its end has been dealt with
-        self.meant = False  # whether the scenario wants it to end
+        self.exit_handled = False  # whether `newly_ended` has returned it
+        self.exit_expected = False  # whether the scenario or an interception ends it
         self.handed_in = False  # whether it has given its results to the launcher
         self.paused = False
         self.cut_off = False  # whether it has been taken off its networks
@@ -59,7 +59,7 @@ C = TypeVar("C", bound=Child)
 class Supervisor(ABC, Generic[C]):
     """The nodes of a run, by name. A subclass knows how to reach them: as processes, in containers, on other hosts.
 
-    without: by node, who was not up when it was last started, so that it need not wait for them
+    without: by node, the nodes that were not up when it was last started, so that it need not wait for them
     """
 
     def __init__(self) -> None:
@@ -80,11 +80,11 @@ class Supervisor(ABC, Generic[C]):
 
         How often the scenario starts it again is the scenario's affair.
         """
-        if child.restarts >= MAX_RESTARTS and not child.meant:
+        if child.restarts >= MAX_RESTARTS and not child.exit_expected:
             return False
         child.notes.append(how_ended(child.exit))
         child.restarts += 1
-        child.told = child.meant = child.paused = child.handed_in = False
+        child.exit_handled = child.exit_expected = child.paused = child.handed_in = False
         self._start_again(child, without)
         return True
 
@@ -98,29 +98,29 @@ class Supervisor(ABC, Generic[C]):
 
     def kill(self, child: C) -> None:
         """End a node at once, because the scenario says so."""
-        child.meant = True
+        child.exit_expected = True
         child.notes.append("killed by the scenario")
         self.end_now(child)
 
     def pause(self, child: C) -> None:
-        """Have a node stand still until it is resumed."""
-        child.paused = True  # also if it cannot be said whether it does
-        self._stand_still(child)
+        """Suspend a node until it is resumed."""
+        child.paused = True  # also if it is not known whether that worked
+        self._suspend(child)
 
     @abstractmethod
-    def _stand_still(self, child: C) -> None:
-        """Have a node that runs stand still."""
+    def _suspend(self, child: C) -> None:
+        """Suspend a node that runs."""
 
     def resume(self, children: Iterable[C]) -> None:
-        """Have those go on that stand still."""
+        """Resume those of the nodes that are paused."""
         paused = [child for child in children if child.paused]
         for child in paused:
             child.paused = False
-        self._go_on(paused)
+        self._resume(paused)
 
     @abstractmethod
-    def _go_on(self, children: Iterable[C]) -> None:
-        """Have nodes go on that have been paused, unless they have ended since."""
+    def _resume(self, children: Iterable[C]) -> None:
+        """Resume nodes that have been paused, unless they have ended since."""
 
     def disconnect(self, child: C) -> None:
         """Take a node off its networks until it is connected again; raises BackendError where that cannot be done."""
@@ -135,18 +135,18 @@ class Supervisor(ABC, Generic[C]):
         """Wait until a node has ended; False when it has not within so many seconds."""
 
     @abstractmethod
-    def let_go(self, child: C) -> None:
-        """Give up what belongs to a node that has ended for good: its name may be given again."""
+    def dispose(self, child: C) -> None:
+        """Release what belongs to a node that has ended for good; its name may be used again."""
 
     @abstractmethod
     def end(self, grace_s: float) -> None:
-        """End all: who stands still or is cut off goes on; then ask, ask louder, and end at once, with a grace each."""
+        """End all nodes: resume and reconnect them; then ask, terminate and kill them, with a grace before each."""
 
     def newly_ended(self) -> list[C]:
         """Nodes that have ended since the last call."""
-        ended = [child for child in self.children.values() if not child.told and child.exit is not None]
+        ended = [child for child in self.children.values() if not child.exit_handled and child.exit is not None]
         for child in ended:
-            child.told = True
+            child.exit_handled = True
         return ended
 
     def running(self) -> list[C]:

@@ -46,7 +46,9 @@ class Passage(NamedTuple):
 
 
 class Rule(ABC):
-    """Acts on the messages of one wire, from `at` on and before `until`, s of scene time (None: to the end).
+    """Acts on the messages of one wire for a time.
+
+    at, until: s of scene time from which on it acts, and before which it ends; None: to the end
 
     A rule may remember what it has done (a queue, the state of a channel): every wire has rules of its own. Its draws
     are given to it: a row for every message that comes on the wire, whether or not the rule is asked about that one, so

@@ -10,6 +10,7 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.links.base import Passage, Rule, expect, expect_part
 
 MOST_COPIES = 1000
+FLOOD_COPIES = 5  #: default, also of the fault
 
 
 class Duplicate(Rule):
@@ -42,7 +43,7 @@ class Flood(Rule):
 
     fate = "duplicated"
 
-    def __init__(self, copies: int = 20, at: float = 0.0, until: float | None = None) -> None:
+    def __init__(self, copies: int = FLOOD_COPIES, at: float = 0.0, until: float | None = None) -> None:
         super().__init__(at, until)
         expect("copies", copies, 1 <= copies <= MOST_COPIES, f"1 to {MOST_COPIES}")
         self.copies = copies

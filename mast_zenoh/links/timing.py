@@ -11,6 +11,8 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.links.base import LONGEST_S, NANOSECONDS, Passage, Rule, expect, expect_duration, expect_part
 
+QUEUE_S = 0.5  #: s, default of `Bandwidth`, also of the fault
+
 Distribution = Literal["constant", "normal", "gamma", "lognormal"]
 
 
@@ -77,7 +79,9 @@ class Bandwidth(Rule):
     fate = "delayed"
     weighs = True
 
-    def __init__(self, bits_per_s: float, queue_s: float = 0.1, at: float = 0.0, until: float | None = None) -> None:
+    def __init__(
+        self, bits_per_s: float, queue_s: float = QUEUE_S, at: float = 0.0, until: float | None = None
+    ) -> None:
         super().__init__(at, until)
         expect("bits_per_s", bits_per_s, 1.0 <= bits_per_s < math.inf, "1 or more")
         expect_duration("queue_s", queue_s)

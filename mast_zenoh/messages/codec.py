@@ -40,12 +40,12 @@ def conform(header: Header, body: Body) -> Message:
     try:
         size_key = layout.sizes(body)
         plan = layout.plan(size_key)
-        exact = exact_columns(body, plan)
+        exact = exact_columns(body, plan.names, plan.dtypes, plan.shapes)
         if exact is not None:
             return Message(header, exact)
-        shapes, sizes = [planned.shape for planned in plan], layout.named(size_key)
+        shapes, sizes = plan.shapes, layout.named(size_key)
     except (KeyError, IndexError, ValueError):
-        shapes = []  # checked column by column below
+        shapes = ()  # what is wrong is explained below
     columns: dict[str, NDArray[Any]] = {}
     for index, column in enumerate(schema.columns):
         name, wire = column.name, WIRE_DTYPE.get(column.dtype)
@@ -86,9 +86,10 @@ def encode(message: Message) -> bytes:
     header, columns = message
     layout = LAYOUTS[header.schema]
     body: dict[str, list[Any]] = {}
-    for name, dtype, dtype_name, _, dims, _, _ in layout.plan(layout.sizes(columns)):
+    plan = layout.plan(layout.sizes(columns))
+    for name, (dtype_name, dims, _) in zip(plan.names, plan.packed, strict=True):
         array = columns[name]
-        body[name] = [dtype_name, dims, list(array) if dtype is None else array.tobytes()]
+        body[name] = [dtype_name, dims, list(array) if dtype_name == "str" else array.tobytes()]
     version = SCHEMAS[header.schema].version
     values = (header.schema, version, header.source, header.frame, header.time_ns, header.seq, body)
     packed: bytes = msgpack.packb(dict(zip(_HEADER_KEYS, values, strict=True)))

@@ -1,6 +1,6 @@
-"""Layout of a message's columns, from its schema: dtype, shape, and limits of values.
+"""What the columns of a message must be, by their schema: dtype, shape, and the limits of their values.
 
-Nearly all messages are valid, which is checked here in one pass. For the others, `validation` explains the error.
+Nearly all messages are valid, which is found out here in one go. `validation` explains what is wrong with the others.
 """
 
 from __future__ import annotations
@@ -13,52 +13,43 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.kernels import kernel
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Schema
 
 MAX_BYTES = 16 * 1024 * 1024  #: no message is longer
 MAX_ROWS = 100_000  #: no column has more rows
 MAX_TEXT = 256  #: characters in one string
-MAX_MAGNITUDE = 1e9  #: far above any quantity of a scene in SI units; larger values would overflow the filters
-MIN_QUATERNION = 1e-3  #: length of a quaternion; nodes normalise quaternions before use
+MAX_MAGNITUDE = 1e9  #: no quantity of a scene in SI units comes near it; more would overflow the filters
 
 #: By dtype of a column: its NumPy dtype in memory (little-endian), and its name in a message.
 WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")}
 DTYPE_NAME = {name: dtype.str for name, dtype in WIRE_DTYPE.items()} | {"str": "str"}
+_TEXT = np.dtype(object)
 assert sys.byteorder == "little", "columns are sent as they lie in memory"
-
-#: Exclusive upper limit of the values of a column of indices, by its name; 256 for others.
-INDEX_LIMITS = {"class_id": len(CLASSES), "action": 3, "port": 5, "fate": 5}
 
 MAX_SQUARES = MAX_MAGNITUDE**2
 _MAX_PLANS = 1024
 
 
-class Planned(NamedTuple):
-    """What one column of a body of known sizes must hold; `dtype` is None for text; `limit` as from `_limit`."""
+class Plan(NamedTuple):
+    """What the columns of a body of known sizes must hold, by column; what a kernel checks, it finds here.
 
-    name: str
-    dtype: np.dtype[Any] | None
-    dtype_name: str
-    shape: tuple[int, ...]
-    dims: list[int]
-    n_bytes: int
-    limit: float
+    dtypes: object for text; limits: see `limit_of`
+    packed: (name of the dtype, shape as a list, bytes) of the column in a message; text has no bytes
+    """
 
-
-def index_limit(column: Column) -> int:
-    """Exclusive upper limit of the indices in a column."""
-    return INDEX_LIMITS.get(column.name.removeprefix("add_").removeprefix("remove_").removeprefix("move_"), 256)
+    names: tuple[str, ...]
+    dtypes: tuple[np.dtype[Any], ...]
+    shapes: tuple[tuple[int, ...], ...]
+    limits: tuple[float, ...]
+    packed: tuple[tuple[str, list[int], int], ...]
 
 
-def _limit(column: Column) -> float:
-    """The limit of a column's values: text length, index, or squared quaternion length; 0 for none."""
+def limit_of(column: Column) -> float:
+    """To what values are held besides being finite: characters of text, the index to stay below, least squares."""
     if column.dtype == "str":
         return MAX_TEXT
-    if column.dtype == "uint8":
-        return index_limit(column)
-    return MIN_QUATERNION**2 if column.dtype == "float64" and column.name.endswith("rotation") else 0.0
+    return column.below if column.dtype == "uint8" else column.least_length**2
 
 
 class Layout:
@@ -73,14 +64,14 @@ class Layout:
                     self._letters.setdefault(size, (column.name, axis))
         self._sources = tuple(self._letters.values())
         self._schema = schema
-        self._plans: dict[tuple[int, ...], list[Planned]] = {}
+        self._plans: dict[tuple[int, ...], Plan] = {}
         self._fitting: set[tuple[int, ...]] = set()  # sizes of messages within MAX_BYTES
 
     def named(self, sizes: tuple[int, ...]) -> dict[str, int]:
         """The sizes by letter."""
         return dict(zip(self._letters, sizes, strict=True))
 
-    def plan(self, sizes: tuple[int, ...]) -> list[Planned]:
+    def plan(self, sizes: tuple[int, ...]) -> Plan:
         """What every column of a body must hold; `sizes` are those of the letters, in their order.
 
         Raises ValueError for an invalid size.
@@ -89,17 +80,26 @@ class Layout:
         if plan is None:
             if not all(type(size) is int and 0 <= size <= MAX_ROWS for size in sizes):
                 raise ValueError
-            size_of = self.named(sizes)
-            plan = []
-            for column in self._schema.columns:
-                shape = tuple(size_of[size] if isinstance(size, str) else size for size in column.shape)
-                dtype = WIRE_DTYPE.get(column.dtype)
-                n_bytes = prod(shape) * (dtype.itemsize if dtype else 0)
-                name = DTYPE_NAME[column.dtype]
-                plan.append(Planned(column.name, dtype, name, shape, list(shape), n_bytes, _limit(column)))
+            plan = self._planned(self.named(sizes))
             if len(self._plans) < _MAX_PLANS:
                 self._plans[sizes] = plan
         return plan
+
+    def _planned(self, sizes: Mapping[str, int]) -> Plan:
+        """The plan for sizes by letter."""
+        columns = self._schema.columns
+        shapes = tuple(tuple(sizes[n] if isinstance(n, str) else n for n in column.shape) for column in columns)
+        dtypes = tuple(WIRE_DTYPE.get(column.dtype, _TEXT) for column in columns)
+        n_bytes = [prod(shape) * dtype.itemsize * (dtype != _TEXT) for shape, dtype in zip(shapes, dtypes, strict=True)]
+        return Plan(
+            names=tuple(column.name for column in columns),
+            dtypes=dtypes,
+            shapes=shapes,
+            limits=tuple(map(limit_of, columns)),
+            packed=tuple(
+                zip([DTYPE_NAME[column.dtype] for column in columns], map(list, shapes), n_bytes, strict=True)
+            ),
+        )
 
     def sizes(self, body: Body) -> tuple[int, ...]:
         """The sizes of the letters, from arrays; raises KeyError or IndexError if a column or an axis is missing."""
@@ -112,84 +112,92 @@ class Layout:
         except (KeyError, IndexError, TypeError, ValueError):
             return None
         columns = packed_columns(body, plan)
-        return columns if columns is not None and sound_values(columns, plan) <= MAX_SQUARES else None
+        if columns is None or not sound_values(columns, plan.names, plan.limits) <= MAX_SQUARES:
+            return None
+        return columns
 
     def is_valid(self, body: Body) -> bool:
         """Whether the values of a body that `conform` made are valid."""
         sizes = self.sizes(body)
         plan = self.plan(sizes)
         if sizes not in self._fitting:
-            if sum([planned.n_bytes for planned in plan]) > MAX_BYTES:
+            if sum([n_bytes for _, _, n_bytes in plan.packed]) > MAX_BYTES:
                 return False
             if len(self._fitting) < _MAX_PLANS:
                 self._fitting.add(sizes)
-        return sound_values(body, plan) <= MAX_SQUARES
+        return sound_values(body, plan.names, plan.limits) <= MAX_SQUARES
 
 
-@kernel
-def packed_columns(body: Mapping[str, Any], plan: list[Planned]) -> dict[str, NDArray[Any]] | None:
+def packed_columns(body: Mapping[str, Any], plan: Plan) -> dict[str, NDArray[Any]] | None:
     """The columns of a packed body if all match the plan, else None; values are not checked."""
     columns: dict[str, NDArray[Any]] = {}
-    for planned in plan:
-        packed = body.get(planned.name)
+    for name, dtype, shape, (dtype_name, dims, n_bytes) in zip(
+        plan.names, plan.dtypes, plan.shapes, plan.packed, strict=True
+    ):
+        packed = body.get(name)
         if type(packed) is not list or len(packed) != 3:
             return None
-        dtype_name, dims, data = packed
-        if dtype_name != planned.dtype_name or type(dims) is not list or dims != planned.dims:
+        found_name, found_dims, data = packed
+        if found_name != dtype_name or type(found_dims) is not list or found_dims != dims:
             return None
-        for size in dims:
+        for size in found_dims:
             if type(size) is not int:  # 3.0 and True are equal to whole numbers
                 return None
-        if planned.dtype is None:
+        if dtype is _TEXT:
             if type(data) is not list or [len(data)] != dims or not all(type(text) is str for text in data):
                 return None
-            columns[planned.name] = array = np.empty(len(data), object)
+            columns[name] = array = np.empty(len(data), object)
             array[:] = data
-        elif type(data) is not bytes or len(data) != planned.n_bytes:
+        elif type(data) is not bytes or len(data) != n_bytes:
             return None
         else:
-            columns[planned.name] = np.ndarray(planned.shape, planned.dtype, data)
+            columns[name] = np.ndarray(shape, dtype, data)
     return columns
 
 
 @kernel
-def exact_columns(body: Mapping[str, Any], plan: list[Planned]) -> dict[str, NDArray[Any]] | None:
-    """The columns of a body, read-only, if they are contiguous arrays that match the plan, else None."""
+def exact_columns(
+    body: Mapping[str, Any],
+    names: tuple[str, ...],
+    dtypes: tuple[np.dtype[Any], ...],
+    shapes: tuple[tuple[int, ...], ...],
+) -> dict[str, NDArray[Any]] | None:
+    """The columns of a body, read-only, if they are arrays of these dtypes and shapes, of contiguous memory."""
     columns: dict[str, NDArray[Any]] = {}
-    for planned in plan:
-        array = body.get(planned.name)
-        if type(array) is not np.ndarray or array.dtype != (planned.dtype or object) or array.shape != planned.shape:
+    for name, dtype, shape in zip(names, dtypes, shapes, strict=True):
+        array = body.get(name)
+        if type(array) is not np.ndarray or array.dtype != dtype or array.shape != shape:
             return None
-        if planned.dtype is not None:
+        if dtype is not _TEXT:
             if not array.flags.c_contiguous:
                 return None
             if array.flags.writeable:
                 array = array.view()
                 array.setflags(write=False)
-        columns[planned.name] = array
+        columns[name] = array
     return columns
 
 
 @kernel
-def sound_values(columns: Mapping[str, NDArray[Any]], plan: list[Planned]) -> float:
-    """The sum of the squares of all float64 values; infinite if another value is beyond its limit.
+def sound_values(columns: Mapping[str, NDArray[Any]], names: tuple[str, ...], limits: tuple[float, ...]) -> float:
+    """The sum of the squares of all that is float64; infinite where anything is beyond its limit.
 
-    columns: arrays that match the plan
+    columns: arrays of the names; limits: see `limit_of`
     """
-    # All numbers at once: if the total is within the limit, so is every column.
+    # All numbers at once. Less than the limit in all is less than what a column may have by itself.
     squares = 0.0
-    for planned in plan:
-        array = columns[planned.name]
-        if planned.dtype is None:
+    for name, limit in zip(names, limits, strict=True):
+        array = columns[name]
+        if array.dtype is _TEXT:
             for item in array:
-                if not isinstance(item, str) or len(item) > planned.limit:
+                if not isinstance(item, str) or len(item) > limit:
                     return float("inf")
-        elif planned.dtype_name == "<f8":
+        elif array.dtype == np.float64:
             own = np.vdot(array, array)
             squares += own
-            if own < planned.limit:
+            if own < limit:
                 return float("inf")
-        elif planned.dtype_name == "|u1" and array.size and max(array.tobytes()) >= planned.limit:
+        elif array.dtype == np.uint8 and array.size and max(array.tobytes()) >= limit:
             return float("inf")
     return float(squares)
 

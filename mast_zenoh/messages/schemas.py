@@ -7,11 +7,13 @@ A message is a header and a body of columns. In a shape, letters are sizes that 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import CLASSES
 
 #: A message body: column name to array. Columns of text are arrays of dtype object holding str.
 Body = Mapping[str, NDArray[Any]]
@@ -50,13 +52,20 @@ def same_columns(one: Body, other: Body) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: dtype is a NumPy name or `str`; shape as in the module's docstring."""
+    """One column: all that senders, receivers and the documentation know of it.
+
+    dtype: a NumPy name or `str`; shape: as in the module's docstring
+    below: of uint8, indices: what they must be below
+    least_length: of float64, quaternions and matrices: the least square root of the sum of squares
+    """
 
     name: str
     dtype: str
     shape: tuple[str | int, ...]
     unit: str
     meaning: str
+    below: int = 256
+    least_length: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +88,20 @@ def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tupl
         Column("yaw", "float64", (size,), "rad", "heading of the length axis, counter-clockwise from x"),
         Column("covariance", "float64", (size, 9, 9), "m, m/s", "of [x y z l w h vx vy vz]"),
         Column("score", "float64", (size,), "", "existence probability, 0 to 1"),
-        Column("class_id", "uint8", (size,), "", "index into mast_zenoh.arrays.states.CLASSES"),
+        Column("class_id", "uint8", (size,), "", "index into mast_zenoh.arrays.states.CLASSES", below=len(CLASSES)),
     ]
     return tuple(
-        Column(prefix + c.name, c.dtype, c.shape, c.unit, c.meaning)
-        for c in columns
-        if filtered or c.name not in ("covariance", "score")
+        replace(column, name=prefix + column.name)
+        for column in columns
+        if filtered or column.name not in ("covariance", "score")
     )
 
 
+_ROTATION: dict[str, Any] = {"least_length": 1e-3}  # they are normalised by those who use them
+
 _FRAME_OF_REFERENCE = (
     Column("origin", "float64", (3,), "m", "of the columns' frame of reference, in the world frame"),
-    Column("rotation", "float64", (4,), "", "active quaternion w x y z, frame of reference to world"),
+    Column("rotation", "float64", (4,), "", "active quaternion w x y z, frame of reference to world", **_ROTATION),
 )
 
 SCHEMAS: dict[str, Schema] = {
@@ -115,7 +126,7 @@ SCHEMAS: dict[str, Schema] = {
             "where an agent says it is, world frame",
             (
                 Column("position", "float64", (3,), "m", ""),
-                Column("rotation", "float64", (4,), "", "active quaternion w x y z, agent to world"),
+                Column("rotation", "float64", (4,), "", "active quaternion w x y z, agent to world", **_ROTATION),
                 Column("velocity", "float64", (3,), "m/s", ""),
             ),
         ),
@@ -128,10 +139,14 @@ SCHEMAS: dict[str, Schema] = {
                 Column("size", "float64", ("n", 3), "m", "length, width, height"),
                 Column("yaw", "float64", ("n",), "rad", "heading about the world's vertical, less the sensor's"),
                 Column("score", "float64", ("n",), "", "confidence, 0 to 1"),
-                Column("class_id", "uint8", ("n",), "", "index into mast_zenoh.arrays.states.CLASSES"),
+                Column(
+                    "class_id", "uint8", ("n",), "", "index into mast_zenoh.arrays.states.CLASSES", below=len(CLASSES)
+                ),
                 Column("covariance", "float64", ("n", 3, 3), "m", "of the position; all zero: not given"),
                 Column("mount_position", "float64", (3,), "m", "of the sensor, in the agent's frame"),
-                Column("mount_rotation", "float64", (4,), "", "active quaternion w x y z, sensor to agent"),
+                Column(
+                    "mount_rotation", "float64", (4,), "", "active quaternion w x y z, sensor to agent", **_ROTATION
+                ),
             ),
         ),
         Schema("tracks", 1, "an agent's confirmed tracks", (*_states(), *_FRAME_OF_REFERENCE)),
@@ -167,7 +182,7 @@ SCHEMAS: dict[str, Schema] = {
             1,
             "what an adversary changed, world frame; for the evaluator only",
             (
-                Column("action", "uint8", ("n",), "", "index into mast_zenoh.attacks.ACTIONS"),
+                Column("action", "uint8", ("n",), "", "index into mast_zenoh.attacks.ACTIONS", below=3),
                 Column("target", "int64", ("n",), "", "the adversary's own number of the target"),
                 Column("before_position", "float64", ("n", 3), "m", "zero where an object was inserted"),
                 Column("after_position", "float64", ("n", 3), "m", "zero where an object was removed"),
@@ -179,10 +194,10 @@ SCHEMAS: dict[str, Schema] = {
             1,
             "what a link did to messages in the step before; for the evaluator only",
             (
-                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES"),
+                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES", below=5),
                 Column("frame", "int64", ("n",), "", "frame of the message"),
                 Column("seq", "int64", ("n",), "", "sequence number of the message"),
-                Column("fate", "uint8", ("n",), "", "index into mast_zenoh.links.FATES"),
+                Column("fate", "uint8", ("n",), "", "index into mast_zenoh.links.FATES", below=5),
                 Column("rule", "int64", ("n",), "", "index of the rule that did it, among those up or down"),
                 Column("delay_s", "float64", ("n",), "s", "by which it is late; 0 where it was dropped"),
             ),
@@ -195,7 +210,7 @@ SCHEMAS: dict[str, Schema] = {
                 *_states(),
                 Column("agent_position", "float64", (3,), "m", "of the compromised agent"),
                 Column("sensor_position", "float64", (3,), "m", "of its sensor"),
-                Column("sensor_rotation", "float64", (3, 3), "", "active, sensor to world"),
+                Column("sensor_rotation", "float64", (3, 3), "", "active, sensor to world", **_ROTATION),
                 Column("azimuth", "float64", (2,), "rad", "that its sensor covers, from and to, in the sensor frame"),
                 Column("elevation", "float64", (2,), "rad", "that its sensor covers, in the sensor frame"),
                 Column("max_range", "float64", (1,), "m", "that its sensor covers"),

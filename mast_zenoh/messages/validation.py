@@ -1,4 +1,4 @@
-"""Explains why the columns of a message are invalid: each check raises a MessageError that names the fault."""
+"""Explains why columns are invalid: each check raises MessageError, or finds nothing wrong."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from mast_zenoh.messages.layout import (
     MAX_ROWS,
     MAX_SQUARES,
     MAX_TEXT,
-    MIN_QUATERNION,
     WIRE_DTYPE,
-    index_limit,
+    limit_of,
 )
 from mast_zenoh.messages.schemas import Column, Message
 
@@ -76,12 +75,10 @@ def check_values(schema: str, column: Column, array: NDArray[Any]) -> None:
         squares = np.vdot(flat, flat)
         if not squares <= MAX_SQUARES * max(len(flat), 1):
             raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")
-        if column.name.endswith("rotation") and squares < MIN_QUATERNION**2:
+        if squares < limit_of(column):
             raise MessageError(f"{schema}.{column.name}: a quaternion of length 0 is no rotation")
-    elif column.dtype == "uint8" and array.size:
-        limit = index_limit(column)
-        if int(array.max()) >= limit:
-            raise MessageError(f"{schema}.{column.name}: index {int(array.max())}, expected below {limit}")
+    elif column.dtype == "uint8" and array.size and int(array.max()) >= column.below:
+        raise MessageError(f"{schema}.{column.name}: index {int(array.max())}, expected below {column.below}")
 
 
 def check_references(message: Message) -> None:

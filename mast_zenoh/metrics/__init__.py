@@ -7,7 +7,7 @@
     scores      tables, and the summary in metrics.json
     manipulations    what interposers did to objects, and which estimates it can influence
     attribution, histories, causes, blame   the cause of every false and every missed object of every estimate
-    severed     which objects only agents that were cut off or down could have reported
+    cut_off     which objects only agents that were cut off or down could have reported
     achievement what each adversary achieved
     driving, braking, consequences   what errors would have meant for driving
     user_metrics  user-defined metrics
@@ -22,7 +22,7 @@ from mast_zenoh.metrics.attribution import Attribution
 from mast_zenoh.metrics.blame import causes_of
 from mast_zenoh.metrics.boxes import Boxes
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, FAULT_CAUSES, named
-from mast_zenoh.metrics.cut_off import Presence, Reach, Severed
+from mast_zenoh.metrics.cut_off import CutOff, Presence, Severed
 from mast_zenoh.metrics.driving import Driving
 from mast_zenoh.metrics.increments import increments
 from mast_zenoh.metrics.manipulations import Manipulations
@@ -43,6 +43,7 @@ __all__ = [
     "Attribution",
     "Boxes",
     "CenterDistanceAssigner",
+    "CutOff",
     "Driving",
     "Estimate",
     "FrameMetric",
@@ -50,7 +51,6 @@ __all__ = [
     "Manipulations",
     "Metric",
     "Presence",
-    "Reach",
     "Record",
     "RunMetric",
     "Scorer",

@@ -35,6 +35,8 @@ class Assigner(ABC):
 class CenterDistanceAssigner(Assigner):
     """Optimal assignment on bird's-eye centre distance.
 
+    gate_m: the farthest that the centres of a pair may be apart
+
     As many pairs within `gate_m` as can be and, of these choices, the one of least total distance: the same as the
     Hungarian method on the whole cost matrix of each frame with all costs beyond the gate prohibitive. Only objects
     and tracks that compete are put through it.
@@ -57,7 +59,10 @@ class CenterDistanceAssigner(Assigner):
 
 
 class IoU3DGreedyAssigner(Assigner):
-    """Greedy assignment on 3D overlap: the best pair first, then the best of what is left, down to `threshold`."""
+    """Greedy assignment on 3D overlap: the best pair first, then the best of what is left, down to `threshold`.
+
+    threshold: intersection over union that a pair has at least, 0 to 1
+    """
 
     def __init__(self, *, threshold: float = 0.3) -> None:
         if not 0.0 < threshold <= 1.0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -33,24 +33,34 @@ from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Score
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attribution:
-    """How near and how recent a cause must be.
+    """How near and how recent the cause of an error must be.
 
     lie_m:     m, from a false track to the object that an adversary shows there
     same_m:    m, two adversaries whose false objects are this near each other show the same object
     object_m:  m, from a false track to the truth object that it is a second track of, or one of an object not evaluated
     astray_m:  m, from a false track to the missed truth object that it is taken to be the inaccurate track of
-    coast_s:   s, how long a track may outlive what it was a track of
+    hidden_m:  m, from where an object was removed, moved or altered to the truth object that it is
+    least_move_m: m, an object that was displaced by less counts as where it was: the metrics cannot tell
+    coast_s:   s, how long a track may outlive what it was a track of, and an estimate may be wrong after a manipulation
     begin_s:   s, how long an object that has come into view may go without a track
-    min_points: lidar points with which an agent's own sensor sees an object
+    late_picture_s: s, how long an estimate may be wrong after a link held back a picture
+    Raises ValueError for a value below 0.
     """
 
     lie_m: float = 5.0
     same_m: float = 0.25
     object_m: float = 3.0
     astray_m: float = 6.0
+    hidden_m: float = 4.0
+    least_move_m: float = 0.5
     coast_s: float = 4.0
     begin_s: float = 1.0
-    min_points: int = 5
+    late_picture_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not 0.0 <= (value := getattr(self, field.name)) < np.inf:
+                raise ValueError(f"{field.name}: found {value}, expected 0 or more")
 
     def label(
         self,
@@ -60,6 +70,7 @@ class Attribution:
         agents: Sequence[str],
         period_s: float,
         severed: Severed | None = None,
+        min_points: int = 5,
     ) -> Labels:
         """The cause of every false track, missed object and identity switch in every estimate.
 
@@ -67,8 +78,9 @@ class Attribution:
         truth:    of the frames of `scores`, of which `agents` are the columns
         period_s: s from frame to frame
         severed:  objects that only agents could have reported whose tracks did not get through; None: all got through
+        min_points: lidar points with which an agent's own sensor sees an object
         """
-        return _Case(self, scores, done, truth, agents, period_s, severed or Severed.nothing()).labels()
+        return _Case(self, scores, done, truth, agents, period_s, severed or Severed.nothing(), min_points).labels()
 
 
 class Labels(NamedTuple):
@@ -97,7 +109,9 @@ class _Case:
         agents: Sequence[str],
         period_s: float,
         severed: Severed,
+        min_points: int,
     ) -> None:
+        self.min_points = min_points
         self.how, self.scores, self.done, self.truth = how, scores, done, truth
         self.period_s, self.severed = period_s, severed
         self.coast = round(how.coast_s / period_s)
@@ -280,5 +294,5 @@ class _Case:
         by_any = occurs((rows.id[lone], rows.frame[lone]), (judged.id[local], judged.frame[local]))
         at = find((rows.id[lone], rows.frame[lone]), (self.truth.boxes.id, self.truth_frame))
         points = self.truth.points[at, self.column[rows.series[lone]]]
-        by_itself = (at >= 0) & (points >= self.how.min_points)
+        by_itself = (at >= 0) & (points >= self.min_points)
         return np.where(self.own[rows.series[lone]], by_itself, by_any)

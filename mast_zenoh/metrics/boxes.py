@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.ordering import ascending, row_order
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
 
@@ -56,34 +57,8 @@ class Boxes:
         """
         if ascending(self.id, self.group):
             return self, np.arange(len(self), dtype=np.int64)
-        order = order_by(self.id, self.group, ties=tuple(self.position.T[::-1]))
+        order = row_order(self.id, self.group, ties=tuple(self.position.T[::-1]))
         return self.select(order), order
-
-
-def order_by(*keys: Ints, ties: tuple[Floats, ...] = ()) -> Ints:
-    """(n,) rows sorted by integer keys, the last one first, then by `ties`, the last one first.
-
-    The same as `np.lexsort((*ties, *keys))`, and quick where the rows are in order already or no two keys are equal.
-    """
-    if ascending(*keys):
-        return np.arange(len(keys[0]), dtype=np.int64)
-    order = keys[-1].argsort(kind="stable")
-    if ascending(*[key.take(order) for key in keys]):  # the rows of an equal last key are in order already
-        return order.astype(np.int64)
-    order = np.lexsort(keys)
-    if ties and not ascending(*[key.take(order) for key in keys]):
-        order = np.lexsort((*ties, *keys))
-    return order.astype(np.int64)
-
-
-def ascending(*keys: Ints) -> bool:
-    """Whether each row of integer keys, the last one first, is after the one before it: in order, and no two equal."""
-    n = max(len(keys[0]) - 1, 0)
-    later, equal = np.zeros(n, bool), np.ones(n, bool)
-    for key in keys[::-1]:
-        later |= equal & (key[1:] > key[:-1])
-        equal &= key[1:] == key[:-1]
-    return bool(later.all())
 
 
 def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
@@ -118,7 +93,7 @@ def pairs_in_groups(
     i, j = i[near], j[near]
     near = (a_group[i] == b_group[j]) & (centre_distance(a_position[i], b_position[j]) <= reach)
     i, j = i[near], j[near]
-    order = order_by(j, i)
+    order = row_order(j, i)
     return i[order], j[order]
 
 

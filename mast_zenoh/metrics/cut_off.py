@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints
+from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.metrics.lookup import find, occurs
 from mast_zenoh.metrics.record import LOCAL, TruthTable
 from mast_zenoh.metrics.scores import MATCHED, Scores
@@ -40,15 +41,22 @@ class Severed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reach:
-    """When an agent's word is missing from the picture.
+class CutOff:
+    """When an agent's tracks count as missing from the picture.
 
-    aged_s:  s, how long the broker goes on with an agent's last word (its `max_age_s`)
-    again_s: s, how long tracks of an agent that was missing for longer than that need to become tracks of the picture
+    max_age_s:  s, how long the broker goes on with an agent's newest tracks: in a scenario its parameter of that name
+    recovery_s: s, how long tracks of an agent that was missing for longer than that need to become tracks of the
+                picture
+    Raises ValueError for a value below 0.
     """
 
-    aged_s: float = 0.25
-    again_s: float = 1.0
+    max_age_s: float = MAX_AGE_S
+    recovery_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("max_age_s", self.max_age_s), ("recovery_s", self.recovery_s)):
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name}: found {value}, expected 0 or more")
 
     def severed(
         self,
@@ -83,7 +91,7 @@ class Reach:
             series = scores.every_series.get((agent, LOCAL), -1)
             own = (judged.series == series) & ~judged.is_track & (judged.outcome == MATCHED)
             tracked[:, k] = occurs((ids, frames[row]), (judged.id[own], judged.frame[own]))
-        gone, mute = missing[row], self._again(unheard, period_s)[row]
+        gone, mute = missing[row], self._extend_through_recovery(unheard, period_s)[row]
         tells = np.asarray((gone & tracked).any(axis=1))
         sees = (gone & mute & (truth.points >= min_points)).any(axis=1)
         lost = (tells | sees) & ~(~gone & tracked).any(axis=1)
@@ -95,18 +103,18 @@ class Reach:
         Being unheard counts when it lasts longer than the broker goes on with the agent's last word: until then its
         tracks may only be late.
         """
-        return self._again(silent | (_runs(unheard) > self._keep(period_s)), period_s)
+        return self._extend_through_recovery(silent | (_runs(unheard) > self._keep(period_s)), period_s)
 
     def _keep(self, period_s: float) -> int:
         """Frames for which an agent's last word lasts."""
-        return int(self.aged_s / period_s + 1e-6)
+        return int(self.max_age_s / period_s + 1e-6)
 
-    def _again(self, mask: Bools, period_s: float) -> Bools:
-        """(f, a) the mask, and after each run in it that outlasts an agent's last word another `again_s`."""
-        again = round(self.again_s / period_s)
+    def _extend_through_recovery(self, mask: Bools, period_s: float) -> Bools:
+        """(f, a) the mask, and after each run in it that outlasts an agent's last word another `recovery_s`."""
+        recovery = round(self.recovery_s / period_s)
         frame = np.arange(len(mask))[:, None]
-        forgotten = np.where(_runs(mask) > self._keep(period_s), frame, -again - 1)
-        return np.asarray(mask | (frame - np.maximum.accumulate(forgotten, axis=0) <= again))
+        forgotten = np.where(_runs(mask) > self._keep(period_s), frame, -recovery - 1)
+        return np.asarray(mask | (frame - np.maximum.accumulate(forgotten, axis=0) <= recovery))
 
 
 def _runs(mask: Bools) -> Ints:

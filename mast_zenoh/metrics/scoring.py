@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner
-from mast_zenoh.metrics.boxes import Boxes, centre_distance, order_by
+from mast_zenoh.metrics.boxes import Boxes, centre_distance
 from mast_zenoh.metrics.ospa import SetDistance
 from mast_zenoh.metrics.record import Record, Series, TruthTable
 from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUATED, Judged, Scores, Seen, Switches
 
 
 class Scorer:
-    """Compares what agents believe with the truth (docs/metrics.md; DESIGN, "Metrics per agent").
+    """Compares what agents believe with the truth (docs/metrics.md).
 
     For each agent and frame the truth is what lies within `range_m` of the agent (bird's-eye view) and is hit by at
     least `min_points` lidar points of at least one agent; tracks beyond the same range are left out. A pair of the
@@ -179,7 +180,7 @@ def _compare(
     truth, tracks, excused = layout.truth, layout.tracks, layout.excused
     pairs = assigner.assign(truth, tracks)
     # Sums of fractions depend on the order of their terms: that of the ids, not that in which the messages came.
-    pairs = pairs[order_by(truth.id[pairs[:, 0]], truth.group[pairs[:, 0]])]
+    pairs = pairs[row_order(truth.id[pairs[:, 0]], truth.group[pairs[:, 0]])]
     of_truth, of_track = np.full(len(truth), -1, np.int64), np.full(len(tracks), -1, np.int64)
     of_truth[pairs[:, 0]] = tracks.id[pairs[:, 1]]
     of_track[pairs[:, 1]] = truth.id[pairs[:, 0]]
@@ -246,7 +247,7 @@ def _judged(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints],
     match = np.concatenate([truth[1], np.full(others, -1), track[1]])
     scores = np.concatenate([np.full(len(boxes) - len(score), np.nan), score])
     place = (boxes.group * 2 + is_track) * len(OUTCOMES) + outcome
-    order = order_by(boxes.id, place, ties=tuple(boxes.position.T[::-1]))
+    order = row_order(boxes.id, place, ties=tuple(boxes.position.T[::-1]))
     boxes = boxes.select(order)
     series, frame = np.divmod(boxes.group, max(len(layout.frames), 1))
     at = layout.frames[frame] if len(frame) else frame

@@ -128,7 +128,10 @@ class RunMetric(Metric):
 
 
 class ErrorsNearby(FrameMetric):
-    """Missed objects and false tracks within a distance of the agent. distance_m: m."""
+    """Missed objects and false tracks within a distance of the agent.
+
+    distance_m: from the agent, in the bird's-eye view
+    """
 
     unit = "objects"
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mast_zenoh import __version__
+from mast_zenoh.version import __version__
 
 
 def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:

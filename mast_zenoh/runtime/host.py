@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 from mast_zenoh.control import results
 from mast_zenoh.control.failures import Failure
@@ -20,19 +20,9 @@ from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
 from mast_zenoh.runtime.context import NodeContext, Outgoing
-from mast_zenoh.runtime.limits import HELD, Room
+from mast_zenoh.runtime.held import Held, HeldMessages
+from mast_zenoh.runtime.limits import HELD
 from mast_zenoh.wiring.model import ANY, NO_WIRING, Input, Ports, Wiring
-
-
-class _Held(NamedTuple):
-    """A message that waits for the clock of its step, and what it takes up of the room of a source, bytes."""
-
-    key: str
-    hears: Input
-    received: Received
-    counted: bool
-    source: str
-    size: int
 
 
 class Host(NodeContext):
@@ -63,8 +53,7 @@ class Host(NodeContext):
         self.failures: dict[str, Failure] = {}
         self.on_failure: Callable[[Failure], None] = lambda failure: None
         self.observe: Callable[[str, Header], None] | None = None
-        self._held: dict[int, list[_Held]] = {}
-        self._held_room = Room(HELD)
+        self._held = HeldMessages()
         self._timespan = timespan
         self._end = 1 << 62 if timespan is None else timespan.frames - 1
         self._last_step = self._end  # in which a message can have been sent
@@ -173,7 +162,7 @@ class Host(NodeContext):
     @property
     def waiting(self) -> int:
         """How many messages wait here: for the clock of their step, or to leave."""
-        return sum(map(len, self._held.values())) + len(self._delayed)
+        return len(self._held) + len(self._delayed)
 
     @property
     def clocked(self) -> bool:
@@ -199,10 +188,8 @@ class Host(NodeContext):
         self._handle(key, hears, received, counted)
         if self._now is None:
             self._let_go(self._step)
-        for step in sorted(step for step in self._held if step <= self.frame):
-            for each in self._held.pop(step):
-                self._held_room.free(each.source, each.size)
-                self._handle(each.key, each.hears, each.received, each.counted)
+        for message in self._held.release(self.frame):
+            self._handle(*message)
 
     def _overhear(self, key: str, hears: Input, content: bytes | Message, step: int, counted: bool, flaw: str) -> None:
         """Hand a message on at once, sound or not: a node that publishes nothing cannot act too early."""
@@ -244,11 +231,9 @@ class Host(NodeContext):
         self._handle(key, hears, received, counted)
 
     def _hold(self, step: int, key: str, hears: Input, received: Received, counted: bool) -> None:
-        source, size = self.publisher(key), _size(received)
-        if not self._held_room.take(source, size):
+        source = self.publisher(key)
+        if not self._held.hold(step, source, Held(key, hears, received, counted)):
             self._reject(key, f"held: more than {HELD} of {source} wait for their clock", counted)
-            return
-        self._held.setdefault(step, []).append(_Held(key, hears, received, counted, source, size))
 
     def _handle(self, key: str, hears: Input, received: Received, counted: bool) -> None:
         self._handling = key
@@ -297,9 +282,3 @@ class Host(NodeContext):
 def _direct_clock(wiring: Wiring) -> bool:
     """Whether no interposer can keep a clock from a node."""
     return not any(wire.interposers for wire in wiring.wires if wire.message == "clock")
-
-
-def _size(received: Received) -> int:
-    """Bytes that a message takes up; where it was never bytes, its columns."""
-    payload = received.payload
-    return len(payload) if payload is not None else sum(column.nbytes for column in received.body.values())

@@ -4,7 +4,7 @@
     mast-node --router --run ID --listen tcp/0.0.0.0:7447 [--settings FILE] [--patience S]
 
 A node asks the launcher for what it needs, and gives it what it has written (`runtime.file_client`). Nobody holds its
-standard input: it leaves by itself when the launcher has been gone for a while (`runtime.launcher_watch`).
+standard input: it leaves by itself when the launcher has been gone for a while (`mesh.launcher_watch`).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _host(arguments: argparse.Namespace) -> None:
             os.chdir(folder)
             resolved = Resolved.read(folder)
             if resolved.mode == "lockstep":
-                hosting.compute_in_peace()
+                hosting.use_batch_scheduling()
             built = hosting.build(resolved, name)
             signatures = hosting.signatures(run, credentials)
             hosted = hosting.host(resolved, run, name, built, session, without, signatures)

@@ -64,11 +64,20 @@ def nodes_of(
     evaluator = scenario.get("evaluator", {})
     ages_option = {"picture_ages_s": ages} if ages and "picture_age_s" not in evaluator else {}
     add("evaluator", "evaluator", {"agents": agents, **ages_option, **evaluator})
+    _share_max_age(specs["broker"], specs["evaluator"])
     for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:
         add("recorder", "recorder", {"log": MessageLog()})
     return specs
+
+
+def _share_max_age(broker: NodeSpec, evaluator: NodeSpec) -> None:
+    """Let the evaluator count an agent as cut off when its tracks are too old for the broker."""
+    accepted = inspect.signature(loading.node_class(Path(evaluator.file), evaluator.type)).parameters
+    cut_off = evaluator.config.get("cut_off", {})
+    if "max_age_s" in broker.config and "cut_off" in accepted and isinstance(cut_off, Mapping):
+        evaluator.config["cut_off"] = {"max_age_s": broker.config["max_age_s"], **cut_off}
 
 
 def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -106,7 +115,8 @@ def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> No
     if not isinstance(config, Mapping):
         raise ConfigurationError(f"{place}: found {config!r}, expected a dict")
     file_name = str(config.get("file", f"{role}.py"))
-    file = bundle.find("nodes", file_name, path.parent)
+    in_session = None if "file" in config else loading.node_file(config.get("type"))
+    file = in_session or bundle.find("nodes", file_name, path.parent)
     if file is None:
         hint = nearest(file_name, bundle.names("nodes", path.parent))
         raise NodeFileError(f"{place}: no node file {file_name!r}{hint}")

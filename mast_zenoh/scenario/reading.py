@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from mast_zenoh import scenes
 from mast_zenoh.config import loading, registry
-from mast_zenoh.config.settings import set_dotted, split
+from mast_zenoh.config.settings import from_values, set_dotted, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
 from mast_zenoh.scenario.shape import normalise_keys
 
@@ -23,7 +23,7 @@ def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, An
     """
     if not isinstance(scene, (str, Mapping)):
         raise ConfigurationError(f"scene: found {scene!r}, expected a short name or a dict(type=…)")
-    spec = dict(scene) if isinstance(scene, Mapping) else scenes.parse_scene(scene)
+    spec = registry.own_copy(dict(scene)) if isinstance(scene, Mapping) else scenes.parse_scene(scene)
     type_ = registry.known_types(scenes.Scene).get(str(spec.get("type")))
     accepted = inspect.signature(type_).parameters if type_ else options  # an unknown type is refused when it is built
     for name, value in options.items():
@@ -67,6 +67,37 @@ def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]
     """
     path, function = loading.function("scenarios", name, "scenario")
     parameters, dotted = split(settings, function, str(path))
+    return path, _called(path, function, parameters, dotted)
+
+
+def load_values(
+    source: str | Path | Mapping[str, Any] | Callable[..., Any], values: Mapping[str, Any], known: Iterable[str] = ()
+) -> tuple[Path, dict[str, Any]]:
+    """(file, scenario dict) of a file, the name of one of ours, a dict or a function, under settings as Python values.
+
+    A dict, and a function that no file defines (of a notebook, say), has a path without suffix: it says by which name
+    errors call it, and beside which files it stands.
+    known: further names to suggest where a setting is unknown
+    """
+    if isinstance(source, Mapping):
+        path, function = Path("scenario"), None
+    elif callable(source):
+        path, function = loading.place_of(source), source
+    elif isinstance(source, (str, Path)):
+        path, function = loading.function("scenarios", str(source), "scenario")
+    else:
+        raise ConfigurationError(f"scenario: found {source!r}, expected a name, a file, a dict or a function")
+    parameters, dotted = from_values(values, function, str(path), known)
+    if function is not None:
+        return path, _called(path, function, registry.own_copy(parameters), dotted)
+    assert isinstance(source, Mapping)
+    return path, _set(path, dict(source), dotted)
+
+
+def _called(
+    path: Path, function: Callable[..., Any], parameters: Mapping[str, Any], dotted: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What a scenario function returns, under dotted settings."""
     try:
         scenario = function(**parameters)
     except MastError as error:
@@ -75,14 +106,12 @@ def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]
         raise ConfigurationError(f"{path}: scenario(...): {type(error).__name__}: {error}") from error
     if not isinstance(scenario, dict):
         raise ConfigurationError(f"{path}: scenario(...) returned {type(scenario).__name__}, expected a dict")
-    scenario = _unshared_copy(normalise_keys(scenario, str(path)))
+    return _set(path, scenario, dotted)
+
+
+def _set(path: Path, scenario: Mapping[str, Any], dotted: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of a scenario under dotted settings: what is set in one dict of it must not change another."""
+    result: dict[str, Any] = registry.own_copy(normalise_keys(scenario, str(path)))
     for key, value in dotted.items():
-        set_dotted(scenario, key, value, str(path))
-    return path, scenario
-
-
-def _unshared_copy(value: Any) -> Any:
-    """A copy in which no dict occurs twice, so that a setting changes one place only."""
-    if isinstance(value, dict):
-        return {key: _unshared_copy(item) for key, item in value.items()}
-    return [_unshared_copy(item) for item in value] if isinstance(value, list) else value
+        set_dotted(result, key, value, str(path))
+    return result

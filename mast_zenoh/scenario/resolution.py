@@ -40,7 +40,7 @@ def resolve(
 
     Raises ConfigurationError (scenario), WiringError (key-expression map), SceneError (scene data).
     """
-    scenario = checked(normalise_keys(scenario, str(path)), str(path))
+    scenario = registry.own_copy(dict(checked(normalise_keys(scenario, str(path)), str(path))))
     overrides = {key: value for key, value in dict(run, seed=seed, frames=frames).items() if value is not None}
     options = RUN_DEFAULTS | dict(scenario.get("run", {})) | overrides
     check_run(options, str(path))
@@ -67,13 +67,23 @@ def resolve(
         nodes=nodes,
         wiring=wiring.to_json(),
         scene=scene_spec,
-        modules=(str(path),) if loading.defines_algorithms(loading.module(path)) else (),
+        modules=_modules(path, scenario),
         steps=timeline.plan.steps,
         timeline=timeline.bands,
         network=timeline.network,
         leeway_ns=_leeway_ns(built_nodes, recording, n_frames) if _uses_shipped_simulator(nodes) else None,
         recording=recording,
     )
+
+
+def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
+    """The files that define what the scenario names: its own, and those of the classes that stand in it."""
+    files = [path] if path.suffix and loading.defines_algorithms(loading.module(path)) else []
+    for cls in [name.cls for name in registry.type_names(scenario) if isinstance(name, registry.ClassName)]:
+        file = loading.file_of_class(cls)
+        if file is not None and not cls.__module__.startswith("mast_zenoh.") and not issubclass(cls, Node):
+            files.append(file)
+    return tuple(dict.fromkeys(map(str, files)))
 
 
 def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:

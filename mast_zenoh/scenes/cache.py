@@ -10,11 +10,12 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from mast_zenoh import __version__, scenes, sensing, streams
+from mast_zenoh import sensing, streams
 from mast_zenoh.arrays import geometry, states
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.version import __version__
 
 #: Bytes that the cache may hold; what was used longest ago goes first.
 LIMIT = 2_000_000_000
@@ -24,12 +25,13 @@ def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None) 
     """The recording of a scene, from the disk cache if it is there, else made and put there.
 
     cache_key: the scene's configuration as text, the same for equal scenes; None: do not cache.
+    A scene of which a notebook defines a part is not cached either: nothing says whether its code has changed.
 
     The cache lies in $XDG_CACHE_HOME/mast-zenoh/scenes (or ~/.cache/...). Files appear whole or not at all, so two
     processes may prepare one scene at the same time; a broken or missing file means that the scene is made again.
     A cache that cannot be written is no error. Raises what `Scene.record` raises.
     """
-    if cache_key is None:
+    if cache_key is None or _of_session(scene):
         return scene.record(seed, frames)
     path = cache_folder() / f"{_digest(scene, seed, frames, cache_key)}.npz"
     try:
@@ -113,9 +115,16 @@ def _line(path: Path | str, stat: os.stat_result) -> str:
 def _code() -> str:
     """A hash of the code that makes scenes: a change of it makes every prepared scene stale."""
     files = [Path(module.__file__ or "") for module in (geometry, states, streams)]
-    for package in (scenes, sensing):
-        files += Path(package.__file__ or "").parent.glob("*.py")
+    for file in (__file__, sensing.__file__):
+        files += Path(file or "").parent.glob("*.py")
     return _hash_of(files)
+
+
+def _of_session(scene: Scene) -> bool:
+    """Whether a class of the scene or of its parts has no file: it is defined in a notebook or at a prompt."""
+    parts = [scene, *vars(scene).values()]
+    file = getattr(sys.modules["__main__"], "__file__", None)  # <stdin>, where a session reads its code from there
+    return not (file and Path(file).is_file()) and any(type(part).__module__ == "__main__" for part in parts)
 
 
 def _own_code(scene: Scene) -> str:

@@ -48,7 +48,10 @@ class Detector(ABC):
 
 
 class CleanDetector(Detector):
-    """Every object with enough points, as it is: no noise, no miss, no clutter. For tests and for upper bounds."""
+    """Every object with enough points, as it is: no noise, no miss, no clutter. For tests and for upper bounds.
+
+    min_points: lidar returns below which nothing is found
+    """
 
     def __init__(self, *, min_points: int = 5) -> None:
         self.min_points = min_points

@@ -1,5 +1,6 @@
-"""Studies: many runs, compared.
+"""Studies: many runs, compared. The package can be called: `mast_zenoh.study("case_study")` carries out a study.
 
+    interface   what calling the package does, and the object that it returns
     definition  study files, checked, their grids spread out into configurations
     comparison  every configuration once, with a run folder and a report each
     trials      many seeds, kept one by one, resumed:
@@ -10,3 +11,24 @@
 
 See docs/studies.md.
 """
+
+from __future__ import annotations
+
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mast_zenoh.study.interface import FinishedStudy
+
+
+class _Study(ModuleType):
+    """This package as the function `mast_zenoh.study`: a package and a function of one name are one object."""
+
+    def __call__(self, study: str, **options: Any) -> FinishedStudy:
+        from mast_zenoh.study.interface import carry_out
+
+        return carry_out(study, **options)
+
+
+sys.modules[__name__].__class__ = _Study

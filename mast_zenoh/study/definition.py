@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mast_zenoh.config import loading
-from mast_zenoh.config.settings import split
+from mast_zenoh.config.settings import from_values, split
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
@@ -88,7 +88,19 @@ def load(name: str, settings: Sequence[str] = ()) -> Study:
     Raises ConfigurationError, which names the file, the place, what was found and what was expected.
     """
     path, function = loading.function("studies", name, "study")
-    parameters, dotted = split(settings, function, str(path))
+    return _called(path, function, *split(settings, function, str(path)))
+
+
+def load_values(name: str, values: Mapping[str, Any], known: Iterable[str] = ()) -> Study:
+    """The same under parameters as Python values; known: further names to suggest where one is unknown."""
+    path, function = loading.function("studies", name, "study")
+    return _called(path, function, *from_values(values, function, str(path), known))
+
+
+def _called(
+    path: Path, function: Callable[..., Any], parameters: Mapping[str, Any], dotted: Mapping[str, Any]
+) -> Study:
+    """The study that a function returns."""
     if dotted:
         raise ConfigurationError(f"{path}: --set {next(iter(dotted))}: a study has no dotted settings")
     try:

@@ -6,14 +6,12 @@ import numpy as np
 
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.tracks import CONFIRMED, ROW, YAW
 
 #: Share of the distance at which two boxes touch, below which they are one object: boxes are only so exact.
 ONE_OBJECT = 0.6
 
 
-@kernel
 def overlap(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other_yaw: Floats, share: float) -> Bools:
     """(p,) whether boxes and others at `offset` (p, 2) m from them overlap so far that both cannot be there.
 

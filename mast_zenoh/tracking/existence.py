@@ -28,7 +28,6 @@ def survive(tracks: Floats, dt: float, lifetime_s: float, memory_s: float) -> No
     tracks[:, RECORD] *= math.exp(-dt / memory_s)
 
 
-@kernel
 def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats:
     """(n,) how often each object is detected when it could be: its record, and `prior` for `weight` frames' worth.
 

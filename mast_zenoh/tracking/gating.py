@@ -12,17 +12,27 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.tracks import ODDS, XX, XY, YY, classes_of, planar
 
-#: Squared Mahalanobis distance in the plane beyond which steady motion does not explain a pair: probability 3e-4 of a
-#: true one; and what a sudden displacement may explain.
-GATE, SUDDEN_GATE = 16.0, 8.0
-
 LOG_2_PI = math.log(2.0 * math.pi)
 
-#: m, difference in height beyond which two things are on different levels of a road.
-LEVEL_M = 3.0
 
-#: Share of a sudden displacement's variance that what stands has, and what each (m/s)^2 adds: all of it from 5 m/s on.
-STANDING, MOVING = 0.1, 0.9 / 5.0**2
+class Gate(NamedTuple):
+    """Which pairs of a track and a measurement are possible.
+
+    steady: squared Mahalanobis distance in the plane beyond which steady motion does not explain a pair: probability
+            3e-4 of a true one; sudden: the same for a sudden displacement
+    level_m: m, difference in height beyond which two things are on different levels of a road
+    standing, moving: share of a sudden displacement's variance that what stands has, and what each (m/s)^2 adds: all
+            of it from 5 m/s on
+    """
+
+    steady: float = 16.0
+    sudden: float = 8.0
+    level_m: float = 3.0
+    standing: float = 0.1
+    moving: float = 0.9 / 5.0**2
+
+
+GATE = Gate()
 
 _HORIZONTAL = np.array([XX, XY, YY])
 _NONE = np.zeros(0, np.int64)
@@ -55,9 +65,8 @@ def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Float
     """
     if len(tracks) == 0 or len(position) == 0:
         return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
-    near = neighbours(tracks, position, reach(tracks, covariance, jump, GATE))
-    gates, moving, log_jump = (GATE, SUDDEN_GATE), (STANDING, MOVING), math.log(jump_probability)
-    return Pairs(*gated(tracks, position, covariance, jump, *near, gates, LEVEL_M, moving, log_jump))
+    near = neighbours(tracks, position, reach(tracks, covariance, jump, GATE.steady))
+    return Pairs(*gated(tracks, position, covariance, jump, near, GATE, math.log(jump_probability)))
 
 
 @kernel
@@ -74,40 +83,36 @@ def gated(
     position: Floats,
     covariance: Floats,
     jump: Floats,
-    i: Ints,
-    j: Ints,
-    dx: Floats,
-    dy: Floats,
-    gates: tuple[float, float],
-    level_m: float,
-    moving: tuple[float, float],
+    near: tuple[Ints, Ints, Floats, Floats],
+    gate: Gate,
     log_jump: float,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """The fields of `Pairs`, of those of the p pairs (i, j) that are within the gate; the measurement is at (dx, dy).
+    """The fields of `Pairs`, of those of p pairs that are within the gate.
 
-    gates: GATE, SUDDEN_GATE; moving: STANDING, MOVING; log_jump: ln of the probability of a sudden displacement
+    near: (p,) rows of tracks and of measurements, and how far the measurement is from the track in x and in y, m
+    log_jump: ln of the probability of a sudden displacement
     """
-    gate, sudden_gate = gates
+    i, j, dx, dy = near
     own = tracks.take(_HORIZONTAL, 1)
     k = covariance.shape[1]
     measured = covariance.reshape(len(position), k * k).take((0, 1, k + 1), 1)
-    level = np.abs(position[:, 2].take(j) - tracks[:, 2].take(i)) <= level_m
+    level = np.abs(position[:, 2].take(j) - tracks[:, 2].take(i)) <= gate.level_m
     total = own.take(i, 0) + measured.take(j, 0)
     a, b, c = total[:, 0], total[:, 1], total[:, 2]
     log_density, distance = _gaussian(dx, dy, a, b, c)
-    near = (distance <= gate) & level
+    inside = (distance <= gate.steady) & level
     added = np.zeros(len(i))
     alone, unexplained = np.ones(len(tracks), bool), np.ones(len(position), bool)
-    alone[i[near]] = unexplained[j[near]] = False
+    alone[i[inside]] = unexplained[j[inside]] = False
     far = (level & alone[i] & unexplained[j]).nonzero()[0]
     if len(far):
         speed = np.abs(planar(tracks[i[far], 6:8]))
-        more = jump[i[far]] * np.minimum(moving[0] + moving[1] * speed * speed, 1.0)
+        more = jump[i[far]] * np.minimum(gate.standing + gate.moving * speed * speed, 1.0)
         density, distance = _gaussian(dx[far], dy[far], a[far] + more, b[far], c[far] + more)
         log_density[far] = density + log_jump
         added[far] = more
-        near[far] = distance <= sudden_gate
-    return i[near], j[near], log_density[near], added[near]
+        inside[far] = distance <= gate.sudden
+    return i[inside], j[inside], log_density[inside], added[inside]
 
 
 @kernel

@@ -9,7 +9,7 @@ from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.classes import ROLLS
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, settle_sense
 from mast_zenoh.tracking.kalman import BoxFilter
-from mast_zenoh.tracking.tracks import ASIDE, YAW, YAW_VARIANCE, classes_of, planar
+from mast_zenoh.tracking.tracks import LATERAL_RESIDUAL, YAW, YAW_VARIANCE, classes_of, planar
 
 #: m/s, slip of a rolling object across its heading, as in a tight turn, where the box's centre is not the turning one.
 SLIP = 0.5
@@ -40,7 +40,7 @@ def across(
     """
     # Vectors in the plane as complex numbers: times the conjugate of the heading's, they are along and across it.
     heading = np.exp(1j * tracks[:, YAW])
-    aside = tracks[:, ASIDE]
+    aside = tracks[:, LATERAL_RESIDUAL]
     aside += share * ((planar(surprise) * heading.conj()).imag - aside)
     speed = np.abs(planar(tracks[:, 6:8]))
     variance = slip**2 + (aside / aside_s) ** 2 + speed * speed * tracks[:, YAW_VARIANCE]

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import Detections, Floats, Ints, ObjectStates
-from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.soundness import LEAST, MOST
 from mast_zenoh.tracking.tracks import known_class
 
@@ -29,11 +29,8 @@ class Measured(NamedTuple):
     @classmethod
     def detections(cls, d: Detections, variance: Floats) -> Measured:
         """Boxes; `variance`: (6,) of what a detection says nothing about."""
-        x = d.position[:, 0]
-        order = x.argsort(kind="stable")
-        x = x.take(order)
-        if np.count_nonzero(x[1:] == x[:-1]):
-            order = np.lexsort((d.score, d.class_id, *d.size.T, d.yaw, *d.position.T))
+        x, y, z = d.position.T
+        order = row_order(x, ties=(d.score, d.class_id, *d.size.T, d.yaw, z, y))
         box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
         noise = box_noise(d.covariance, order, variance, LEAST, MOST)
         return cls(order, box, noise, d.yaw.take(order), known_class(d.class_id.take(order)))
@@ -41,12 +38,11 @@ class Measured(NamedTuple):
     @classmethod
     def states(cls, s: ObjectStates) -> Measured:
         """Full states."""
-        order = np.lexsort((s.id, s.position[:, 0]))
+        order = row_order(s.id, s.position[:, 0])
         state = np.concatenate([s.position, s.size, s.velocity], axis=1).take(order, 0)
         return cls(order, state, s.covariance.take(order, 0), s.yaw.take(order), known_class(s.class_id.take(order)))
 
 
-@kernel
 def box_noise(covariance: Floats, order: Ints, variance: Floats, least: float, most: float) -> Floats:
     """(m, 6, 6) of boxes in `order`: of the position what the detector says (m, 3, 3), if it does.
 

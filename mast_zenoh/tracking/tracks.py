@@ -12,31 +12,19 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.kernels import kernel
+from mast_zenoh.kernels import table_columns as columns
 
-#: Columns: the state (9) and its covariance (81, by rows).
-MEAN = slice(0, 9)
-COVARIANCE = slice(9, 90)
-#: Of the horizontal position: variances and covariance.
-XX, XY, YY = 9, 10, 19
-#: rad, rad^2; and the evidence, >= 0, for this heading against the opposite one.
-YAW, YAW_VARIANCE, TURN = 90, 91, 92
-#: m, running mean of how far measured positions are to the left of predicted ones.
-ASIDE = 93
-#: Odds of existence, p / (1 - p).
-ODDS = 94
-#: Fading counts of hits, of misses, and of the classes seen.
-HITS, MISSES, VOTES = 95, 96, slice(97, 97 + len(CLASSES))
+#: Columns of the table, see `kernels.table_columns`.
+MEAN, COVARIANCE = slice(0, columns.P), slice(columns.P, columns.YAW)
+XX, XY, YY = columns.XX, columns.XY, columns.YY
+YAW, YAW_VARIANCE, TURN = columns.YAW, columns.YAW_VARIANCE, columns.TURN
+LATERAL_RESIDUAL, ODDS = columns.LATERAL_RESIDUAL, columns.ODDS
+HITS, MISSES, VOTES = columns.HITS, columns.MISSES, slice(columns.VOTES, columns.CLASS)
 RECORD = slice(HITS, VOTES.stop)
-CLASS = VOTES.stop
-#: 1 once it has been confirmed, else 0.
-CONFIRMED = CLASS + 1
-#: s since the last measurement.
-AGE = CLASS + 2
-ID = CLASS + 3
-#: Of the last input, -1 where the track coasts.
-ROW = CLASS + 4
-WIDTH = CLASS + 5
+CLASS, CONFIRMED, AGE = columns.CLASS, columns.CONFIRMED, columns.AGE
+ID, ROW, WIDTH = columns.ID, columns.ROW, columns.WIDTH
 
+assert len(CLASSES) == columns.N_CLASSES, "each class has a column of votes"
 _ONE_VOTE = np.eye(len(CLASSES))
 _KNOWN = np.zeros(256, np.int64)
 _KNOWN[: len(CLASSES)] = np.arange(len(CLASSES))

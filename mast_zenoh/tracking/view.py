@@ -42,36 +42,26 @@ class SensorView:
         screens: (n, >= 6) what may hide them; the boxes themselves may be among them. Both begin with x y z l w h in m,
         in the world frame. A box at the edge of the field of view is half in.
         """
-        azimuth, elevation = (self.azimuth_min, self.azimuth_max), (self.elevation_min, self.elevation_max)
-        return expected(
-            boxes, screens, self.position, self.rotation, azimuth, elevation, self.max_range, EDGE_M, NEAREST_M
-        )
+        return expected(boxes, screens, self, EDGE_M, NEAREST_M)
 
 
 @kernel
-def expected(
-    boxes: Floats,
-    screens: Floats,
-    position: Floats,
-    rotation: Floats,
-    azimuth: tuple[float, float],
-    elevation: tuple[float, float],
-    max_range: float,
-    edge_m: float,
-    nearest_m: float,
-) -> Floats:
-    """See `SensorView.expects`; edge_m: EDGE_M; nearest_m: NEAREST_M."""
-    x, y, z = ((boxes[:, :3] - position) @ rotation).T
+def expected(boxes: Floats, screens: Floats, view: SensorView, edge_m: float, nearest_m: float) -> Floats:
+    """(k,) how much of each box a sensor can see, as `SensorView.expects` returns it.
+
+    edge_m, nearest_m: m, EDGE_M, NEAREST_M
+    """
+    x, y, z = ((boxes[:, :3] - view.position) @ view.rotation).T
     ground = np.hypot(x, y)
     distance = np.hypot(ground, z)
-    inside = max_range - distance
-    if azimuth[1] - azimuth[0] < 2 * np.pi - 1e-6:
+    inside = view.max_range - distance
+    if view.azimuth_max - view.azimuth_min < 2 * np.pi - 1e-6:
         angle = np.arctan2(y, x)
-        inside = np.minimum(inside, np.minimum(angle - azimuth[0], azimuth[1] - angle) * ground)
+        inside = np.minimum(inside, np.minimum(angle - view.azimuth_min, view.azimuth_max - angle) * ground)
     angle = np.arctan2(z, ground)
-    inside = np.minimum(inside, np.minimum(angle - elevation[0], elevation[1] - angle) * distance)
+    inside = np.minimum(inside, np.minimum(angle - view.elevation_min, view.elevation_max - angle) * distance)
     share = np.minimum(np.maximum(0.5 + (0.5 / edge_m) * inside, 0.0), 1.0)
-    return np.asarray(share * ~_hidden(position, boxes[:, :6], screens[:, :6], nearest_m))
+    return np.asarray(share * ~_hidden(view.position, boxes[:, :6], screens[:, :6], nearest_m))
 
 
 def _hidden(origin: Floats, boxes: Floats, screens: Floats, nearest_m: float) -> Bools:

@@ -248,20 +248,16 @@ def _wire_of(data: Mapping[str, Any]) -> Wire:
         ends = tuple(map(Endpoint, leg_data["to"], leg_data["to_ports"]))
         leg = Leg(leg_data["key"], Endpoint(leg_data["from"], leg_data["from_port"]), ends)
         (branches.setdefault(leg_data["before"], []) if leg_data.get("before") else trunk).append(leg)
-    entrances = {end.node: end for end in trunk[-1].subscribers}
+    entries = {end.node: end for end in trunk[-1].subscribers}
     return Wire(
         data["key"],
         data["subject"],
         data["message"],
         tuple(trunk),
         tuple(
-            Branch(entrances[legs[0].publisher.node], legs[-1].subscribers[0], tuple(legs))
-            for legs in branches.values()
+            Branch(entries[legs[0].publisher.node], legs[-1].subscribers[0], tuple(legs)) for legs in branches.values()
         ),
-        tuple(
-            Listener(Endpoint(listener["node"], listener["port"]), listener["source"])
-            for listener in data.get("listeners", ())
-        ),
+        tuple(Listener(Endpoint(item["node"], item["port"]), item["source"]) for item in data.get("listeners", ())),
     )
 
 
@@ -272,12 +268,10 @@ def to_text(wiring: Wiring) -> str:
         marker = "*" if wire.interposers else " "
         first, *remaining = wire.legs
         chain = f"{first.publisher.node} ─▶ " + "".join(f"[{leg.publisher.node}] ─▶ " for leg in remaining)
-        branch_chains = {
+        chains = {
             branch.subscriber: "".join(f"[{leg.publisher.node}] ─▶ " for leg in branch.legs) for branch in wire.branches
         }
-        ends = ", ".join(
-            f"({branch_chains[end]}{end.node})" if end in branch_chains else end.node for end in wire.subscribers
-        )
+        ends = ", ".join(f"({chains[end]}{end.node})" if end in chains else end.node for end in wire.subscribers)
         lines.append(f"{marker} {wire.key:<34} {chain}{ends or '(no subscriber)'}")
         lines += [
             f"      {leg.publisher.node} ── {leg.key} ──▶ {end.node} (listens)"

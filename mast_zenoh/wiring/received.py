@@ -72,13 +72,13 @@ class Unopened(Received):
 
 
 class Overheard:
-    """A message as a node receives it on an input port of the type `wiring.ANY`, which gets every key.
+    """A message as a node gets it that hears every key (an input port of the type `model.ANY`).
 
-    Nothing is decoded before it is accessed, so that a node can skip what it does not need.
+    Nothing is decoded before it is asked for, so that a node may pass over what it does not need.
 
     key:     on which it came, tap legs included
-    wire:    the wire of that key: subject, message type, the node that publishes the wire
-    step:    the run's frame when the message was sent; -1: unknown
+    wire:    what is known of that key: subject, message type, the node that publishes the wire
+    step:    frame that the run was at when the message was sent; -1: unknown
     """
 
     __slots__ = ("_content", "_flaw", "_header", "_now", "_timespan", "key", "step", "wire")

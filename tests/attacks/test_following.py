@@ -7,9 +7,9 @@ from attack_worlds import SECOND, at, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks.following import Follower
-from mast_zenoh.attacks.ordering import canonical_order
 
 PERIOD = SECOND // 10
 NO_ID = -1

@@ -8,9 +8,9 @@ from attack_worlds import ORIGIN, SECOND, at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import Exact, UncoordinatedAttack, UncoordinatedSelection, VictimLike, coverage_of
-from mast_zenoh.attacks.ordering import canonical_order
 from mast_zenoh.attacks.statistics import VictimStatistics
 
 PERIOD = SECOND // 10

@@ -193,3 +193,22 @@ def test_a_file_without_the_node_is_refused(tmp_path: Path, text: str, name: obj
     file = write(tmp_path, "mine.py", text)
     with pytest.raises(NodeFileError, match=reason):
         loading.node_class(file, name)  # type: ignore[arg-type]
+
+
+def test_a_file_that_has_changed_is_loaded_again_and_so_is_one_that_imports_it(tmp_path: Path) -> None:
+    write(tmp_path, "beside.py", "VALUE = 1\n")
+    file = write(tmp_path, "mine.py", "from beside import VALUE\n\ndef scenario():\n    return dict(value=VALUE)\n")
+    first = loading.function("scenarios", str(file), "scenario")[1]
+    assert loading.function("scenarios", str(file), "scenario")[1] is first
+    write(tmp_path, "beside.py", "VALUE = 22\n")
+    assert loading.function("scenarios", str(file), "scenario")[1]() == {"value": 22}
+    write(tmp_path, "mine.py", "def scenario():\n    return dict(value=333)\n")
+    assert loading.function("scenarios", str(file), "scenario")[1]() == {"value": 333}
+
+
+def test_a_node_whose_file_has_changed_is_the_new_one(tmp_path: Path) -> None:
+    file = write(tmp_path, "counter.py", NODE.format(name="Counter", role="counter"))
+    first = loading.node_class(file)
+    assert loading.node_class(file) is first
+    write(tmp_path, "counter.py", NODE.format(name="Counter", role="counting"))
+    assert loading.node_class(file).role == "counting"

@@ -80,7 +80,7 @@ def test_an_invalid_spec_is_refused_with_its_path(spec: object, reason: str) -> 
         build(spec)
 
 
-ALGORITHMS = ("attacks", "faults", "fusion", "links", "metrics", "scenes", "sensing", "tracking")
+ALGORITHMS = ("attacks", "faults", "fusion", "links", "metrics", "pipelines", "scenes", "sensing", "tracking")
 
 
 @pytest.mark.parametrize("package", ALGORITHMS)

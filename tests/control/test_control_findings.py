@@ -12,7 +12,6 @@ from unittest.mock import MagicMock
 import msgpack
 import pytest
 import zenoh
-from rich.console import Console
 
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved
@@ -20,12 +19,13 @@ from mast_zenoh.control import CONTROLS, flow
 from mast_zenoh.control.files import encode
 from mast_zenoh.control.invalid import MAX_KEYS, OTHERS, InvalidMessages
 from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.control.stop_reasons import StopKind, StopReason, encode_reason
 from mast_zenoh.errors import ImplausibleCounts, MastError, MessageError, ServiceDied
-from mast_zenoh.launch.display import Display
-from mast_zenoh.launch.file_server import Depot
-from mast_zenoh.launch.mesh_run import Launch
+from mast_zenoh.launch.context import Mesh, RunContext
+from mast_zenoh.launch.file_server import FileServer
 from mast_zenoh.launch.reports import Reports
-from mast_zenoh.launch.steps import Steps
+from mast_zenoh.launch.steps import StepRequests, Steps
+from mast_zenoh.launch.watch import Watch
 from mast_zenoh.node import Node, Source
 from mast_zenoh.runtime.lockstep.timetable import Timetable
 from mast_zenoh.runtime.mesh.driver import Driver
@@ -135,15 +135,14 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
         stall_timeout_s=2.0,
     )
     monkeypatch.setattr("mast_zenoh.runtime.mesh.driver.SUSPECT_S", 0.01)
-    made.alive |= {"ego", "watch"}
+    made.membership.alive |= {"ego", "watch"}
     made._begin_epoch()
     return made
 
 
 @pytest.fixture
-def launch(tmp_path: Path) -> Launch:
-    display = Display(Console(quiet=True), "small", 10)
-    return Launch(RESOLVED, tmp_path, {"id": "x"}, display, None, "tcp/127.0.0.1:0")
+def context(tmp_path: Path) -> RunContext:
+    return RunContext(RESOLVED, tmp_path, {"id": "x"}, lambda line: None)
 
 
 # -- nodes -----------------------------------------------------------------------------------------------------------
@@ -151,22 +150,22 @@ def launch(tmp_path: Path) -> Launch:
 
 @pytest.mark.parametrize("payload", RUBBISH)
 def test_a_malformed_epoch_costs_a_node_one_message(ego: MeshNode, payload: bytes) -> None:
-    ego.control_came("epoch", payload)
+    ego._on_control("epoch", sample("epoch", payload))
     assert (ego.epoch, ego.invalid.counts) == (0, {"epoch": 1})
     with pytest.raises(queue.Empty):
         ego.inbox.get_nowait()
-    ego.control_came("epoch", flow.encode_epoch(1, {"ego": "agent"}, None))
+    ego._on_control("epoch", sample("epoch", flow.encode_epoch(1, {"ego": "agent"}, None)))
     ego.handle(ego.inbox.get_nowait())
     assert (ego.epoch, ego.stop_reason) == (1, None)
 
 
 @pytest.mark.parametrize("key", ["stop", "leave/ego"])
 def test_a_stop_that_is_not_text_costs_a_node_one_message(ego: MeshNode, key: str) -> None:
-    ego.control_came(key, b"\xff\xfe")
+    ego._on_control(key, sample(key, b"\xff\xfe"))
     assert (ego.stop_reason, ego.invalid.counts) == (None, {key: 1})
     with pytest.raises(queue.Empty):
         ego.inbox.get_nowait()
-    ego.control_came(key, b"end")
+    ego._on_control(key, sample(key, b"end"))
     ego.handle(ego.inbox.get_nowait())
     assert ego.stop_reason == "end"
 
@@ -187,7 +186,7 @@ def eve() -> MeshNode:
 def begin_removal(node: MeshNode) -> None:
     """Begin a change of the wiring that removes the node."""
     update = flow.WiringUpdate(WIRING, False, (node.name,))
-    node.control_came("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update))
+    node._on_control("epoch", sample("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update)))
     node.handle(node.inbox.get_nowait())
 
 
@@ -195,19 +194,19 @@ def begin_removal(node: MeshNode) -> None:
 def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
     begin_removal(eve)
     query = Query("drain/eve", payload)
-    eve.rewiring.take_question(query)  # type: ignore[arg-type]
+    eve.drains.take(query)  # type: ignore[arg-type]
     assert query.dropped
     assert query.answers == []
-    assert not eve.rewiring.asked
+    assert not eve.drains.waiting
     assert eve.invalid.counts == {"drain/eve": 1}
 
 
 def test_only_a_node_that_will_leave_answers_a_drain(eve: MeshNode) -> None:
     early, due = Query("drain/eve", TAP.encode()), Query("drain/eve", TAP.encode())
-    eve.rewiring.take_question(early)  # type: ignore[arg-type]
+    eve.drains.take(early)  # type: ignore[arg-type]
     assert (early.answers, early.dropped, eve.invalid.counts) == ([], True, {"drain/eve": 1})
     begin_removal(eve)
-    eve.rewiring.take_question(due)  # type: ignore[arg-type]
+    eve.drains.take(due)  # type: ignore[arg-type]
     eve.handle(eve.inbox.get_nowait())
     assert due.answers == [("ok", b"")]
 
@@ -227,79 +226,89 @@ def test_malformed_counts_cost_the_driver_one_message(driver: Driver, node: str,
 @pytest.mark.parametrize("payload", [*RUBBISH, msgpack.packb({"wiring": {"wires": [[]]}, "join": {}, "leave": []})])
 def test_a_malformed_change_of_the_wiring_costs_the_driver_one_message(driver: Driver, payload: bytes) -> None:
     query = Query("rewire", payload)
-    driver.rewirer.ask(query)  # type: ignore[arg-type]
+    driver._on_rewire(query)  # type: ignore[arg-type]
     assert query.dropped
     assert driver.invalid.counts == {"rewire": 1}
 
 
 def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_named(driver: Driver) -> None:
-    driver._sent["clock"] = 3
+    driver.scene.sent["clock"] = 3
     driver._report_self()
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
     driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": 10**9})))
     begun = time.monotonic()
     reason = driver._await_quiet(everyone=True)
-    assert reason == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
+    assert reason is not None
+    assert (
+        encode_reason(reason)
+        == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
+    )
     assert time.monotonic() - begun < driver.stall_timeout_s, "at once, and not when the run is found to stall"
 
 
 def test_a_node_that_reports_a_key_that_is_not_its_own_ends_the_run_and_is_named(driver: Driver) -> None:
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {"clock": 1}, {})))
     reason = driver._await_quiet(everyone=True)
-    assert reason == "implausible: watch reports messages sent on 'clock', on which it does not speak"
+    assert reason is not None
+    assert encode_reason(reason) == "implausible: watch reports messages sent on 'clock', on which it does not speak"
 
 
 def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Driver) -> None:
     driver.stall_timeout_s = 0.05
-    driver._sent["clock"] = 3
+    driver.scene.sent["clock"] = 3
     driver._report_self()
     for name in ("ego", "watch"):
         driver._on_counts(sample(f"counts/{name}", flow.encode_counts(1, {}, {})))
-    assert driver._await_quiet(everyone=True) == "stall: ego has handled 0 of 3 messages of sim on clock"
+    expected = StopReason(StopKind.STALL, "ego has handled 0 of 3 messages of sim on clock")
+    assert driver._await_quiet(everyone=True) == expected
 
 
 def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
-    def told(there: bool) -> None:
-        driver._note_presence("ego", there)
+    def note(there: bool) -> None:
+        driver.membership.note("ego", there, 0, driver.members)
 
-    told(False)
-    told(True)
-    driver._leaving.add("ego")  # the scenario kills it, and starts it again
-    told(False)
-    told(True)
-    assert [each["what"] for each in driver.churn] == ["lost", "back"]
+    note(False)
+    note(True)
+    driver.membership.leaving.add("ego")  # the scenario kills it, and starts it again
+    note(False)
+    note(True)
+    assert [each["what"] for each in driver.membership.churn] == ["lost", "back"]
 
 
 def presence(driver: Driver, *there: bool) -> None:
     """Report a sequence of appearances of ego's token to the driver."""
     for each in there:
         kind = zenoh.SampleKind.PUT if each else zenoh.SampleKind.DELETE
-        driver._on_presence(MagicMock(key_expr="mast/x/alive/ego", kind=kind))
+        driver.membership.on_token(MagicMock(key_expr="mast/x/alive/ego", kind=kind))
 
 
 def test_of_repeated_losses_only_the_loss_and_the_latest_state_are_queued(driver: Driver) -> None:
     presence(driver, *[False, True] * 1000)
     assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" not in driver.alive, "first it has gone, so that a new epoch begins"
+    assert "ego" not in driver.membership.alive, "first it has gone, so that a new epoch begins"
     assert driver._wait(time.monotonic() + 1.0)
-    assert "ego" in driver.alive
-    assert [each["what"] for each in driver.churn] == ["lost", "back"]
+    assert "ego" in driver.membership.alive
+    assert [each["what"] for each in driver.membership.churn] == ["lost", "back"]
     with pytest.raises(queue.Empty):
         driver.inbox.get_nowait()
 
 
 def test_a_node_that_constantly_leaves_and_returns_ends_the_run_and_is_named(driver: Driver) -> None:
     for there in [False, True] * 60:
-        driver._note_presence("ego", there)
-    assert driver._over == "implausible: ego has gone and come back more than 50 times"
+        presence(driver, there)
+        driver._wait(time.monotonic() + 1.0)
+    assert driver._over == StopReason(StopKind.IMPLAUSIBLE, "ego has gone and come back more than 50 times")
 
 
 # -- the launcher ----------------------------------------------------------------------------------------------------
 
 
-def steps_of(launch: Launch) -> Steps:
-    supervisor = MagicMock(children={})
-    return Steps(supervisor, RESOLVED.nodes, frozenset(), lambda name: None, RESOLVED.steps)
+def requests_of(context: RunContext, steps: Steps) -> StepRequests:
+    return StepRequests(steps, context.signatures, context.invalid)
+
+
+def no_steps() -> Steps:
+    return Steps(MagicMock(children={}), RESOLVED.nodes, frozenset(), lambda name: None, RESOLVED.steps)
 
 
 @pytest.mark.parametrize(
@@ -313,66 +322,84 @@ def steps_of(launch: Launch) -> Steps:
         flow.encode_act(3, [("kill", "sim")]),
     ],
 )
-def test_an_act_that_is_not_in_the_scenario_costs_the_launcher_one_message(launch: Launch, payload: bytes) -> None:
-    steps = steps_of(launch)
-    launch._ask(payload)
-    launch._act(steps)
-    assert launch.invalid.counts == {"act": 1}
+def test_an_act_that_is_not_in_the_scenario_costs_the_launcher_one_message(context: RunContext, payload: bytes) -> None:
+    steps = no_steps()
+    requests = requests_of(context, steps)
+    requests.take(payload)
+    requests.serve(0.0)
+    assert context.invalid.counts == {"act": 1}
     assert steps.done == []
     assert steps._supervisor.method_calls == []
 
 
-def test_a_step_of_the_scenario_is_carried_out_once(launch: Launch) -> None:
-    steps = steps_of(launch)
+def test_a_step_of_the_scenario_is_carried_out_once(context: RunContext) -> None:
+    steps = no_steps()
+    requests = requests_of(context, steps)
     for _ in range(2):
-        launch._ask(flow.encode_act(5, [("start", "ego")]))
-        launch._act(steps)
+        requests.take(flow.encode_act(5, [("start", "ego")]))
+        requests.serve(0.0)
     assert steps.done == [{"frame": 5, "action": "start", "node": "ego"}]
-    assert launch.invalid.counts == {"act": 1}
+    assert context.invalid.counts == {"act": 1}
 
 
-def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(launch: Launch) -> None:
-    launch.reports = MagicMock(take=lambda: [MagicMock(node="sim", failure=None)])
-    launch.reports.outcomes = {"sim": {"stop_reason": "implausible: ego reports too much"}}
-    launch._take_reports()
-    assert isinstance(launch.problem, ImplausibleCounts)
-    assert str(launch.problem) == "ego reports too much"
-    assert launch.stopping_since is not None
+def test_a_request_of_the_driver_is_not_carried_out_when_the_run_is_to_stop(context: RunContext) -> None:
+    steps = no_steps()
+    requests = requests_of(context, steps)
+    requests.take(flow.encode_act(5, [("start", "ego")]))
+    requests.serve(0.0, stopping=True)
+    requests.serve(0.0)
+    assert steps.done == []
+
+
+def watch_of(context: RunContext, **parts: Any) -> Watch:
+    """The launcher's loop, of which only these parts are real."""
+    parts = dict.fromkeys(("steps", "requests", "reports", "interceptions"), MagicMock()) | parts
+    return Watch(context, Mesh(MagicMock(), MagicMock()), MagicMock(), **parts)
+
+
+def take_result_of_driver(context: RunContext, stop_reason: str) -> None:
+    """The launcher takes a result of the driver that says why it has stopped."""
+    report, outcomes = MagicMock(node="sim", failure=None), {"sim": {"stop_reason": stop_reason}}
+    watch_of(context, reports=MagicMock(take=lambda: [report], outcomes=outcomes)).take_reports()
+
+
+def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(context: RunContext) -> None:
+    take_result_of_driver(context, "implausible: ego reports too much")
+    assert isinstance(context.stop.problem, ImplausibleCounts)
+    assert str(context.stop.problem) == "ego reports too much"
+    assert context.stop.requested
 
 
 @pytest.mark.parametrize(("reason", "fails"), [("end", False), ("forged", True), ("", True)])
-def test_a_run_that_somebody_else_has_told_to_stop_is_not_ok(launch: Launch, reason: str, fails: bool) -> None:
-    launch.reports = MagicMock(take=lambda: [MagicMock(node="sim", failure=None)])
-    launch.reports.outcomes = {"sim": {"stop_reason": reason}}
-    launch._take_reports()
-    assert (launch.problem is not None) == fails
-    assert launch.stopping_since is not None
+def test_a_run_that_somebody_else_has_told_to_stop_is_not_ok(context: RunContext, reason: str, fails: bool) -> None:
+    take_result_of_driver(context, reason)
+    assert (context.stop.problem is not None) == fails
+    assert context.stop.requested
 
 
-def test_a_run_that_the_launcher_itself_stops_keeps_its_own_problem(launch: Launch) -> None:
-    launch.problem = ServiceDied("the depot has ended")
-    launch._stop("a service has ended")
-    launch.reports = MagicMock(take=lambda: [MagicMock(node="sim", failure=None)])
-    launch.reports.outcomes = {"sim": {"stop_reason": "a service has ended"}}
-    launch._take_reports()
-    assert isinstance(launch.problem, ServiceDied)
+def test_a_run_that_the_launcher_itself_stops_keeps_its_own_problem(context: RunContext) -> None:
+    context.stop.fail(ServiceDied("the depot has ended"), "a service has ended")
+    take_result_of_driver(context, "a service has ended")
+    assert isinstance(context.stop.problem, ServiceDied)
 
 
 @pytest.fixture
-def depot(tmp_path: Path, launch: Launch) -> Any:
+def file_server(tmp_path: Path, context: RunContext) -> Any:
     (tmp_path / "scenario.json").write_text("{}")
-    made = Depot(MagicMock(), "x", tmp_path, lambda: RESOLVED, lambda node: [], lambda error: None, launch.invalid)
+    made = FileServer(
+        MagicMock(), "x", tmp_path, lambda: RESOLVED, lambda node: [], lambda error: None, context.invalid
+    )
     made._kept["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
     yield made
     made.close()
 
 
-def answered(depot: Depot, what: str, node: str, payload: bytes) -> tuple[str, Any]:
+def answered(file_server: FileServer, what: str, node: str, payload: bytes) -> tuple[str, Any]:
     query = Query(f"{what}/{node}", payload)
-    depot._on_query(query)  # type: ignore[arg-type]
+    file_server._on_query(query)  # type: ignore[arg-type]
     deadline = time.monotonic() + 10.0
     while not query.dropped and time.monotonic() < deadline:
-        assert not depot.died, "the depot's thread has ended"
+        assert not file_server.died, "the file server's thread has ended"
     kind, answer = query.answers[0]
     return kind, msgpack.unpackb(answer)
 
@@ -387,50 +414,52 @@ PIECES = [
 @pytest.mark.parametrize(
     "payload", [*RUBBISH, *map(encode, PIECES), encode({"do": "piece", "path": "../x", "offset": 0})]
 )
-def test_a_malformed_question_is_answered_with_an_error_and_the_depot_lives(
-    depot: Depot, launch: Launch, payload: bytes
+def test_a_malformed_question_is_answered_with_an_error_and_the_file_server_lives(
+    file_server: FileServer, context: RunContext, payload: bytes
 ) -> None:
     for what in ("fetch", "file"):
-        kind, (error, _) = answered(depot, what, "ego", payload)
+        kind, (error, _) = answered(file_server, what, "ego", payload)
         assert (kind, error) == ("error", "MessageError")
-    assert launch.invalid.counts == {"fetch/ego": 1, "file/ego": 1}
-    assert answered(depot, "fetch", "ego", encode({"do": "piece", "path": "mine", "offset": 3})) == (
+    assert context.invalid.counts == {"fetch/ego": 1, "file/ego": 1}
+    assert answered(file_server, "fetch", "ego", encode({"do": "piece", "path": "mine", "offset": 3})) == (
         "ok",
         {"piece": b"tent"},
     )
 
 
-def test_an_unexpected_error_costs_one_query(depot: Depot, launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unexpected_error_costs_one_query(
+    file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail(*_: object) -> None:
         raise OverflowError("no such number")
 
-    monkeypatch.setattr(depot, "_give", fail)
-    kind, (_, said) = answered(depot, "fetch", "ego", encode({"do": "clock"}))
+    monkeypatch.setattr(file_server, "_give", fail)
+    kind, (_, said) = answered(file_server, "fetch", "ego", encode({"do": "clock"}))
     assert (kind, said) == ("error", "OverflowError: no such number")
-    assert launch.invalid.counts == {"fetch/ego": 1}
+    assert context.invalid.counts == {"fetch/ego": 1}
     monkeypatch.undo()
-    assert answered(depot, "fetch", "ego", encode({"do": "clock"}))[0] == "ok"
+    assert answered(file_server, "fetch", "ego", encode({"do": "clock"}))[0] == "ok"
 
 
-def test_unknown_nodes_get_no_answer_and_are_counted_together(depot: Depot, launch: Launch) -> None:
+def test_unknown_nodes_get_no_answer_and_are_counted_together(file_server: FileServer, context: RunContext) -> None:
     for name in ("a", "b"):
-        assert answered(depot, "fetch", name, encode({"do": "clock"}))[0] == "error"
-    assert launch.invalid.counts == {"fetch/*": 2}
+        assert answered(file_server, "fetch", name, encode({"do": "clock"}))[0] == "error"
+    assert context.invalid.counts == {"fetch/*": 2}
 
 
-def test_a_depot_that_has_died_ends_the_run_and_is_named(
-    depot: Depot, launch: Launch, monkeypatch: pytest.MonkeyPatch
+def test_a_file_server_that_has_died_ends_the_run_and_is_named(
+    file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    launch.depot = depot
-    launch._check_depot()
-    assert launch.problem is None
-    monkeypatch.setattr(depot, "_refuse", MagicMock(side_effect=SystemExit))
-    depot._asked.put((MagicMock(key_expr="mast/x/@control/file/ego"), None, 0))
-    depot._thread.join(10.0)
-    launch._check_depot()
-    assert isinstance(launch.problem, ServiceDied)
-    assert "the depot, which serves the nodes' files, has ended: SystemExit" in str(launch.problem)
-    assert launch.stopping_since is not None
+    watch = watch_of(context, file_server=file_server)
+    watch._check_file_server()
+    assert context.stop.problem is None
+    monkeypatch.setattr(file_server, "_refuse", MagicMock(side_effect=SystemExit))
+    file_server._asked.put((MagicMock(key_expr="mast/x/@control/file/ego"), None, 0))
+    file_server._thread.join(10.0)
+    watch._check_file_server()
+    assert isinstance(context.stop.problem, ServiceDied)
+    assert "the depot, which serves the nodes' files, has ended: SystemExit" in str(context.stop.problem)
+    assert context.stop.requested
 
 
 # -- counting, and the table of rights -------------------------------------------------------------------------------
@@ -484,27 +513,27 @@ def test_of_many_counts_only_the_newest_of_each_node_is_queued_at_the_driver(dri
 
 
 @pytest.mark.parametrize("what", ["fetch", "file"])
-def test_an_oversized_query_is_not_queued(
-    depot: Depot, launch: Launch, what: str, monkeypatch: pytest.MonkeyPatch
+def test_what_is_too_long_for_its_kind_does_not_wait_at_the_file_server(
+    file_server: FileServer, context: RunContext, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits = MagicMock()
-    monkeypatch.setattr(depot, "_asked", MagicMock(put=waits))
+    monkeypatch.setattr(file_server, "_asked", MagicMock(put=waits))
     query = Query(f"{what}/ego", bytes(CONTROLS[what].max_bytes + 1))
-    depot._on_query(query)  # type: ignore[arg-type]
+    file_server._on_query(query)  # type: ignore[arg-type]
     assert query.dropped
-    assert launch.invalid.counts == {f"{what}/ego": 1}
+    assert context.invalid.counts == {f"{what}/ego": 1}
     monkeypatch.undo()
     assert not waits.called
 
 
-def test_queries_that_do_not_fit_the_queue_are_counted_by_kind(depot: Depot, launch: Launch) -> None:
-    depot._waiting["ego"] = 16
-    depot._on_query(Query("file/ego", encode({"path": "a", "offset": 0, "piece": b""})))  # type: ignore[arg-type]
-    assert launch.invalid.counts == {"file/ego": 1}
+def test_queries_that_do_not_fit_the_queue_are_counted_by_kind(file_server: FileServer, context: RunContext) -> None:
+    file_server._waiting["ego"] = 16
+    file_server._on_query(Query("file/ego", encode({"path": "a", "offset": 0, "piece": b""})))  # type: ignore[arg-type]
+    assert context.invalid.counts == {"file/ego": 1}
 
 
-def test_an_oversized_failure_is_not_queued_at_the_launcher(launch: Launch) -> None:
-    reports = Reports(MagicMock(), "mast/x/@control", {"ego": MagicMock()}, launch.invalid)
+def test_an_oversized_failure_is_not_queued_at_the_launcher(context: RunContext) -> None:
+    reports = Reports(MagicMock(), "mast/x/@control", {"ego": MagicMock()}, context.invalid)
     reports._on_failed(sample("failed/ego", bytes(CONTROLS["failed"].max_bytes + 1)))
-    assert launch.invalid.counts == {"failed/ego": 1}
+    assert context.invalid.counts == {"failed/ego": 1}
     assert reports._came.empty()

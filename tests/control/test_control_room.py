@@ -12,45 +12,48 @@ from test_control_findings import RUBBISH, Query
 
 from mast_zenoh.control import flow
 from mast_zenoh.control.files import encode
-from mast_zenoh.launch.file_server import Depot
+from mast_zenoh.launch.context import RunContext
+from mast_zenoh.launch.file_server import FileServer
 from mast_zenoh.launch.interception.server import Interceptions, seal
-from mast_zenoh.launch.mesh_run import Launch
+from mast_zenoh.launch.steps import StepRequests
 
-launch, depot = findings.launch, findings.depot  # fixtures
-
-
-def test_malformed_acts_take_no_room_from_valid_ones(launch: Launch) -> None:
-    asked = flow.encode_act(3, [("kill", "ego")])
-    for payload in [*RUBBISH * 200, asked]:
-        launch._ask(payload)
-    assert launch._asked.get_nowait() == flow.decode_act(asked)
-    assert launch.invalid.counts == {"act": len(RUBBISH) * 200}
+context, file_server = findings.context, findings.file_server  # fixtures
 
 
-def test_malformed_requests_take_no_room_from_valid_ones(launch: Launch) -> None:
-    interceptions = Interceptions(launch, MagicMock(), MagicMock(children={}))
+def test_malformed_acts_take_no_room_from_valid_ones(context: RunContext) -> None:
+    steps = MagicMock()
+    requests = StepRequests(steps, context.signatures, context.invalid)
+    for payload in [*RUBBISH * 200, flow.encode_act(3, [("kill", "ego")])]:
+        requests.take(payload)
+    requests.serve(0.0)
+    steps.carry_out.assert_called_once_with(3, (("kill", "ego"),))
+    assert context.invalid.counts == {"act": len(RUBBISH) * 200}
+
+
+def test_malformed_requests_take_no_room_from_valid_ones(context: RunContext) -> None:
+    interceptions = Interceptions(context, MagicMock(), MagicMock(children={}))
     sound = Query("intercept", seal({"do": "release", "name": "eve", "wire": None}, interceptions._secret))
     forged = [Query("intercept", payload) for payload in [*RUBBISH * 20, seal({"do": "release"}, b"guessed")]]
     for query in [*forged, sound]:
         interceptions._on_query(query)  # type: ignore[arg-type]
-    assert launch.invalid.counts == {"intercept": len(forged)}
+    assert context.invalid.counts == {"intercept": len(forged)}
     assert all(query.answers[0][0] == "error" and query.dropped for query in forged)
     assert interceptions._requests.get_nowait()[0] is sound
     assert interceptions._requests.empty()
 
 
 def test_malformed_queries_take_no_room_from_valid_ones(
-    depot: Depot, launch: Launch, monkeypatch: pytest.MonkeyPatch
+    file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    go_on, give = threading.Event(), depot._give
-    monkeypatch.setattr(depot, "_give", lambda *asked: go_on.wait(10.0) and give(*asked))
+    go_on, give = threading.Event(), file_server._give
+    monkeypatch.setattr(file_server, "_give", lambda *asked: go_on.wait(10.0) and give(*asked))
     clock = encode({"do": "clock"})
     asked = [Query(f"{what}/ego", payload) for what in ("fetch", "file") for payload in [clock, *RUBBISH * 4]]
     for query in [*asked, last := Query("fetch/ego", clock)]:
-        depot._on_query(query)  # type: ignore[arg-type]
+        file_server._on_query(query)  # type: ignore[arg-type]
     go_on.set()
     deadline = time.monotonic() + 10.0
     while not last.dropped and time.monotonic() < deadline:
         go_on.wait(0.01)
     assert last.answers[0][0] == "ok"
-    assert launch.invalid.counts == {"fetch/ego": len(RUBBISH) * 4, "file/ego": len(RUBBISH) * 4 + 1}
+    assert context.invalid.counts == {"fetch/ego": len(RUBBISH) * 4, "file/ego": len(RUBBISH) * 4 + 1}

@@ -28,7 +28,7 @@ from mast_zenoh.cli.options import reporting
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.launch.mesh_run import Launch
+from mast_zenoh.launch.context import RunContext
 from mast_zenoh.report import html
 from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.session import open_session
@@ -189,8 +189,8 @@ def main(folder: Path) -> None:
     over = threading.Event()
     watchers: list[threading.Thread] = []
 
-    def prepare(launch: Launch) -> None:
-        watchers.append(threading.Thread(target=_watch, args=(launch, folder, peaks, over)))
+    def prepare(context: RunContext) -> None:
+        watchers.append(threading.Thread(target=_watch, args=(context, folder, peaks, over)))
         watchers[0].start()
 
     try:
@@ -211,20 +211,20 @@ def main(folder: Path) -> None:
         sys.exit(ended.error.exit_code)
 
 
-def _watch(launch: Launch, folder: Path, peaks: dict[str, float], over: threading.Event) -> None:
+def _watch(context: RunContext, folder: Path, peaks: dict[str, float], over: threading.Event) -> None:
     """Say when the run is held, and note how much memory each process has taken at most."""
     while not over.wait(0.05):
-        if launch.frame >= HELD_BEFORE - 1 and not (folder / "ready").exists():
-            deployment = launch.deployment
-            assert deployment is not None
+        if context.frame >= HELD_BEFORE - 1 and not (folder / "ready").exists():
+            assert context.mesh is not None
+            assert context.mesh.deployment is not None
             told = {
-                "keys": str(deployment.folder),
-                "endpoint": launch.record["endpoint"],
-                "prefix": prefix(launch.record["id"]),
+                "keys": str(context.mesh.deployment.folder),
+                "endpoint": context.record["endpoint"],
+                "prefix": prefix(context.run_id),
             }
             (folder / "ready.part").write_text(json.dumps(told))
             (folder / "ready.part").rename(folder / "ready")
-        pids = {"launcher": os.getpid(), **{name: node["pid"] for name, node in dict(launch.record["nodes"]).items()}}
+        pids = {"launcher": os.getpid(), **{name: node["pid"] for name, node in dict(context.record["nodes"]).items()}}
         for name, pid in pids.items():
             with suppress(OSError, StopIteration):
                 lines = Path(f"/proc/{pid}/status").read_text().splitlines()

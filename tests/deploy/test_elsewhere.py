@@ -43,7 +43,7 @@ def test_a_run_whose_nodes_live_elsewhere_equals_the_one_in_this_process(tmp_pat
 
 
 def test_a_node_of_another_version_is_refused_and_both_are_named(tmp_path: Path) -> None:
-    other = Beside({"ego": "elsewhere.release.named = lambda: '0.0.9 (sources beef)'"})
+    other = Beside({"ego": "remote_node.version.version_string = lambda: '0.0.9 (sources beef)'"})
     ended = launcher.run(small(), tmp_path / "run", engine=other)
     assert isinstance(ended.error, VersionMismatch)
     assert "ego runs mast-zenoh 0.0.9 (sources beef), the launcher 0.1.0 (sources " in str(ended.error)

@@ -1,5 +1,6 @@
 """A list of faults becomes rules of links, steps of processes and bands of a timeline; what cannot be is refused."""
 
+import dataclasses
 import inspect
 from typing import Any
 
@@ -8,9 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh import links
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import Fault, Plan, ProcessStep, plan
+from mast_zenoh.faults.impairments import LinkFault
 from mast_zenoh.faults.plan import frame_at
 from mast_zenoh.faults.targets import drawn
 
@@ -94,11 +97,22 @@ def test_rules_stand_in_the_order_in_which_the_faults_are_written() -> None:
     ],
 )
 def test_every_fault_of_messages_is_a_rule_that_links_know(fault: dict[str, Any], rule: dict[str, Any]) -> None:
-    from mast_zenoh import links
-
     found = planned({**fault, "at": 1.0, "until": 2.0, "node": "ego"}).rules["ego"]["up"]
     assert found == [{**rule, "at": 1.0, "until": 2.0}]
     assert isinstance(registry.build(found[0], links.Rule, "here"), links.Rule)
+
+
+@pytest.mark.parametrize("fault", [cls for cls in KINDS.values() if issubclass(cls, LinkFault)])
+def test_a_parameter_has_the_same_default_as_fault_and_as_rule(fault: type[LinkFault]) -> None:
+    needed = {field.name: 0.5 for field in dataclasses.fields(fault) if field.default is dataclasses.MISSING}
+    rule = fault(
+        **needed | {"at": 1.0, "node": "ego"} | ({"rule": {"type": "Cut"}} if "rule" in needed else {})
+    ).as_rule()
+    (rule_type,) = {cls for name, cls in registry.known_types(links.Rule).items() if name == rule["type"]}
+    of_rule = inspect.signature(rule_type).parameters
+    for field in dataclasses.fields(fault):
+        if field.default is not dataclasses.MISSING and field.name in rule:
+            assert of_rule[field.name].default in (field.default, inspect.Parameter.empty), field.name
 
 
 def test_a_direction_is_one_way_only() -> None:

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.arrays import neighbours
+from mast_zenoh.arrays import clustering, neighbours
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.fusion import Clusterer, DBSCANClusterer, SampledAssignmentClusterer, clustering
+from mast_zenoh.fusion import Clusterer, DBSCANClusterer, SampledAssignmentClusterer
 
 #: (x, y, agent) of tracks; coarse places, so that distances tie.
 tracks = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6), st.integers(0, 4)), max_size=25)

@@ -7,14 +7,13 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config.registry import build
 from mast_zenoh.fusion import (
     BestMemberFusion,
-    CommandCenterPipeline,
     CovarianceIntersectionFusion,
     GroupTracker,
     GroupTrackerWrapper,
-    Pipeline,
     SampledAssignmentClusterer,
     UnfilteredGroupTracker,
 )
+from mast_zenoh.pipelines import CommandCenterPipeline, Pipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D
 
 NAMES = ("ego", "infra_1", "infra_2")

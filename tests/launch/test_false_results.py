@@ -21,10 +21,11 @@ from mast_zenoh.control import results
 from mast_zenoh.errors import MastError, RunFolderError
 from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch.display import Display
-from mast_zenoh.launch.mesh_run import Launch
+from mast_zenoh.launch.context import Mesh, RunContext
+from mast_zenoh.launch.mesh_conclusion import conclude
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.launch.watch import Watch
 from mast_zenoh.report import html, terminal
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.study.rogue.falsehoods import false_results
@@ -58,15 +59,17 @@ def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dic
     folder = run_folder.create(out, "false")
     resolved().write(folder)
     record: dict[str, Any] = {"id": "x", "message": "", "timings": {}, "churn": [], "nodes": {}}
-    launch = Launch(resolved(), folder, record, Display(Console(quiet=True), "x", 3), None, "tcp/127.0.0.1:0", secure)
+    context = RunContext(resolved(), folder, record, lambda line: None, secure)
     supervisor = MagicMock(children={name: Ended(name, spec) for name, spec in resolved().nodes.items()})
     supervisor.to_json = functools.partial(Supervisor.to_json, supervisor)
-    launch.reports = Reports(MagicMock(), "mast/x/@control", supervisor.children, launch.invalid)
+    reports = Reports(MagicMock(), "mast/x/@control", supervisor.children, context.invalid)
+    parts = dict.fromkeys(("steps", "requests", "interceptions"), MagicMock())
+    watch = Watch(context, Mesh(MagicMock(), supervisor), MagicMock(), reports=reports, **parts)
     came = MagicMock(to_bytes=lambda: payload)
-    launch.reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=came))
+    reports._on_result(MagicMock(key_expr=f"mast/x/@control/result/{node}", payload=came))
     try:
-        launch._take_reports()
-        launch._conclude(supervisor, time.monotonic())
+        watch.take_reports()
+        conclude(context, supervisor, reports, time.monotonic())
     except MastError as error:
         record["message"] = str(error)
     if error := ending.of_run(None, record, str(folder)):

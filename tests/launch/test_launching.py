@@ -3,16 +3,15 @@
 import os
 import signal
 import threading
-from pathlib import Path
-from typing import Any
+from unittest.mock import MagicMock
 
 from mast_zenoh.launch import stop_signals
-from mast_zenoh.launch.mesh_run import _POLL_S, Launch
+from mast_zenoh.launch.steps import StepRequests
+from mast_zenoh.launch.watch import _POLL_S
 
 
 def test_a_signal_that_is_noted_slowly_does_not_hold_up_the_launcher() -> None:
-    nothing: Any = None
-    launch = Launch(nothing, Path(), {"id": "r"}, nothing, None, "")
+    requests = StepRequests(MagicMock(), MagicMock(), MagicMock())
     with stop_signals.noted() as received:
 
         def note(number: int, _: object) -> None:
@@ -21,5 +20,5 @@ def test_a_signal_that_is_noted_slowly_does_not_hold_up_the_launcher() -> None:
 
         signal.signal(signal.SIGINT, note)
         threading.Timer(_POLL_S / 5, os.kill, (os.getpid(), signal.SIGINT)).start()
-        launch._act(nothing)
+        requests.serve(_POLL_S)
     assert received == [signal.SIGINT]

@@ -64,7 +64,7 @@ OWN_PIPELINE = """
 import numpy as np
 
 from mast_zenoh.config import loading
-from mast_zenoh.fusion import Pipeline
+from mast_zenoh.pipelines import Pipeline
 
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 

@@ -9,7 +9,6 @@ from mast_zenoh import links
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.attacks import ACTIONS
 from mast_zenoh.config import bundle, loading
-from mast_zenoh.messages.layout import INDEX_LIMITS
 from mast_zenoh.messages.schemas import SCHEMAS, text
 from mast_zenoh.node import Node
 from mast_zenoh.wiring.model import ANY
@@ -35,7 +34,14 @@ def test_every_message_type_describes_its_columns(name: str) -> None:
 
 def test_indices_are_limited_to_what_they_index() -> None:
     limits = {"class_id": CLASSES, "action": ACTIONS, "port": links.WIRES, "fate": links.FATES}
-    assert {name: len(known) for name, known in limits.items()} == INDEX_LIMITS
+    for column in (column for schema in SCHEMAS.values() for column in schema.columns if column.dtype == "uint8"):
+        known = next((known for name, known in limits.items() if column.name.endswith(name)), range(256))
+        assert column.below == len(known), column.name
+
+
+def test_every_rotation_must_have_a_length() -> None:
+    for column in (column for schema in SCHEMAS.values() for column in schema.columns):
+        assert (column.least_length > 0.0) == column.name.endswith("rotation"), column.name
 
 
 @pytest.mark.parametrize("node", OURS, ids=lambda node: node.__name__)

@@ -68,6 +68,6 @@ def labelled(record: Record, found: Effects, roles: dict[str, str] | None = None
     truth = record.truth(scores.frames)
     boxes = truth.boxes.in_group(scores.frames[truth.boxes.group])
     known = {way.node: "adversary" for way in found.passages} | (roles or {})
-    done = manipulations(found, known, scores.series, boxes, PERIOD_S, np.zeros(len(found), bool))
+    done = manipulations(found, known, scores.series, boxes, PERIOD_S, np.zeros(len(found), bool), Attribution())
     labels = Attribution().label(scores, done, truth, record.agents, PERIOD_S, **more)
     return scores, scores.objects() | {"cause": named(labels.cause), "by": labels.by}, labels, done

@@ -10,7 +10,7 @@ from metric_oracles import best_pairs, boxes, iou, outline
 from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh.metrics import Boxes, CenterDistanceAssigner, IoU3DGreedyAssigner, birdseye_intersection, iou_3d
-from mast_zenoh.metrics.boxes import order_by, pairs_within
+from mast_zenoh.metrics.boxes import pairs_within
 
 
 def scattered(n: int, rng: np.random.Generator, spread: float, group=0) -> Boxes:
@@ -174,11 +174,3 @@ def test_near_pairs_are_all_pairs_of_a_group_within_the_radius_and_in_order(seed
     assert np.all(apart[i, j] <= radius * (1 + 1e-6) + 1e-5)
     assert same[i, j].all()
     assert np.array_equal(np.lexsort((j, i)), np.arange(len(i)))
-
-
-@settings(max_examples=100)
-@given(keys=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 2)), max_size=8))
-def test_rows_are_ordered_as_by_a_full_sort(keys) -> None:
-    group, id_, tie = np.array(keys, np.int64).reshape(-1, 3).T
-    ties = (tie.astype(float),)
-    assert order_by(id_, group, ties=ties).tolist() == np.lexsort((*ties, id_, group)).tolist()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mast_zenoh.metrics.boxes import order_by
 from mast_zenoh.metrics.lookup import find, occurs
 
 
@@ -24,13 +23,3 @@ def test_nothing_is_found_in_nothing():
     none, one = (np.zeros(0, np.int64),), (np.ones(1, np.int64),)
     assert find(one, none).tolist() == [-1]
     assert find(none, one).tolist() == []
-
-
-@pytest.mark.parametrize("spread", [1, 3, 1000])
-def test_rows_come_in_the_order_of_a_lexical_sort(spread):
-    random = np.random.default_rng(spread)
-    for n in (0, 1, 2, 50):
-        ids, groups = random.integers(0, spread, n), random.integers(0, 4, n)
-        tie = random.permutation(n).astype(float)
-        for first, second in ((ids, groups), (np.sort(ids), groups), (np.sort(ids), np.sort(groups))):
-            assert order_by(first, second, ties=(tie,)).tolist() == np.lexsort((tie, first, second)).tolist()

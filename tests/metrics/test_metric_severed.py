@@ -10,7 +10,7 @@ from metric_oracles import cars
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
 from mast_zenoh.evaluation.from_effects import stopped
-from mast_zenoh.metrics import Presence, Reach, Record, Scorer, Series, Severed
+from mast_zenoh.metrics import CutOff, Presence, Record, Scorer, Series, Severed
 from mast_zenoh.metrics.blame import split
 from mast_zenoh.metrics.record import Snapshot
 
@@ -58,7 +58,7 @@ def judged(*, silent, attacks=(), unheard=None, **world):
 def severed(record: Record, silent: np.ndarray, unheard: np.ndarray | None = None) -> Severed:
     scores = Scorer().score(record)
     unheard = np.zeros_like(silent) if unheard is None else unheard
-    return Reach().severed(scores, record.truth(scores.frames), AGENTS, scores.frames, PERIOD_S, silent, unheard)
+    return CutOff().severed(scores, record.truth(scores.frames), AGENTS, scores.frames, PERIOD_S, silent, unheard)
 
 
 def cut(agent: str = "infra_1", when: slice = CUT) -> np.ndarray:
@@ -244,7 +244,7 @@ def test_a_track_of_an_object_that_has_gone_would_have_stayed_a_while_anyway() -
 
 def missing(silent_frames=(), unheard=(), frames: int = 40, **how) -> list[int]:
     masks = [np.isin(np.arange(frames), np.array(each, int))[:, None] for each in (silent_frames, unheard)]
-    return np.flatnonzero(Reach(**how).missing(*masks, PERIOD_S)[:, 0]).tolist()
+    return np.flatnonzero(CutOff(**how).missing(*masks, PERIOD_S)[:, 0]).tolist()
 
 
 def test_an_agent_that_misses_a_frame_is_missing_in_that_frame_only() -> None:
@@ -253,8 +253,8 @@ def test_an_agent_that_misses_a_frame_is_missing_in_that_frame_only() -> None:
 
 def test_one_whose_last_word_is_forgotten_needs_a_second_until_it_is_back_in_the_picture() -> None:
     assert missing([10, 11, 12]) == list(range(10, 23))
-    assert missing([10, 11, 12], aged_s=0.3) == [10, 11, 12]
-    assert missing([10, 11, 12], again_s=0.0) == [10, 11, 12]
+    assert missing([10, 11, 12], max_age_s=0.3) == [10, 11, 12]
+    assert missing([10, 11, 12], recovery_s=0.0) == [10, 11, 12]
 
 
 def test_who_is_not_heard_for_a_moment_is_late_at_most_and_for_longer_is_silent() -> None:

@@ -278,9 +278,9 @@ def linked():
     return tiny(edit=cut)
 
 
-def blamed(linked, *, at: Any = None, passes: Any = None, frames: int = 30) -> dict[str, Any]:
+def blamed(linked, *, at: Any = None, passes: Any = None, frames: int = 30, **config: Any) -> dict[str, Any]:
     """The ego's picture of a run in which infra_1 alone sees a car that the picture has from frame 15 to 19 not."""
-    evaluator = Bench(linked, "evaluator")
+    evaluator = Bench(linked, "evaluator", **config)
     link_out = next(way.sent for way in Wiring.from_json(linked.wiring).passages() if way.port == "tracks")
     for frame in range(frames):
         evaluator.hear("clock", {}, frame)
@@ -327,6 +327,20 @@ def test_a_long_silence_counts_as_cut_off_and_a_short_one_as_late(linked) -> Non
     assert blamed(linked, at=unheard(16, 17))["causes"]["fn"]["occlusion or range"] == 2
 
 
+def test_an_agent_is_cut_off_only_when_its_tracks_are_too_old_for_the_broker(linked) -> None:
+    def unheard(frame: int, agent: str, evaluator: Bench) -> bool:
+        return agent != "infra_1" or not 16 <= frame <= 19
+
+    patient = blamed(linked, at=unheard, cut_off=dict(max_age_s=0.5))["causes"]["fn"]
+    assert "link or fault" not in patient
+    assert blamed(linked, at=unheard, cut_off=dict(max_age_s=0.3))["causes"]["fn"]["link or fault"] == 4
+
+
+def test_the_parameters_of_attribution_change_what_is_blamed(linked) -> None:
+    assert blamed(linked)["causes"]["fn"] == {"fusion": 5}
+    assert blamed(linked, attribution=dict(begin_s=3.0))["causes"]["fn"] == {"lag": 5}
+
+
 def test_a_run_without_links_attributes_nothing_to_faults() -> None:
     found = Run(tiny()).results["evaluator"]
     assert "link or fault" not in found["tables"]["objects"]["cause"]
@@ -367,6 +381,11 @@ def test_its_results_are_the_same_whether_messages_are_bytes_or_not() -> None:
     ("config", "message"),
     [
         ({"skip_first": -1}, "skip_first, skip_last: found -1, 10, expected 0 or more"),
+        ({"attribution": {"lie_m": -1.0}}, "attribution: Attribution: lie_m: found -1.0, expected 0 or more"),
+        ({"attribution": {"lie": 1.0}}, "attribution.lie: Attribution has no such parameter; did you mean 'lie_m'"),
+        ({"attribution": {"coast_s": "4 s"}}, "attribution.coast_s: found '4 s', expected a number"),
+        ({"cut_off": {"recovery_s": -1.0}}, "cut_off: CutOff: recovery_s: found -1.0, expected 0 or more"),
+        ({"cut_off": 0.5}, "cut_off: found 0.5, expected a dict"),
         ({"picture_age_s": -0.1}, "picture_age_s: found -0.1, expected 0 or more"),
         ({"driving": {"type": "Driving", "horizon_m": 0.0}}, "horizon_m: found 0.0, expected more than 0"),
         ({"metrics": [{"type": "LongestMiss"}, {"type": "LongestMiss"}]}, "metrics: found 'longest_miss' twice"),

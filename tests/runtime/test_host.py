@@ -14,7 +14,6 @@ from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message, text
 from mast_zenoh.node import Context, Node, Overheard, Received, handler_names
-from mast_zenoh.runtime import host as host_module
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.limits import Limit
@@ -228,7 +227,7 @@ def status() -> dict[str, np.ndarray]:
 
 
 def test_messages_held_for_a_clock_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host_module, "HELD", Limit(5, 10**6))
+    monkeypatch.setattr("mast_zenoh.runtime.held.HELD", Limit(5, 10**6))
     host = listening()
     for frame in range(1, 9):
         host.deliver("agent/a/tracks", said_by("a", frame), frame)

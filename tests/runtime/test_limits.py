@@ -176,7 +176,7 @@ def arrives(mesh: MeshNode, key: str, payload: bytes, epoch: int, step: int = -1
     """A sample comes in the way in which Zenoh brings it."""
     stamp = ATTACHMENT.pack(MARK, epoch, step)
     sample = {"payload": lambda: payload, "attachment": lambda: stamp}
-    mesh._on_sample(key)(SimpleNamespace(**{name: SimpleNamespace(to_bytes=get) for name, get in sample.items()}))
+    mesh.intake.callback(key)(SimpleNamespace(**{name: SimpleNamespace(to_bytes=get) for name, get in sample.items()}))
 
 
 def handle_all(mesh: MeshNode) -> None:

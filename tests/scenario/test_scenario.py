@@ -15,7 +15,7 @@ from mast_zenoh.attacks import PassThrough
 from mast_zenoh.config import bundle, loading, settings
 from mast_zenoh.config.resolved import RECORDING, Resolved, build_node
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, WiringError
-from mast_zenoh.fusion import CommandCenterPipeline
+from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.scenario import load, resolve
 from mast_zenoh.wiring.model import Wiring
 
@@ -277,7 +277,7 @@ def test_user_defined_algorithms_can_be_named_by_type(tmp_path: Path) -> None:
 OWN_PIPELINE = """
 import numpy as np
 
-from mast_zenoh.fusion import Pipeline
+from mast_zenoh.pipelines import Pipeline
 
 class OneAgent(Pipeline):
     def __init__(self, *, believed: str) -> None:
@@ -563,6 +563,27 @@ def test_pictures_are_scored_for_as_long_as_agents_use_them() -> None:
         (None, None),
         (None, {"infra_1": 1.5, "infra_2": 1.5}),
         (0.2, None),
+    ]
+
+
+def test_agents_count_as_cut_off_when_their_tracks_are_too_old_for_the_broker() -> None:
+    def patient(content: dict[str, Any]) -> None:
+        content["broker"] = {**content["broker"], "max_age_s": 1.5}
+
+    def recovers(content: dict[str, Any]) -> None:
+        patient(content)
+        content["evaluator"] = {**content["evaluator"], "cut_off": dict(recovery_s=2.0)}
+
+    def differs(content: dict[str, Any]) -> None:
+        patient(content)
+        content["evaluator"] = {**content["evaluator"], "cut_off": dict(max_age_s=0.5)}
+
+    configs = [tiny(edit=edit).nodes["evaluator"].config for edit in (None, patient, recovers, differs)]
+    assert [config.get("cut_off") for config in configs] == [
+        None,
+        dict(max_age_s=1.5),
+        dict(max_age_s=1.5, recovery_s=2.0),
+        dict(max_age_s=0.5),
     ]
 
 

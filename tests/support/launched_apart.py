@@ -8,18 +8,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import zenoh
-
 from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.launch.processes import Processes
-from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import levels
-from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring.model import Wiring
 
 
 class BesideProcesses(Processes):
@@ -33,7 +27,7 @@ class BesideProcesses(Processes):
     def command(self, name: str, spec: NodeSpec) -> list[str]:
         code = f"from mast_zenoh.runtime import remote_node\n{self.code}\nremote_node.main()"
         words = ["--name", name, "--run", self.run, "--endpoint", self.endpoint, "--patience", str(self.patience_s)]
-        return [sys.executable, "-c", code, *words, *self.told(name), *self.inside(name)]
+        return [sys.executable, "-c", code, *words, *self.extra_arguments(name), *self.inside(name)]
 
 
 class Beside(Engine):
@@ -48,31 +42,20 @@ class Beside(Engine):
     def check(self, resolved: Resolved, secure: str) -> None:
         pass
 
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
-        run, nodes = launch.record["id"], launch.resolved.nodes
-        driver = next(name for name, spec in nodes.items() if spec.role == "simulator")
-        launch.deployment = stack.enter_context(
-            Deployment(
-                launch.secure,
-                run,
-                Wiring.from_json(launch.resolved.wiring),
-                nodes,
-                prefix=prefix(run),
-                driver=driver,
-                hosts=["127.0.0.1"],
-            )
-        )
-        listen = levels.endpoint(launch.secure, "tcp/127.0.0.1:0")
-        session, launch.record["endpoint"] = open_router(listen, security=launch.deployment.router)
-        launch.record["deployment"] = {"engine": self.name}
-        return stack.enter_context(session), BesideProcesses(
-            launch.folder,
-            run,
-            launch.record["endpoint"],
-            told=launch.deployment.arguments,
+    def join(self, context: RunContext, stack: ExitStack) -> Mesh:
+        deployment = stack.enter_context(context.make_deployment(["127.0.0.1"]))
+        listen = levels.endpoint(context.secure, "tcp/127.0.0.1:0")
+        session, endpoint = open_router(listen, security=deployment.router)
+        context.record |= {"endpoint": endpoint, "deployment": {"engine": self.name}}
+        processes = BesideProcesses(
+            context.folder,
+            context.run_id,
+            endpoint,
+            extra_arguments=deployment.arguments,
             code=self.code,
             patience_s=self.patience_s,
         )
+        return Mesh(stack.enter_context(session), processes, deployment)
 
     @classmethod
     def status(cls, folder: Path, record: dict[str, Any]) -> list[dict[str, str]]:

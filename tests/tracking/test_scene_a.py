@@ -8,7 +8,6 @@ from mast_zenoh.arrays.states import Detections, ObjectStates, concatenate
 from mast_zenoh.fusion import (
     BestMemberFusion,
     Clusterer,
-    CommandCenterPipeline,
     CovarianceIntersectionFusion,
     DBSCANClusterer,
     Fusion,
@@ -16,6 +15,7 @@ from mast_zenoh.fusion import (
     SampledAssignmentClusterer,
     UnfilteredGroupTracker,
 )
+from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, Tracker
 
 

@@ -65,7 +65,7 @@ class Containers(Supervisor[Container]):
     def __exit__(self, *_: object) -> None:
         self._events.close()
         for child in self.children.values():
-            self.let_go(child)
+            self.dispose(child)
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
         """Start a node; raises EngineError for a node without a container."""
@@ -117,10 +117,10 @@ class Containers(Supervisor[Container]):
         if not child.ended_now.wait(_END_S):
             raise EngineError(f"the container {child.container} does not end")
 
-    def _stand_still(self, child: Container) -> None:
+    def _suspend(self, child: Container) -> None:
         docker("pause", child.container)
 
-    def _go_on(self, children: Iterable[Container]) -> None:
+    def _resume(self, children: Iterable[Container]) -> None:
         for child in children:
             docker("unpause", child.container, check=False)
 
@@ -159,7 +159,7 @@ class Containers(Supervisor[Container]):
             self._await_log(child)
         return ended
 
-    def let_go(self, child: Container) -> None:
+    def dispose(self, child: Container) -> None:
         self._await_log(child)
 
     def end(self, grace_s: float) -> None:

@@ -12,8 +12,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import zenoh
-
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy import credentials, image, numeric_environment
 from mast_zenoh.deploy import docker as engine
@@ -23,9 +21,8 @@ from mast_zenoh.deploy.docker import docker
 from mast_zenoh.deploy.joining import join
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.mesh_run import Launch
-from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.security import levels
 
 _ROUTER_S = 60.0  # for the router to come up
@@ -53,20 +50,20 @@ class Compose(Engine):
         image.check(self.image)
         document.check_names(resolved)
 
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
-        run, folder = launch.record["id"], launch.folder
-        launch.record["deployment"] = {"engine": self.name, "image": self.image, "label": f"{document.LABEL}={run}"}
-        run_folder.write_json(folder / "run.json", launch.record)
-        stack.callback(self.down, folder, launch.record)
-        deployment = launch.deployment = stack.enter_context(credentials.deployment(launch))
+    def join(self, context: RunContext, stack: ExitStack) -> Mesh:
+        run, folder = context.run_id, context.folder
+        context.record["deployment"] = {"engine": self.name, "image": self.image, "label": f"{document.LABEL}={run}"}
+        run_folder.write_json(folder / "run.json", context.record)
+        stack.callback(self.down, folder, context.record)
+        deployment = stack.enter_context(credentials.deployment(context))
         user = _user()
         if deployment.folder is not None:
             _hand_over(deployment.folder, deployment.router, user)
         content = document.text(
-            launch.resolved,
+            context.resolved,
             run,
             image=self.image,
-            secure=launch.secure,
+            secure=context.secure,
             user=user,
             environment=numeric_environment.environment(),
             patience_s=self.patience_s,
@@ -81,10 +78,10 @@ class Compose(Engine):
         # By Compose itself: 1.29 connects a container with its further networks when it starts it.
         engine.run([*project, "up", "--detach", "--no-deps", document.ROUTER], timeout=_MAKE_S)
         stack.callback(_keep_log, router, folder / "logs" / f"{document.ROUTER}.log")
-        endpoint = levels.endpoint(launch.secure, f"tcp/{_published(router)}")
-        launch.record["endpoint"] = endpoint
-        session = join(endpoint, deployment.launcher, _ROUTER_S, lambda: launch.signals)
-        return stack.enter_context(session), supervisor
+        endpoint = levels.endpoint(context.secure, f"tcp/{_published(router)}")
+        context.record["endpoint"] = endpoint
+        session = join(endpoint, deployment.launcher, _ROUTER_S, lambda: context.signals)
+        return Mesh(stack.enter_context(session), supervisor, deployment)
 
     @classmethod
     def status(cls, folder: Path, record: dict[str, Any]) -> list[dict[str, str]]:
@@ -96,7 +93,7 @@ class Compose(Engine):
 
     @classmethod
     def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """Print logs; those of removed containers are in the run folder."""
+        """What containers have said that are gone is in the run folder."""
         containers = {entry["node"]: entry["where"] for entry in cls.status(folder, record)}
         names = [node] if node else sorted(path.stem for path in (folder / "logs").glob("*.log")) or list(containers)
         if follow and node in containers:

@@ -13,9 +13,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import zenoh
+from typing import Any
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.ssh import connection, hostsfile, installation
@@ -25,13 +23,9 @@ from mast_zenoh.deploy.ssh.hostsfile import Host
 from mast_zenoh.deploy.ssh.installation import Packages
 from mast_zenoh.deploy.ssh.startup import Startup
 from mast_zenoh.errors import EngineError
+from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.mesh_run import Launch
-from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.security import levels
-
-if TYPE_CHECKING:
-    pass
 
 _LEAVE_S = 20.0  # for a host to end what it still runs and to remove its folder
 
@@ -62,8 +56,8 @@ class Ssh(Engine):
             packages = Packages(Path(folder))
             loop.run(together(*(probe(host, packages) for host in used.values())))
 
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
-        return Startup(self.hosts, self._used(launch.resolved), launch, stack).run()
+    def join(self, context: RunContext, stack: ExitStack) -> Mesh:
+        return Startup(self.hosts, self._used(context.resolved), context, stack).run()
 
     def _used(self, resolved: Resolved) -> dict[str, Host]:
         names = {*self.hosts.placed(resolved.nodes).values(), self.hosts.router_on}
@@ -88,7 +82,7 @@ class Ssh(Engine):
 
     @classmethod
     def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """Print the logs of the run folder, then the parts that only the host has."""
+        """What the run folder has, which the launcher writes, then what only the host has."""
         names = [node] if node else sorted({name for _, place in _places(record).values() for name in place["nodes"]})
         printing = threading.Lock()
         offsets = {}

@@ -93,17 +93,17 @@ class RemoteNodes(Supervisor[RemoteNode]):
         if not self.wait(child, _ANSWER_S):
             raise EngineError(f"{child.name} does not end")
 
-    def _stand_still(self, child: RemoteNode) -> None:
+    def _suspend(self, child: RemoteNode) -> None:
         self._signal([child], signal.SIGSTOP)
 
-    def _go_on(self, children: Iterable[RemoteNode]) -> None:
+    def _resume(self, children: Iterable[RemoteNode]) -> None:
         self._signal(children, signal.SIGCONT)
 
     def wait(self, child: RemoteNode, seconds: float) -> bool:
         with self._changed:
             return self._changed.wait_for(lambda: child.exit is not None, seconds)
 
-    def let_go(self, child: RemoteNode) -> None:
+    def dispose(self, child: RemoteNode) -> None:
         """Do nothing: the host keeps only the log."""
 
     def running(self) -> list[RemoteNode]:
@@ -116,7 +116,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
         return super().running()
 
     def end(self, grace_s: float) -> None:
-        """End all nodes; those on unreachable hosts end by themselves, which is noted."""
+        """What a host that is out of reach still runs ends by itself, and is noted."""
         commands = {}
         for child in super().running():
             child.notes.append("told to leave by SIGTERM")

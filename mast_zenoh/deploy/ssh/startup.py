@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import posixpath
-import socket
 import tempfile
 import threading
 import time
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from mast_zenoh.deploy import numeric_environment
+from mast_zenoh.deploy.addresses import bracketed, free_port, is_local
 from mast_zenoh.deploy.joining import join
 from mast_zenoh.deploy.ssh import connection, hostsfile, installation
 from mast_zenoh.deploy.ssh.attachment import Attachment, attaching
@@ -26,15 +26,12 @@ from mast_zenoh.deploy.ssh.installation import Installed, Packages
 from mast_zenoh.deploy.ssh.nodes import RemoteNodes, exit_of
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch.mesh_run import Launch
+from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.processes import ENVIRONMENT
-from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import ROUTER
 from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring.model import Wiring
 
 if TYPE_CHECKING:
     import asyncssh
@@ -52,14 +49,15 @@ class Startup:
     told: the content of hosts.toml; hosts: those of them that are used
     """
 
-    def __init__(self, told: hostsfile.Hosts, hosts: dict[str, Host], launch: Launch, stack: ExitStack) -> None:
+    def __init__(self, told: hostsfile.Hosts, hosts: dict[str, Host], context: RunContext, stack: ExitStack) -> None:
         self.told = told
         self.hosts = hosts
-        self.launch = launch
+        self.context = context
+        self.deployment: Deployment | None = None
         self.stack = stack
-        self.run_id: str = launch.record["id"]
-        self.placed = told.placed(launch.resolved.nodes)
-        self.loop = stack.enter_context(Loop(launch.signals))
+        self.run_id = context.run_id
+        self.placed = told.placed(context.resolved.nodes)
+        self.loop = stack.enter_context(Loop(context.signals))
         self.changed = threading.Condition()
         self.attachments: dict[str, Attachment] = {}
         self.installed: dict[str, Installed] = {}
@@ -67,24 +65,25 @@ class Startup:
         self.endpoints: dict[str, str] = {}
         self.router: tuple[Attachment, str] | None = None  # see RemoteNodes
 
-    def run(self) -> tuple[zenoh.Session, Supervisor[Any]]:
-        """Run all steps; returns the launcher's session, and the supervisor of the nodes."""
+    def run(self) -> Mesh:
+        """Run all steps; returns the session, the supervisor of the nodes, and their credentials."""
         with tempfile.TemporaryDirectory(prefix="mast-wheel-") as folder:
             packages = Packages(Path(folder))
             self._on_all(lambda host, ssh: self._install(host, ssh, packages))
-        self.launch.record["deployment"] = {"engine": "ssh", "hosts": {n: self._place(n) for n in self.hosts}}
-        run_folder.write_json(self.launch.folder / "run.json", self.launch.record)
+        self.context.record["deployment"] = {"engine": "ssh", "hosts": {n: self._place(n) for n in self.hosts}}
+        run_folder.write_json(self.context.folder / "run.json", self.context.record)
         self.stack.callback(self._leave)
         self._on_all(self._start_warden, whole=True)
         self._attach()
         self._until(lambda: all(a.attached for a in self.attachments.values()), _ATTACH_S, self._not_attached)
         session = self._route()
         self._on_all(self._copy_credentials)
-        if self.launch.deployment is not None:
-            self.launch.deployment.close()  # the nodes have theirs
+        if self.deployment is not None:
+            self.deployment.close()  # the nodes have theirs
         self._on_all(self._reach_router)
-        logs = self.launch.folder / "logs"
-        return session, RemoteNodes(self.attachments, self.placed, self._command, logs, self.changed, self.router)
+        logs = self.context.folder / "logs"
+        nodes = RemoteNodes(self.attachments, self.placed, self._command, logs, self.changed, self.router)
+        return Mesh(session, nodes, self.deployment)
 
     def _on_all(self, do: Callable[[Host, asyncssh.SSHClientConnection], Any], *, whole: bool = False) -> None:
         async def on(host: Host) -> None:
@@ -124,7 +123,7 @@ class Startup:
 
     def _attach(self) -> None:
         for name, host in self.hosts.items():
-            command = attaching(self.launch.record["deployment"]["hosts"][name])
+            command = attaching(self.context.record["deployment"]["hosts"][name])
             self.attachments[name] = Attachment(host, command, self.changed, self._log)
             self.loop.begin(self.attachments[name].stay())
 
@@ -132,7 +131,7 @@ class Startup:
         """Append to a log, in the event loop. A name with a path is ignored: hosts must not choose where to write."""
         if posixpath.basename(name) != name:
             return
-        path = self.launch.folder / "logs" / f"{name}.log"
+        path = self.context.folder / "logs" / f"{name}.log"
         with path.open("r+b" if path.exists() else "xb") as file:
             file.seek(offset)
             file.write(piece)
@@ -140,7 +139,7 @@ class Startup:
     async def _copy_credentials(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
         import asyncssh
 
-        deployment = self.launch.deployment
+        deployment = self.deployment
         if deployment is None or deployment.folder is None:
             return
         target = posixpath.join(self._folder(host.name), "credentials")
@@ -174,43 +173,34 @@ class Startup:
         for attachment in attachments:
             attachment.leave(grace_s=2.0)
         for name, attachment in self.attachments.items():
-            self.launch.record["deployment"]["hosts"][name]["reattached"] = max(0, attachment.reattached)
+            self.context.record["deployment"]["hosts"][name]["reattached"] = max(0, attachment.reattached)
         deadline = time.monotonic() + _LEAVE_S
         unreachable = [a.host.called for a in attachments if not a.has_left(deadline - time.monotonic())]
         if unreachable:
-            self.launch.display.say(
+            self.context.show(
                 f"[yellow]out of reach at the end: {', '.join(unreachable)}: all is removed there after "
-                f"{self.told.patience_s + _LATER_S:.0f} s, or `mast deploy down {self.launch.folder}`"
+                f"{self.told.patience_s + _LATER_S:.0f} s, or `mast deploy down {self.context.folder}`"
             )
 
     # -- the router ----------------------------------------------------------------------------------------------
 
     def _route(self) -> zenoh.Session:
         """Start the router, here or on its host, and open the launcher's session."""
-        on, launch = self.told.router_on, self.launch
+        on, context = self.told.router_on, self.context
         if on == LAUNCHER:
             addresses = {n: self.told.address or self.reached_from[n] for n in self.hosts}
         else:
             addresses = dict.fromkeys(self.hosts, self.told.address or self.hosts[on].address)
-        port = self.told.port or _free_port()
-        self.endpoints = {
-            n: levels.endpoint(launch.secure, f"tcp/{_bracketed(a)}:{port}") for n, a in addresses.items()
-        }
+        port = self.told.port or free_port()
+        sockets = {n: f"tcp/{bracketed(address)}:{port}" for n, address in addresses.items()}
+        self.endpoints = {n: levels.endpoint(context.secure, socket) for n, socket in sockets.items()}
         endpoints = list(dict.fromkeys(self.endpoints.values()))
-        launch.record["endpoint"] = endpoints[0]
-        nodes = launch.resolved.nodes
-        driver = next((name for name, spec in nodes.items() if spec.role == "simulator"), "")
-        wiring = Wiring.from_json(launch.resolved.wiring)
-        reached_by = levels.hosts(endpoints)
-        deployment = launch.deployment = self.stack.enter_context(
-            Deployment(
-                launch.secure, self.run_id, wiring, nodes, prefix=prefix(self.run_id), driver=driver, hosts=reached_by
-            )
-        )
+        context.record["endpoint"] = endpoints[0]
+        deployment = self.deployment = self.stack.enter_context(context.make_deployment(levels.hosts(endpoints)))
         if on != LAUNCHER:
             return self.stack.enter_context(self._router_on(self.hosts[on], port, deployment, endpoints[0]))
-        if self.told.address and not _is_local(self.told.address):  # such as that of a gateway
-            endpoints = [levels.endpoint(launch.secure, f"tcp/0.0.0.0:{port}")]
+        if self.told.address and not is_local(self.told.address):  # such as that of a gateway
+            endpoints = [levels.endpoint(context.secure, f"tcp/0.0.0.0:{port}")]
         try:
             session, _ = open_router(*endpoints, security=deployment.router)
         except (zenoh.ZError, OSError) as error:
@@ -218,7 +208,7 @@ class Startup:
         return self.stack.enter_context(session)
 
     def _router_on(self, host: Host, port: int, deployment: Deployment, endpoint: str) -> zenoh.Session:
-        attachment, listen = self.attachments[host.name], levels.endpoint(self.launch.secure, f"tcp/0.0.0.0:{port}")
+        attachment, listen = self.attachments[host.name], levels.endpoint(self.context.secure, f"tcp/0.0.0.0:{port}")
         argv = [*self._mast_node(host.name), "--router", "--listen", listen]
         if deployment.router:
             settings = posixpath.join(self._folder(host.name), _SETTINGS)
@@ -236,20 +226,20 @@ class Startup:
         def ended() -> bool:
             return exit_of(attachment, ROUTER, start) is not None
 
-        log = self.launch.folder / "logs" / f"{ROUTER}.log"
+        log = self.context.folder / "logs" / f"{ROUTER}.log"
         self._until(lambda: ended() or (log.is_file() and b"router at" in log.read_bytes()), _ROUTER_S, lambda: "")
         if ended():
             lines = log.read_text(errors="replace").strip().splitlines() if log.is_file() else []
             raise EngineError(f"{host.called}: the router did not start: {lines[-1] if lines else 'no output'}")
-        return join(endpoint, deployment.launcher, _ROUTER_S, lambda: bool(self.launch.signals))
+        return join(endpoint, deployment.launcher, _ROUTER_S, lambda: bool(self.context.signals))
 
     # -- nodes ---------------------------------------------------------------------------------------------------
 
     def _command(self, node: str, name: str) -> tuple[Sequence[str], dict[str, str]]:
         """The command that starts a node on its host, and its environment."""
-        endpoint = self.launch.detours.get(node, self.endpoints[name])
+        endpoint = self.context.detours.get(node, self.endpoints[name])
         argv = [*self._mast_node(name), "--name", node, "--endpoint", endpoint]
-        if self.launch.deployment is not None and self.launch.secure != "open":
+        if self.deployment is not None and self.context.secure != "open":
             argv += ["--credentials", posixpath.join(self._folder(name), "credentials", node)]
         return argv, self._environment(name)
 
@@ -269,31 +259,8 @@ class Startup:
         deadline = time.monotonic() + seconds
         with self.changed:
             while not condition():
-                if self.launch.signals:
+                if self.context.signals:
                     raise Interrupted("stopped by Ctrl-C or SIGTERM")
                 if time.monotonic() > deadline:
                     raise EngineError(f"not ready within {seconds:.0f} s: {pending()}")
                 self.changed.wait(0.1)
-
-
-def _bracketed(address: str) -> str:
-    return f"[{address}]" if ":" in address else address
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-def _is_local(address: str) -> bool:
-    """Whether this machine can listen at an address."""
-    try:
-        addresses = socket.getaddrinfo(address, 0, type=socket.SOCK_STREAM)
-        family, kind, protocol, _, where = addresses[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.bind(where)
-    except OSError:
-        return False
-    return True

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -13,12 +12,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import zenoh
-
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy import credentials, numeric_environment
 from mast_zenoh.deploy import docker as dockerd
 from mast_zenoh.deploy import image as images
+from mast_zenoh.deploy.addresses import free_port
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.deploy.joining import join
 from mast_zenoh.deploy.swarm import document, placement, tasks
@@ -27,9 +25,8 @@ from mast_zenoh.deploy.swarm.logs import keep_log
 from mast_zenoh.deploy.swarm.services import Services
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.mesh_run import Launch
-from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.runtime.lockstep.timetable import Timetable
 from mast_zenoh.security import levels
 
@@ -63,23 +60,23 @@ class Swarm(Engine):
         place = placement.resolve(self.place, resolved.nodes)
         placement.check(placement.machines(), place, placement.pinned(resolved.steps))
 
-    def join(self, launch: Launch, stack: ExitStack) -> tuple[zenoh.Session, Supervisor[Any]]:
-        run, folder, resolved = launch.record["id"], launch.folder, launch.resolved
+    def join(self, context: RunContext, stack: ExitStack) -> Mesh:
+        run, folder, resolved = context.run_id, context.folder, context.resolved
         name = document.stack(run)
-        launch.record["deployment"] = {"engine": self.name, "image": self.image, "stack": name}
-        run_folder.write_json(folder / "run.json", launch.record)
-        stack.callback(self.down, folder, launch.record)
-        deployment = launch.deployment = stack.enter_context(credentials.deployment(launch))
+        context.record["deployment"] = {"engine": self.name, "image": self.image, "stack": name}
+        run_folder.write_json(folder / "run.json", context.record)
+        stack.callback(self.down, folder, context.record)
+        deployment = stack.enter_context(credentials.deployment(context))
         if deployment.folder is not None:
             check_size(credentials.write_settings(deployment.folder, deployment.router))
-        here, port = placement.machines()[0], _free_port()
+        here, port = placement.machines()[0], free_port()
         content = document.text(
             resolved,
             run,
             image=reference(self.image),
             port=port,
             here=here.id,
-            secure=launch.secure,
+            secure=context.secure,
             place=placement.resolve(self.place, resolved.nodes),
             pinned=placement.pinned(resolved.steps),
             absent=Timetable(resolved, lockstep=resolved.mode == "lockstep").absent,
@@ -90,15 +87,15 @@ class Swarm(Engine):
         docker("stack", "deploy", "--compose-file", str(folder / document.FILE), *_detach_options(), name)
         stack.callback(keep_log, document.service(run, document.ROUTER), folder / "logs" / f"{document.ROUTER}.log")
         deployment.close()  # from now on the swarm keeps the keys, until the stack is removed
-        endpoint = launch.record["endpoint"] = levels.endpoint(launch.secure, f"tcp/127.0.0.1:{port}")
+        endpoint = context.record["endpoint"] = levels.endpoint(context.secure, f"tcp/127.0.0.1:{port}")
         try:
-            session = join(endpoint, deployment.launcher, _ROUTER_S, lambda: launch.signals)
+            session = join(endpoint, deployment.launcher, _ROUTER_S, lambda: context.signals)
         except EngineError as error:
             reasons = [task.error for task in tasks.of(name).get(document.ROUTER, []) if task.error]
             raise EngineError(f"{error}{f'; Docker says: {reasons[0]}' if reasons else ''}") from None
         logs = folder / "logs"
         supervisor = Services(name, lambda node: document.service(run, node), here.name, logs, resolved.mode)
-        return stack.enter_context(session), supervisor
+        return Mesh(stack.enter_context(session), supervisor, deployment)
 
     @classmethod
     def status(cls, folder: Path, record: dict[str, Any]) -> list[dict[str, str]]:
@@ -182,13 +179,6 @@ def check_size(settings: Path) -> None:
             f"the router's settings, with the rights of all nodes, are {size} bytes: a secret of a swarm is at most "
             f"{document.LARGEST_SECRET}; use the security level mtls, which has no rights, or fewer nodes"
         )
-
-
-def _free_port() -> int:
-    """A free port of this machine."""
-    with socket.socket() as probe:
-        probe.bind(("", 0))
-        return int(probe.getsockname()[1])
 
 
 def _detach_options() -> list[str]:

@@ -131,10 +131,10 @@ class Services(Supervisor[Service]):
         self._scale(child, 0)  # or Docker would restart it
         self._until_gone(child)
 
-    def _stand_still(self, child: Service) -> None:
+    def _suspend(self, child: Service) -> None:
         docker("pause", self._container(child, "paused"))
 
-    def _go_on(self, children: Iterable[Service]) -> None:
+    def _resume(self, children: Iterable[Service]) -> None:
         for child in children:
             docker("unpause", child.container(), check=False)
 
@@ -145,7 +145,7 @@ class Services(Supervisor[Service]):
             self._look(_LOOK_EVERY_S)
         return child.exit is not None
 
-    def let_go(self, child: Service) -> None:
+    def dispose(self, child: Service) -> None:
         self._keep_logs([child])
 
     def running(self) -> list[Service]:

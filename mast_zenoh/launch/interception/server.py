@@ -1,7 +1,7 @@
-"""Puts nodes on wires of a run that goes on, and takes them off: the launcher's part.
+"""Inserts nodes into wires of a running run, and releases them: the launcher's part.
 
-The client asks for it, by a query on @control/intercept that is sealed with a secret known only to those who may read
-the run folder: the launcher starts processes for nobody else. Requests are served one after the other, a step at each
+The client requests it, by a query on @control/intercept that is sealed with a secret in the run folder: the launcher
+starts processes only for users who may read that folder. Requests are served one after the other, a step at each
 turn of the launcher's loop.
 """
 
@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgpack
 import zenoh
@@ -27,14 +27,12 @@ from mast_zenoh.control import interception as control
 from mast_zenoh.control.failures import described
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NotRunning, RunError, StartError
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.insertion import Place
 from mast_zenoh.wiring.model import Wiring
-
-if TYPE_CHECKING:
-    from mast_zenoh.launch.mesh_run import Launch
 
 SECRET_FILE = "control.key"
 MAX_WAITING = 64  #: requests that wait for the one before
@@ -42,18 +40,18 @@ _DRIVER_TIMEOUT_S = 60.0
 _START_TIMEOUT_S = 60.0
 _LEAVE_GRACE_S = 5.0
 
-#: A piece of work in steps: it yields whenever it has to wait, and returns what is answered.
+#: Work in steps: it yields whenever it has to wait, and returns the answer.
 Work = Generator[None, None, dict[str, Any]]
 
 
 def seal(request: dict[str, Any], secret: bytes) -> bytes:
-    """A request as it is sent; a number drawn at random makes it one of its kind."""
-    body: bytes = msgpack.packb(request | {"number": secrets.token_hex(8)})  # of one who may read the secret
+    """A request as it is sent; a random number makes it unique."""
+    body: bytes = msgpack.packb(request | {"number": secrets.token_hex(8)})
     return bytes(msgpack.packb([body, hmac.digest(secret, body, hashlib.sha256)]))
 
 
 def unseal(payload: bytes, secret: bytes) -> dict[str, Any]:
-    """The request in what was sent; raises MessageError for one of somebody who does not know the secret."""
+    """The request in what was sent; raises MessageError for one that was not sealed with the secret."""
     body, digest = control.sealed_parts(payload)
     if hmac.compare_digest(digest, hmac.digest(secret, body, hashlib.sha256)):
         return fields.mapping(fields.unpack(body, "intercept"), "intercept")
@@ -63,13 +61,13 @@ def unseal(payload: bytes, secret: bytes) -> dict[str, Any]:
 class Interceptions:
     """Serves requests to change the wiring of one run, and heals a wire whose inserted node has died."""
 
-    def __init__(self, launch: Launch, session: zenoh.Session, supervisor: Supervisor[Any]) -> None:
-        self._launch = launch
+    def __init__(self, context: RunContext, session: zenoh.Session, supervisor: Supervisor[Any]) -> None:
+        self._context = context
         self._session = session
         self._supervisor = supervisor
-        self._base = prefix(launch.record["id"])
+        self._base = prefix(context.run_id)
         self._secret = secrets.token_bytes(32)
-        self._file = launch.folder / SECRET_FILE
+        self._file = context.folder / SECRET_FILE
         self._file.touch(mode=0o600)
         self._file.write_bytes(self._secret)
         self._requests: queue.Queue[tuple[zenoh.Query, str, control.Intercept | control.Release]]
@@ -78,7 +76,7 @@ class Interceptions:
         self._work: Generator[None] | None = None
         self._inserted: set[str] = set()
         self._alive: set[str] = set()
-        self._done: list[dict[str, Any]] = launch.record.setdefault("interceptions", [])
+        self._done: list[dict[str, Any]] = context.record.setdefault("interceptions", [])
         asked: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         presence: Any = zenoh.handlers.Callback(self._note, indirect=False)
         self._declared: list[Any] = [
@@ -87,7 +85,7 @@ class Interceptions:
         ]
 
     def turn(self) -> None:
-        """Do the next step of what is to be done, if anything is."""
+        """Do the next step of the request that is being served, or of healing a wire; nothing if there is none."""
         if self._work is None:
             self._work = self._next()
         if self._work is not None:
@@ -97,7 +95,7 @@ class Interceptions:
                 self._work = None
 
     def close(self) -> None:
-        """The run is over: refuse what has not been done."""
+        """The run is over: refuse the requests that have not been served."""
         while self._work is not None or not self._requests.empty():
             self.turn()
         for entity in self._declared:
@@ -105,7 +103,7 @@ class Interceptions:
         self._file.unlink(missing_ok=True)
 
     def _on_query(self, query: zenoh.Query) -> None:
-        """Take up a request, in Zenoh's thread: what is none takes nobody's room."""
+        """Take up a request, in Zenoh's thread; a malformed one takes no room in the queue."""
         try:
             request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
             number, what = fields.text(request.get("number"), "intercept: number", 64), control.request_of(request)
@@ -117,7 +115,7 @@ class Interceptions:
 
     def _refuse(self, query: zenoh.Query, error: Exception) -> None:
         if not isinstance(error, MastError) or isinstance(error, MessageError):
-            self._launch.invalid.note("intercept", described(error))
+            self._context.invalid.note("intercept", described(error))
         with suppress(zenoh.ZError):
             query.reply_err(files.encode_refusal(error))
         query.drop()
@@ -129,7 +127,7 @@ class Interceptions:
     def _next(self) -> Generator[None] | None:
         for name in sorted(self._inserted):
             child = self._supervisor.children[name]
-            if child.exit is not None and not child.meant and self._launch.stopping_since is None:
+            if child.exit is not None and not child.exit_expected and not self._context.stop.requested:
                 return self._heal(child)
         return None if self._requests.empty() else self._serve(*self._requests.get())
 
@@ -143,7 +141,7 @@ class Interceptions:
                 answer = yield from self._intercept(*what)
             else:
                 answer = yield from self._release(*what)
-        except Exception as error:  # whatever is asked, the run goes on
+        except Exception as error:  # one request never ends the run
             self._refuse(query, error)
         else:
             query.reply(query.key_expr, msgpack.packb(answer))
@@ -151,11 +149,11 @@ class Interceptions:
 
     def _intercept(self, name: str, spec: NodeSpec, place: Place) -> Work:
         """Start a node, and put it on its wire when it is there."""
-        before = self._launch.resolved
+        before = self._context.resolved
         if name in before.nodes or any(child.name == name for child in self._supervisor.running()):
             raise ConfigurationError(f"there is a node {name!r} already: give another --name")
         after = insertion.insert(Wiring.from_json(before.wiring), name, place)
-        yield from self._until(lambda: self._launch.frame >= 0)
+        yield from self._until(lambda: self._context.frame >= 0)
         self._adopt(replace(before, nodes={**before.nodes, name: spec}, wiring=after.to_json()))
         try:
             running = {child.name for child in self._supervisor.running()}
@@ -175,10 +173,10 @@ class Interceptions:
         return self._noted("intercept", name, [place.wire], answer)
 
     def _release(self, named: str | None, wire: str | None) -> Work:
-        """Take a node off its wires, and have it leave when all that it got is passed on."""
-        wiring = Wiring.from_json(self._launch.resolved.wiring)
+        """Take a node off its wires, and have it leave when it has passed on all that it got."""
+        wiring = Wiring.from_json(self._context.resolved.wiring)
         name = named or insertion.interposer_of(wiring, wire or "")
-        yield from self._until(lambda: self._launch.frame >= 0)
+        yield from self._until(lambda: self._context.frame >= 0)
         answer = yield from self._take_off(name)
         self._inserted.discard(name)
         if name in self._supervisor.children:
@@ -191,15 +189,15 @@ class Interceptions:
         try:
             answer = yield from self._take_off(child.name)
         except MastError as error:
-            self._launch.display.say(f"[yellow]the wire of {child.name} could not be healed: {error}")
+            self._context.show(f"[yellow]the wire of {child.name} could not be healed: {error}")
             return
-        self._supervisor.let_go(child)
+        self._supervisor.dispose(child)
         wires = answer.pop("wires")
         self._noted("heal", child.name, wires, answer)
-        self._launch.display.say(f"[yellow]{', '.join(wires)} healed without {child.name}: what was in it is lost")
+        self._context.show(f"[yellow]{', '.join(wires)} healed without {child.name}: what was in it is lost")
 
     def _take_off(self, name: str) -> Work:
-        before = self._launch.resolved
+        before = self._context.resolved
         wiring = Wiring.from_json(before.wiring)
         after = insertion.remove(wiring, name)
         wires = [wire.key for wire in wiring.wires if name in wire.interposers]
@@ -213,14 +211,14 @@ class Interceptions:
         return answer | {"wires": wires}
 
     def _ask_driver(self, wiring: Wiring, join: dict[str, str], leave: list[str]) -> Work:
-        """Have the driver lead everybody into the new wiring. Returns what it says of it."""
+        """Have the driver lead all nodes into the new wiring. Returns its answer."""
         replies: list[zenoh.Reply] = []
         over = threading.Event()
         handler: Any = zenoh.handlers.Callback(replies.append, over.set, indirect=False)
         self._session.get(
             f"{self._base}/@control/rewire",
             handler,
-            payload=self._launch.signatures.sign("rewire", flow.encode_rewire(wiring, join, leave)),
+            payload=self._context.signatures.sign("rewire", flow.encode_rewire(wiring, join, leave)),
             timeout=_DRIVER_TIMEOUT_S,
         )
         yield from self._until(over.is_set)
@@ -234,18 +232,18 @@ class Interceptions:
 
     def _end(self, child: Child, why: str) -> Generator[None]:
         """Have a process leave; end it when it does not."""
-        child.meant = True
+        child.exit_expected = True
         child.notes.append(why)
-        told = self._launch.signatures.sign(f"leave/{child.name}", why.encode())
+        told = self._context.signatures.sign(f"leave/{child.name}", why.encode())
         self._session.put(f"{self._base}/@control/leave/{child.name}", told)
         deadline = time.monotonic() + _LEAVE_GRACE_S
         while child.exit is None and time.monotonic() < deadline:
             yield
         if child.exit is None:
             self._supervisor.end_now(child)
-        self._supervisor.let_go(child)
+        self._supervisor.dispose(child)
         while child.name in self._alive and time.monotonic() < deadline + _LEAVE_GRACE_S:
-            yield  # its name may be given again when all know that it has gone
+            yield  # its name may be used again when all nodes know that it has gone
 
     def _until(self, condition: Callable[[], object], seconds: float = float("inf")) -> Generator[None]:
         """Wait; raises NotRunning when the run stops meanwhile, StartError after so many seconds."""
@@ -259,19 +257,19 @@ class Interceptions:
             yield
 
     def _check_running(self) -> None:
-        if self._launch.stopping_since is not None or not self._supervisor.running():
+        if self._context.stop.requested or not self._supervisor.running():
             raise NotRunning("the run is over")
 
     def _adopt(self, resolved: Resolved) -> None:
-        """From now on this is the truth: for who is started from now on, and for who reads the run folder."""
-        self._launch.resolved = resolved
-        run_folder.write_json(self._launch.folder / "wiring.json", resolved.wiring)
-        run_folder.write_json(self._launch.folder / "scenario.json", resolved.to_json())
+        """Make this the scenario of the run: for nodes that start from now on, and for readers of the run folder."""
+        self._context.resolved = resolved
+        run_folder.write_json(self._context.folder / "wiring.json", resolved.wiring)
+        run_folder.write_json(self._context.folder / "scenario.json", resolved.to_json())
 
     def _noted(self, action: str, name: str, wires: list[str], answer: dict[str, Any]) -> dict[str, Any]:
         """Write down what was done, and return it."""
         did = {"action": action, "node": name, "wires": wires, **answer}
         self._done.append(did)
-        self._launch.record["nodes"] = self._supervisor.to_json({})
-        run_folder.write_json(self._launch.folder / "run.json", self._launch.record)
+        self._context.record["nodes"] = self._supervisor.to_json({})
+        run_folder.write_json(self._context.folder / "run.json", self._context.record)
         return did

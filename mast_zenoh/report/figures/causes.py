@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from mast_zenoh.metrics import ATTACK_CAUSES, CAUSES, FAULT_CAUSES
 from mast_zenoh.report.figures.bands import HATCH, bands, shade
-from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, light_axes
+from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, Figure, light_axes
 from mast_zenoh.report.figures.timeaxis import padded, rows_over_time
 from mast_zenoh.report.runfolder import RunFolder
 

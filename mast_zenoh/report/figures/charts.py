@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from mast_zenoh.report.figures.bands import bands, fault_key, shade
-from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, INK, LOCAL, RUN_COLOURS, light_axes, plain
+from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import padded, rows_over_time
 from mast_zenoh.report.files import Table
 from mast_zenoh.report.narrative.changes import scored
@@ -20,19 +19,31 @@ from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import ESTIMATES, ScoreTable, shown_estimates
 
 _BARS = (("fn", "missed objects"), ("fp", "false objects"), ("tp", "matched objects"))
-_ROWS = (
-    ("fn", "missed objects\nper frame"),
-    ("fp", "false objects\nper frame"),
-    ("rmse_m", "RMSE (m)"),
-)
+_LABELS = {
+    "fn": "missed objects\nper frame",
+    "fp": "false objects\nper frame",
+    "tp": "matched objects\nper frame",
+    "rmse_m": "RMSE (m)",
+    "id_switches": "identity switches\nper frame",
+    "ospa_m": "OSPA (m)",
+    "gospa_m": "GOSPA (m)",
+}
+#: Those that the report shows.
+REPORT_COLUMNS = ("fn", "fp", "rmse_m")
+_WHOLE = ("fn", "fp", "tp", "id_switches")
 _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)), "-", (0, (6, 1.5)))
 #: The bold lines are means over this many frames up to the one shown: never later ones, so that nothing seems to
 #: rise before the attack begins.
 SMOOTH = 5
 
 
-def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None, estimate: str = "picture") -> Figure | None:
-    """The ego's missed and false objects and its RMSE by time; None: no run left counts.
+def counts_over_time(
+    runs: Mapping[str, RunFolder],
+    frame: int | None,
+    estimate: str = "picture",
+    columns: Sequence[str] = REPORT_COLUMNS,
+) -> Figure | None:
+    """Columns of the ego's counts by time, one chart below the other; None: no run left counts.
 
     Of one run, every estimate that has a column in the table; of several, the ego alone in the first, and `estimate` of
     each. Bold lines are means over the last SMOOTH frames, pale ones the values of single frames.
@@ -50,9 +61,9 @@ def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None, estimate:
     marked = bands(runs.values(), timed=timed)
     shown = [times(run, counts["frame"]) for _, run, counts, _ in lines]
     extent = min(at[0] for at in shown), max(at[-1] for at in shown)
-    figure, axes = rows_over_time(len(_ROWS), 1.66, marked, *extent)
+    figure, axes = rows_over_time(len(columns), 1.66 if len(columns) > 1 else 3.0, marked, *extent)
     attacked = [times(run, np.array(run.attack_frames)) for run in runs.values() if run.attack_frames]
-    for axis, (column, label) in zip(axes, _ROWS, strict=True):
+    for axis, column in zip(axes, columns, strict=True):
         light_axes(axis)
         shade(axis, marked, *extent)
         if attacked:
@@ -64,10 +75,10 @@ def counts_over_time(runs: Mapping[str, RunFolder], frame: int | None, estimate:
         if frame is not None:
             first = next(iter(told.values()))
             axis.axvline(float(times(first, np.array([frame]))[0]), color=INK, linewidth=0.9, label="frame shown")
-        axis.set_ylabel(label, fontsize=10, color=INK)
+        axis.set_ylabel(_LABELS.get(column, plain(column.replace("_", " "))), fontsize=10, color=INK)
         axis.set_ylim(0.0, _top(lines, column))
         axis.set_xlim(*padded(*extent))
-        axis.yaxis.set_major_locator(MaxNLocator(4, integer=column != "rmse_m"))
+        axis.yaxis.set_major_locator(MaxNLocator(4, integer=column in _WHOLE))
     axes[-1].set_xlabel("time (s)" if timed else "frame", fontsize=10, color=INK)
     handles, labels = axes[0].get_legend_handles_labels()
     if marked:

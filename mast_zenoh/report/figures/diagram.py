@@ -5,11 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path as Curve
 
-from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, FAINT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS, plain
+from mast_zenoh.report.figures.style import (
+    ADVERSARY_ON_LIGHT,
+    FAINT,
+    FAULT_ON_LIGHT,
+    INK,
+    LOCAL,
+    RUN_COLOURS,
+    Figure,
+    plain,
+)
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.wiring import FLOW, GAP, HIGH, ROW, WIDE, Layout, Spot, layout, live_frames
 

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from mast_zenoh.report.figures.birdseye import draw_birdseye, key
 from mast_zenoh.report.figures.camera import STRIP, draw_camera, ego_eye
-from mast_zenoh.report.figures.style import FAINT, GROUND, plain, png, svg
+from mast_zenoh.report.figures.style import FAINT, GROUND, Figure, plain, png, svg
 from mast_zenoh.report.figures.view import FrameView, clipped, window
 from mast_zenoh.report.tables.scores import MEASURES, ScoreTable, number
 

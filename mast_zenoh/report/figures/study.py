@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import SubFigure
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from mast_zenoh.report.figures.drawing import Picture, picture
 from mast_zenoh.report.figures.study_panels import Panel, label_of, panels, text_of
-from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, light_axes, plain
+from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
 from mast_zenoh.report.study_facts import StudyFacts, plural
 from mast_zenoh.report.tables.study_rows import LEAST_SEEDS, PAPER, Column, Estimate, StudyRow, over_trials
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 import io
 
 import numpy as np
+from matplotlib import figure as figures
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 from PIL import Image
 
 #: The paper's colour key for boxes (its figures 4 to 6), made bright enough for a dark ground. In drawing order.
@@ -50,6 +50,13 @@ DPI = 110
 COMPRESSION = 3
 
 
+class Figure(figures.Figure):
+    """A figure that a notebook shows, also one that has not loaded pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self)
+
+
 def dark_axes(axes: Axes) -> None:
     """Make axes a dark panel."""
     axes.set_facecolor(GROUND)
@@ -73,7 +80,7 @@ def plain(text: object) -> str:
     return str(text).replace("$", r"\$")
 
 
-def png(figure: Figure) -> bytes:
+def png(figure: figures.Figure) -> bytes:
     """The figure as PNG, the same bytes every time."""
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(DPI)
@@ -85,7 +92,7 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def svg(figure: Figure) -> bytes:
+def svg(figure: figures.Figure) -> bytes:
     """The figure as SVG, letters as outlines so that it looks the same everywhere."""
     buffer = io.BytesIO()
     FigureCanvasSVG(figure)

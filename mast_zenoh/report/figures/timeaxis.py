@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from mast_zenoh.report.figures.bands import LANE, Band, draw_lanes, lanes, placed
+from mast_zenoh.report.figures.style import Figure
 
 
 def rows_over_time(

@@ -6,11 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from mast_zenoh.report.figures.bands import bands, shade
-from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, INK, LOCAL, RUN_COLOURS, light_axes
+from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, INK, LOCAL, RUN_COLOURS, Figure, light_axes
 from mast_zenoh.report.figures.timeaxis import padded, rows_over_time
 from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.narrative.changes import scored

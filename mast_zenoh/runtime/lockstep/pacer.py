@@ -101,18 +101,18 @@ class Pacer:
         where there is only one, it is one of the two. The node that drives the scene counts as truthful.
         """
         reports = self._reports
-        owing, over, agree = set[str](), dict[str, list[tuple[str, str, int, int]]](), defaultdict[str, int](int)
+        behind, over, agree = set[str](), dict[str, list[tuple[str, str, int, int]]](), defaultdict[str, int](int)
         for key, publisher, subscriber in self._flows:
             if publisher not in reports or subscriber not in reports:
                 continue
             sent, handled = reports[publisher][0].get(key, 0), reports[subscriber][1].get(key, 0)
             if handled < sent:
-                owing.add(subscriber)
+                behind.add(subscriber)
             if handled > sent:
                 over.setdefault(key, []).append((publisher, subscriber, sent, handled))
             else:
                 agree[key] += 1
-        busy = owing | self.silent
+        busy = behind | self.silent
         while more := {subscriber for _, publisher, subscriber in self._flows if publisher in busy} - busy:
             busy |= more
         for key, lies in over.items():
@@ -128,11 +128,11 @@ class Pacer:
             return f"{subscriber} reports {handled} messages of {publisher} handled on {key}, of which {sent} were sent"
         return ""
 
-    def owing(self) -> Iterable[str]:
+    def unsettled(self) -> Iterable[str]:
         """Why the mesh is not quiet, in words: for the error when it stays so."""
         for node in sorted(self.silent):
             yield f"{node} has not reported"
-        owed: dict[tuple[str, str, int], dict[str, int]] = {}
+        unequal: dict[tuple[str, str, int], dict[str, int]] = {}
         hearers = defaultdict[str, int](int)
         for key, publisher, subscriber in self._flows:
             if publisher in self._reports and subscriber in self._reports:
@@ -140,8 +140,8 @@ class Pacer:
                 handled = self._reports[subscriber][1].get(key, 0)
                 hearers[key] += 1
                 if sent != handled:
-                    owed.setdefault((key, publisher, sent), {})[subscriber] = handled
-        for (key, publisher, sent), counts in owed.items():
+                    unequal.setdefault((key, publisher, sent), {})[subscriber] = handled
+        for (key, publisher, sent), counts in unequal.items():
             if len(counts) == hearers[key] > 1 and len({*counts.values()}) == 1:  # perhaps it has not sent them
                 handled, names = next(iter(counts.values())), ", ".join(counts)
                 yield (

@@ -1,15 +1,13 @@
 """The process of the node that drives the scene: it decides when the next frame begins.
 
-Lock-step: when the mesh is quiet. Real time: when its time has come, whoever is ready or not. In both modes a node that
-dies is dropped at once, and one that comes (back) takes part from the next frame on.
+Lock-step: when the mesh is quiet. Real time: when its time has come, whether nodes are ready or not. In both modes a
+node that dies is dropped at once, and one that comes (back) takes part from the next frame on.
 """
 
 from __future__ import annotations
 
 import queue
-import threading
 import time
-from collections import Counter
 from collections.abc import Collection
 from typing import Any
 
@@ -17,39 +15,38 @@ import zenoh
 
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.control import flow
-from mast_zenoh.control.flow import WiringUpdate
+from mast_zenoh.control.flow import Counts
 from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.control.stop_reasons import END, MAX_TEXT, StopKind, StopReason, decode_reason, encode_reason
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messagelog.churn import BACK, LOST
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.context import Outgoing
 from mast_zenoh.runtime.lockstep.pacer import Pacer
 from mast_zenoh.runtime.lockstep.timetable import LEAVING, Timetable
-from mast_zenoh.runtime.mesh.node import NOTED_FRAMES, MeshNode
-from mast_zenoh.runtime.mesh.rewiring import Rewirer, counted
+from mast_zenoh.runtime.mesh.inbox import Event
+from mast_zenoh.runtime.mesh.membership import Membership
+from mast_zenoh.runtime.mesh.newest import NewestByNode
+from mast_zenoh.runtime.mesh.node import MeshNode
+from mast_zenoh.runtime.mesh.scene_frames import SceneFrames
+from mast_zenoh.runtime.mesh.wiring_coordinator import WiringCoordinator
 from mast_zenoh.wiring.model import Wiring
 
-#: How long the last messages of a real-time run may be under way before everyone is told to stop.
+#: How long the last messages of a real-time run may be under way before all nodes are told to stop.
 REALTIME_GRACE_S = 0.5
 
-#: After so long without a report in lock-step, seconds, it is asked whether the reports can be true.
+#: After so long without a report in lock-step, seconds, the driver asks whether the reports can be true.
 SUSPECT_S = 3.0
 
-#: How often a node may be lost and come back: one that does so more often is made to.
-MAX_LOSSES = 50
-
-MAX_REASON = 2000  #: characters of why a run stops
-
-#: How many frames those who only listen may fall behind in lock-step.
+#: After so many frames of lock-step, nodes that only listen must have caught up.
 SETTLE_EVERY = 50
 
 
 class Driver(MeshNode):
-    """A MeshNode whose node is a Source, which hears nothing and says what it says in `advance`.
+    """A MeshNode whose node is a Source, which hears nothing and publishes in `advance`.
 
     expected: name to role of all nodes
-    timetable: what happens to their processes; who is not there at the beginning is not waited for
+    timetable: what happens to their processes; a node that is not there at the beginning is not waited for
     start_timeout_s, stall_timeout_s: how long to wait for them, and for the mesh to become quiet
     """
 
@@ -75,90 +72,85 @@ class Driver(MeshNode):
     ) -> None:
         more: Any = {"period_ns": period_ns, "lockstep": lockstep, "without": without, "timespan": timespan}
         super().__init__(run, name, node, wiring, seed, session, signatures=signatures, **more)
-        self.source = node
+        self.scene = SceneFrames(node, self.host, super()._put)
         self.pacer = Pacer(wiring)
-        self.expected = expected
+        self.membership = Membership(name, expected, self.inbox.put)
         self.timetable = timetable
-        self.lockstep = lockstep
         self.period_s = period_ns * 1e-9 / rate
         self.start_timeout_s = start_timeout_s
         self.stall_timeout_s = stall_timeout_s
-        self.alive: set[str] = {name}
         self.frames = 0
         self.wall_s = 0.0
-        self.sent_ns: dict[int, int] = {}
         self.complaint = ""  # why the run cannot go on: a node's counters cannot be true
-        self.churn: list[dict[str, Any]] = []  # see mast_zenoh.messagelog.churn
-        self._leaving: set[str] = set()  # those whose end the scenario wants
-        self._ready: list[Outgoing] | None = None
-        self._sent: Counter[str] = Counter()
-        self._newest_counts: dict[str, flow.Counts] = {}  # by node, until they are looked at
-        self._presence: dict[str, tuple[bool, bool]] = {}  # by node, until it is looked at: has gone, is there
-        self._lock = threading.Lock()  # of the two
-        # A queue of their own: in that of the data they would wait for one whom nothing reaches any more.
-        urgent: Any = {
-            "congestion_control": zenoh.CongestionControl.BLOCK,
-            "priority": zenoh.Priority.INTERACTIVE_HIGH,
-            "express": True,
-        }
-        self._epoch = session.declare_publisher(f"{self._prefix}/@control/epoch", **urgent)
-        self._act = session.declare_publisher(f"{self._prefix}/@control/act", **urgent)
-        self._stop = session.declare_publisher(f"{self._prefix}/@control/stop", **urgent)
+        self._newest_counts: NewestByNode[Counts] = NewestByNode("counts", self.inbox.put)
+        self.coordinator = WiringCoordinator(
+            self.membership,
+            self.pacer,
+            self.follower,
+            self.host.log,
+            frame=lambda: self.frames,
+            begin_epoch=self._begin_epoch,
+        )
+        self._epoch, self._act, self._stop = map(self._declare_control, ("epoch", "act", "stop"))
         self._subscribers.append(self.subscribe("@control/counts/*", self._on_counts))
-        self.rewirer = Rewirer(self)
-        rewire: Any = zenoh.handlers.Callback(self.rewirer.ask, indirect=False)
+        rewire: Any = zenoh.handlers.Callback(self._on_rewire, indirect=False)
         self._subscribers.append(session.declare_queryable(f"{self._prefix}/@control/rewire", rewire))
-        presence: Any = zenoh.handlers.Callback(self._on_presence, indirect=False)
+        presence: Any = zenoh.handlers.Callback(self.membership.on_token, indirect=False)
         liveliness = session.liveliness()
         self._subscribers.append(liveliness.declare_subscriber(f"{self._prefix}/alive/*", presence, history=True))
 
     def run_until_stopped(self) -> None:
-        """Wait for everybody, play the scene, tell everybody to stop, hand in the results."""
+        """Wait for all nodes, play the scene, tell all nodes to stop, hand in the results."""
         self.await_matching()
         alive = self.session.liveliness().declare_token(f"{self._prefix}/alive/{self.name}")
         reason = self._gather() or self._play()
         if self.stop_reason is None:
-            self.stop_reason = reason[:MAX_REASON]
+            self.stop_reason = encode_reason(reason)[:MAX_TEXT]
             self._stop.put(self.signatures.sign("stop", self.stop_reason.encode()))
         self.hand_in()
         alive.undeclare()
 
     def extra_results(self) -> dict[str, Any]:
-        """How fast it went, when each frame was sent, and who was lost."""
-        told = ("frames", "wall_s", "stop_reason", "sent_ns", "churn")
-        return {name: getattr(self, name) for name in told}
+        """How fast the run was, when each frame was sent, and which nodes were lost."""
+        return {
+            "frames": self.frames,
+            "wall_s": self.wall_s,
+            "stop_reason": self.stop_reason,
+            "sent_ns": self.scene.sent_ns,
+            "churn": self.membership.churn,
+        }
 
-    # -- phases: each returns why to stop, or "" -----------------------------------------------------------------
+    # -- phases: each returns why to stop, or None ---------------------------------------------------------------
 
-    def _gather(self) -> str:
-        """Wait until all are there who are to be there from the beginning, and have entered the first epoch."""
+    def _gather(self) -> StopReason | None:
+        """Wait until all nodes of the beginning are there, and have entered the first epoch."""
         deadline = time.monotonic() + self.start_timeout_s
-        while missing := self.expected.keys() - self.timetable.absent - self.alive:
+        members = self.membership
+        while missing := members.expected.keys() - self.timetable.absent - members.alive:
             if not self._wait(deadline):
-                return self._or_stopped(
-                    f"start: not there after {self.start_timeout_s:.0f} s: {', '.join(sorted(missing))}"
-                )
+                late = f"not there after {self.start_timeout_s:.0f} s: {', '.join(sorted(missing))}"
+                return self._over or StopReason(StopKind.START, late)
         self._begin_epoch()
         return self._await_quiet(everyone=True)
 
-    def _play(self) -> str:
+    def _play(self) -> StopReason:
         begun = time.monotonic()
         reason = self._frames(begun)
         self.wall_s = time.monotonic() - begun
-        if reason == "end" and self.lockstep:
+        if reason == END and self.lockstep:
             reason = self._await_quiet(everyone=True) or reason
-        if reason == "end" and not self.lockstep:
+        if reason == END and not self.lockstep:
             grace = time.monotonic() + REALTIME_GRACE_S
             while self._wait(grace):
                 pass
         return reason
 
-    def _frames(self, begun: float) -> str:
+    def _frames(self, begun: float) -> StopReason:
         while True:
-            if self._membership_changed():
+            if self.membership.differs(self.members):
                 self._begin_epoch()
                 if self.lockstep and self.members.keys() == {self.name}:
-                    return self._or_stopped(f"stall: nobody else is on the mesh before frame {self.frames}")
+                    return self._stalled(f"nobody else is on the mesh before frame {self.frames}")
                 if self.lockstep and (reason := self._await_quiet()):
                     return reason
             if self.lockstep and (reason := self._rewire()):
@@ -166,194 +158,140 @@ class Driver(MeshNode):
             if not self.lockstep:
                 due = begun + self.frames * self.period_s
                 while self._wait(due):
-                    if self._membership_changed():
+                    if self.membership.differs(self.members):
                         self._begin_epoch()
-                    self.rewirer.turn()
+                    self.coordinator.turn()
             if reason := self._over or self._carry_out():
                 return reason
             if not self._send_frame():
-                return "end"
+                return END
             self.frames += 1
             if self.lockstep and (reason := self._await_quiet(everyone=self.frames % SETTLE_EVERY == 0)):
                 return reason
 
-    def _rewire(self) -> str:
-        """Change the wiring between two frames, if that has been asked for."""
-        while self.rewirer.turn():
+    def _rewire(self) -> StopReason | None:
+        """Change the wiring between two frames, if that has been requested."""
+        while self.coordinator.turn():
             if reason := self._await_quiet(everyone=True):
                 return reason
-        return ""
+        return None
 
-    def _carry_out(self) -> str:
-        """Have the launcher do what the scenario does to processes before the next frame.
+    def _carry_out(self) -> StopReason | None:
+        """Have the launcher carry out the process steps of the scenario before the next frame.
 
-        In lock-step everybody has settled before, waits until it is done, and enters a new epoch after each group.
+        In lock-step all nodes settle first, and enter a new epoch when a group of steps has been carried out.
         """
-        ahead = self.lockstep and any(self.timetable.before(self.frames, self.alive))
+        alive = self.membership.alive
+        ahead = self.lockstep and any(self.timetable.before(self.frames, alive))
         if ahead and (reason := self._await_quiet(everyone=True)):
             return reason
-        for group in self.timetable.before(self.frames, self.alive if self.lockstep else None):
-            self._leaving |= {step.node for step in group if step.action in LEAVING}
+        for group in self.timetable.before(self.frames, alive if self.lockstep else None):
+            self.membership.leaving |= {step.node for step in group if step.action in LEAVING}
             act = flow.encode_act(self.frames, [(step.action, step.node) for step in group])
             self._act.put(self.signatures.sign("act", act))
             if self.lockstep and (reason := self._await_done(group)):
                 return reason
-        return ""
+        return None
 
-    def _await_done(self, group: list[ProcessStep]) -> str:
-        """Wait until those of a group have gone or come, and all others know."""
-        deadline = time.monotonic() + self.start_timeout_s
-        while undone := [step for step in group if (step.node in self.alive) != (step.action == "start")]:
+    def _await_done(self, group: list[ProcessStep]) -> StopReason | None:
+        """Wait until the nodes of a group have gone or come, and all others know."""
+        deadline, alive = time.monotonic() + self.start_timeout_s, self.membership.alive
+        while undone := [step for step in group if (step.node in alive) != (step.action == "start")]:
             if not self._wait(deadline):
-                said = ", ".join(f"{step.action} {step.node}" for step in undone)
-                return self._or_stopped(f"stall: not done before frame {self.frames}: {said}")
+                names = ", ".join(f"{step.action} {step.node}" for step in undone)
+                return self._stalled(f"not done before frame {self.frames}: {names}")
         self._begin_epoch()
         return self._await_quiet(everyone=True)
 
     def _send_frame(self) -> bool:
-        """Send the frame that was made ready while the mesh was busy with the one before; False if there is none.
-
-        Until its clock is sent, a frame is no more than bytes in this process: nobody can act on it too early.
-        """
-        if self._ready is None:
-            self._ready = self._made()
-        if not self._ready:
+        """Send a frame, and make the next one while the mesh is busy with it; False if the scene has ended."""
+        if not self.scene.send(self.frames):
             return False
-        self.sent_ns[self.frames] = time.time_ns()
-        self.sent_ns.pop(self.frames - NOTED_FRAMES, None)
-        for message in self._ready:
-            super()._put(message)
-            self._sent[message.key] += 1
         self._report_self()
-        self._ready = self._made()
+        self.scene.prepare()
         return True
 
-    def _made(self) -> list[Outgoing]:
-        """The messages of the next frame; none at the end of the scene."""
-        self._ready = []
-        self.source.advance(self.host)
-        return self._ready
-
     def _put(self, message: Outgoing) -> None:
-        """What the source publishes is kept until its frame begins."""
-        assert self._ready is not None
-        self._ready.append(message)
+        self.scene.keep(message)
 
-    def _await_quiet(self, *, everyone: bool = False) -> str:
+    def _await_quiet(self, *, everyone: bool = False) -> StopReason | None:
         deadline = time.monotonic() + self.stall_timeout_s
         while not self.pacer.quiet(everyone=everyone):
             if not self._wait(min(deadline, time.monotonic() + SUSPECT_S)):
                 self.complaint = self.complaint or self.pacer.implausible()
                 if self._over or time.monotonic() >= deadline:
-                    return self._or_stopped(f"stall: {'; '.join(list(self.pacer.owing())[:5])}")
-            self.pacer.drop(self.pacer.members.keys() - self.alive)
-        return ""
+                    return self._stalled("; ".join(list(self.pacer.unsettled())[:5]))
+            self.pacer.drop(self.pacer.members.keys() - self.membership.alive)
+        return None
 
     # -- inside --------------------------------------------------------------------------------------------------
 
     @property
-    def _over(self) -> str:
-        """Why there are no further frames; "" while there are."""
-        return self.stop_reason or (f"implausible: {self.complaint}" if self.complaint else "")
+    def _over(self) -> StopReason | None:
+        """Why there are no further frames; None while there are."""
+        if self.stop_reason:
+            return decode_reason(self.stop_reason)
+        return StopReason(StopKind.IMPLAUSIBLE, self.complaint) if self.complaint else None
 
-    def _or_stopped(self, reason: str) -> str:
-        return self._over or reason
+    def _stalled(self, detail: str) -> StopReason:
+        return self._over or StopReason(StopKind.STALL, detail)
 
     def _wait(self, deadline: float) -> bool:
         """Handle one event; False when the deadline has passed or it is time to stop."""
         if self._over:
             return False
         try:
-            event = self.inbox.get(timeout=max(0.0, deadline - time.monotonic()))
+            event: Event = self.inbox.get(timeout=max(0.0, deadline - time.monotonic()))
         except queue.Empty:
             return False
-        kind, *rest = event
-        if kind == "counts":
-            self._take_counts(*rest)
-        elif kind == "alive":
-            self._take_presence(*rest)
+        if event[0] == "counts":
+            self._take_counts(event[1])
+        elif event[0] == "alive":
+            gone_too_often = self.membership.take(event[1], self.frames, self.members)
+            self.complaint = self.complaint or gone_too_often
         else:
             self.handle(event)
             self._report_self()
         return True
 
     def _on_counts(self, sample: zenoh.Sample) -> None:
-        """A node's counters have come, in Zenoh's thread. Of each node only the newest wait, so no flood fills a queue.
+        """A node's counters have come, in Zenoh's thread, where they are decoded.
 
-        The main thread has little to do then, and this one is not kept from reading: what it does not read in time
-        fills the router's queue, and at last the router ends our link.
+        The main thread has little to do then, and this one goes on reading: what it does not read in time fills the
+        router's queue, and at last the router ends our link.
         """
         node = str(sample.key_expr).rpartition("/")[2]
         try:
             counts = flow.decode_counts(sample.payload.to_bytes())
         except MessageError as error:
-            self.invalid.note(f"counts/{node if node in self.expected else '*'}", error)
-            return
-        with self._lock:
-            waits = node in self._newest_counts
-            self._newest_counts[node] = counts
-        if not waits:
-            self.inbox.put(("counts", node))
+            self.invalid.note(f"counts/{node if node in self.membership.expected else '*'}", error)
+        else:
+            self._newest_counts.note(node, counts)
 
     def _take_counts(self, node: str) -> None:
-        with self._lock:
-            counts = self._newest_counts.pop(node)
-        self.complaint = self.complaint or self.pacer.report(node, *counts)
+        self.complaint = self.complaint or self.pacer.report(node, *self._newest_counts.take(node))
 
-    def _on_presence(self, token: zenoh.Sample) -> None:
-        """A node's token has come or gone, in Zenoh's thread: the newest of each waits, and that it was gone."""
-        name, there = str(token.key_expr).rpartition("/")[2], token.kind == zenoh.SampleKind.PUT
-        with self._lock:
-            waits = name in self._presence
-            gone, _ = self._presence.get(name, (False, False))
-            self._presence[name] = (gone or not there, there)
-        if not waits:
-            self.inbox.put(("alive", name))
-
-    def _take_presence(self, name: str) -> None:
-        """First that it has gone, and in an event of its own, after which members may have changed, that it is back."""
-        with self._lock:
-            gone, there = self._presence.pop(name)
-            if gone and there:
-                self._presence[name] = (False, True)
-        if gone and there:
-            self.inbox.put(("alive", name))
-        self._note_presence(name, there and not gone)
-
-    def _note_presence(self, name: str, there: bool) -> None:
-        """A node has come or gone: as the scenario wants it, by a change of the wiring, or of itself."""
-        if there or name == self.name:  # our own token may be late; we are here
-            self.alive.add(name)
-            self._leaving.discard(name)
-            before = [each["what"] for each in self.churn if each["node"] == name]
-            if before and before[-1] == LOST:
-                self.churn.append({"frame": self.frames, "node": name, "what": BACK})
-            return
-        self.alive.discard(name)
-        if name in self.members and name in self.expected and name not in self._leaving:
-            self.churn.append({"frame": self.frames, "node": name, "what": LOST})
-            if sum(each["node"] == name for each in self.churn) > 2 * MAX_LOSSES:
-                self.complaint = self.complaint or f"{name} has gone and come back more than {MAX_LOSSES} times"
-
-    def _membership_changed(self) -> bool:
-        return (self.alive & self.expected.keys()) != self.members.keys()
+    def _on_rewire(self, query: zenoh.Query) -> None:
+        """A change of the wiring is requested, in Zenoh's thread; a malformed request takes no room."""
+        try:
+            payload = query.payload.to_bytes() if query.payload else b""
+            self.coordinator.add(self.signatures.open("rewire", payload, flow.decode_rewire), query)
+        except MessageError as error:
+            self.invalid.note("rewire", error)
+            query.drop()
+        else:
+            self.inbox.put(("rewire",))
 
     def _begin_epoch(self) -> None:
-        members = {name: role for name, role in self.expected.items() if name in self.alive}
+        members, update = self.membership.present, self.coordinator.update
         gone, come = self.members.keys() - members.keys(), members.keys() - self.members.keys()
         if self.frames:
             self.host.log.info("frame %d: gone: %s; come: %s", self.frames, sorted(gone), sorted(come))
         epoch = self.pacer.begin_epoch(members)
-        self._sent.clear()
-        told = self.rewirer.told
-        self._epoch.put(self.signatures.sign("epoch", flow.encode_epoch(epoch, members, told)))
-        self._enter_epoch(epoch, members, told)
+        self.scene.sent.clear()
+        self._epoch.put(self.signatures.sign("epoch", flow.encode_epoch(epoch, members, update)))
+        self._enter_epoch(epoch, members, update)
         self._report_self()
 
-    def begin_epoch_of(self, told: WiringUpdate) -> None:
-        """A new epoch, in which the wiring changes."""
-        self.pacer.rewire(told.wiring)
-        self._begin_epoch()
-
     def _report_self(self) -> None:
-        self.pacer.report(self.name, self.epoch, counted(self._sent, self.outlets), dict(self.host.handled))
+        self.pacer.report(self.name, self.epoch, self.outlets.counted(self.scene.sent), dict(self.host.handled))

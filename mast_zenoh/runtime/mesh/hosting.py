@@ -26,8 +26,8 @@ from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.credentials import CONTROL, Credentials
 from mast_zenoh.wiring.model import Wiring
 
-#: Nobody waits for a node that only listens, so it leaves the processor to those who are waited for.
-YIELD = 10
+#: Niceness of a node that only listens: no frame waits for it, so it leaves the processor to the others.
+LISTENER_NICENESS = 10
 
 
 def build(resolved: Resolved, name: str, node: type[Node] | None = None, place: str = "scenario.json") -> Any:
@@ -39,7 +39,7 @@ def build(resolved: Resolved, name: str, node: type[Node] | None = None, place: 
 
 
 def join(endpoint: str, credentials: Path | Credentials | None, *, patient: bool = False) -> zenoh.Session:
-    """A session on the mesh. What is wrong with our own credentials is said before anybody is asked.
+    """A session on the mesh. Raises CredentialsError for unusable credentials before it connects.
 
     patient: see `session.open_client`
     """
@@ -51,7 +51,7 @@ def join(endpoint: str, credentials: Path | Credentials | None, *, patient: bool
 
 
 def signatures(run: str, credentials: Path | Credentials | None) -> Signatures:
-    """How control messages are signed and checked by who has these credentials; raises CredentialsError."""
+    """Signs and checks control messages with these credentials; raises CredentialsError."""
     if credentials is None:
         return Signatures(run)
     where = f"{credentials}/{CONTROL}" if isinstance(credentials, Path) else CONTROL
@@ -62,8 +62,8 @@ def _own(credentials: Path | Credentials) -> Credentials:
     return Credentials.read(credentials) if isinstance(credentials, Path) else credentials
 
 
-def compute_in_peace() -> None:
-    """Whoever computes goes on until it is done: in lock-step nobody gains by being let in sooner.
+def use_batch_scheduling() -> None:
+    """Have processes that wake up preempt this one less often: in lock-step no node gains by running sooner.
 
     For all threads that there are, and those that they will start.
     """
@@ -99,7 +99,7 @@ def host(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
     signal.signal(signal.SIGTERM, lambda *_: hosted.inbox.put(("stop", "terminated")))
     if not wiring.ports(name).outputs:
-        os.nice(YIELD)
+        os.nice(LISTENER_NICENESS)
     gc.freeze()  # what is there now stays: collections need not look at it again
     gc.set_threshold(50_000, 20, 20)
     return hosted

@@ -69,7 +69,7 @@ def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
     resolved = Resolved.read(Path())
     built = hosting.build(resolved, arguments.name, node, f"{arguments.run_folder}/scenario.json")
     if resolved.mode == "lockstep":
-        hosting.compute_in_peace()  # before there is a session, so that Zenoh's threads do so too
+        hosting.use_batch_scheduling()  # before there is a session, so that Zenoh's threads do so too
     with hosting.join(arguments.endpoint, arguments.credentials, patient=resolved.patient) as session:
         without = [name for name in arguments.without.split(",") if name]
         signatures = hosting.signatures(arguments.run, arguments.credentials)

@@ -203,8 +203,8 @@ class RogueRouter(Attempt):
             finally:
                 spied.undeclare()
                 detour.turn(None)
-        before = siege.launch.frame
-        siege.wait(lambda: siege.launch.frame > before, _BACK_S, "the run goes on")
+        before = siege.frame
+        siege.wait(lambda: siege.frame > before, _BACK_S, "the run goes on")
         return outcome
 
     def _settings(self, siege: Siege) -> dict[str, Any]:

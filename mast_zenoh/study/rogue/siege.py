@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -22,8 +21,8 @@ from mast_zenoh.control import failures
 from mast_zenoh.control.failures import described
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, MastError, RunError, nearest
 from mast_zenoh.launch import run
+from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
-from mast_zenoh.launch.mesh_run import Launch
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
 from mast_zenoh.runtime.mesh.node import prefix
@@ -50,7 +49,7 @@ class Siege:
 
     resolved: the run; level: of its mesh; folder: of its results
     detoured: nodes whose way to the router leads past the outsider
-    engine, console: as for `local.run`
+    engine, console: as for `launch.run`
     """
 
     def __init__(
@@ -72,7 +71,7 @@ class Siege:
         self._detoured = detoured
         self._engine = engine
         self._console = console
-        self._launch: Launch | None = None
+        self._context: RunContext | None = None
         self._ended: run.Run | None = None
         self._thread = threading.Thread(target=self._play, name="siege")
         self._resources = ExitStack()
@@ -83,7 +82,7 @@ class Siege:
             self.detours[node] = self._resources.enter_context(Detour(lambda: _port(self.endpoint)))
         self._thread.start()
         try:
-            self.wait(lambda: self._launch is not None and self._launch.frame >= 1, _START_S, "the run has begun")
+            self.wait(lambda: self.frame >= 1, _START_S, "the run has begun")
         except BaseException:
             self.__exit__(None, None, None)
             raise
@@ -98,27 +97,26 @@ class Siege:
     # -- what the outsider knows and has -------------------------------------------------------------------------
 
     @property
-    def launch(self) -> Launch:
-        """The run."""
-        assert self._launch is not None
-        return self._launch
+    def frame(self) -> int:
+        """The newest frame that has begun; -1 before the first."""
+        return -1 if self._context is None else self._context.frame
 
     @property
     def endpoint(self) -> str:
         """Of the router. Addresses and the authority's certificate are public; so is the run's id on a wire."""
-        return str(self.launch.record["endpoint"])
+        return str(self._joined.record["endpoint"])
 
     @property
     def prefix(self) -> str:
         """Of all keys of the run."""
-        return prefix(self.launch.record["id"])
+        return prefix(self._joined.run_id)
 
     def credentials(self, shows: str) -> Credentials | None:
         """What an outsider has who shows this; None on an open mesh, where there is nothing to show.
 
         shows: NOTHING, FOREIGN (certified by an authority of his own), EXPIRED, or a node whose files he has
         """
-        deployment = self.launch.deployment
+        deployment = self._mesh.deployment
         if deployment is None or deployment.authority is None:
             return None
         public = Credentials(deployment.authority.pem)
@@ -138,7 +136,7 @@ class Siege:
     def foreign(self) -> Authority:
         """An authority of the outsider's own, which says of its certificates what the real one would."""
         if self._foreign is None:
-            self._foreign = Authority(self.launch.record["id"])
+            self._foreign = Authority(self._joined.run_id)
         return self._foreign
 
     def join(self, shows: str, zid: str | None = None) -> zenoh.Session:
@@ -155,8 +153,7 @@ class Siege:
 
     def zid(self, node: str) -> str:
         """The Zenoh id of a node's session. On an open mesh everybody may ask for it; here the router itself does."""
-        session = self.launch.session
-        assert session is not None
+        session = self._mesh.session
         key = f"@/{session.info.zid()}/router/token/{self.prefix}/alive/{self.known(node)}"
         for reply in session.get(key, timeout=5.0):
             if reply.ok is not None:
@@ -174,7 +171,7 @@ class Siege:
             column.name: text([]) if column.dtype == "str" else np.zeros(size, column.dtype)
             for column, size in zip(schema.columns, sizes, strict=True)
         }
-        return codec.encode(Message(Header(schema.name, OUTSIDER, self.launch.frame, 0, 0), body))
+        return codec.encode(Message(Header(schema.name, OUTSIDER, self.frame, 0, 0), body))
 
     def hearers(self, key: str) -> int:
         """How many nodes hear what is sent on this key."""
@@ -186,6 +183,16 @@ class Siege:
         if node not in self._resolved.nodes:
             raise ConfigurationError(f"outsider: no node {node!r}{nearest(node, self._resolved.nodes)}")
         return node
+
+    @property
+    def _joined(self) -> RunContext:
+        assert self._context is not None
+        return self._context
+
+    @property
+    def _mesh(self) -> Mesh:
+        assert self._joined.mesh is not None
+        return self._joined.mesh
 
     def _leg(self, key: str) -> tuple[Any, Any]:
         for wire, leg in self.wiring.legs():
@@ -219,8 +226,8 @@ class Siege:
 
     def end(self) -> run.Run | None:
         """Have the run end, if it has not; what has become of it."""
-        if self._thread.is_alive() and self._launch is not None:
-            self._launch.signals.append(signal.SIGINT)  # as if somebody had pressed Ctrl-C
+        if self._thread.is_alive() and self._context is not None:
+            self._context.interrupt()
         self._thread.join(_END_S)
         return self._ended
 
@@ -239,11 +246,11 @@ class Siege:
         return found
 
     def _play(self) -> None:
-        def prepare(launch: Launch) -> None:
-            launch.detours = {
+        def prepare(context: RunContext) -> None:
+            context.detours |= {
                 node: endpoint(self.level, f"tcp/127.0.0.1:{detour.port}") for node, detour in self.detours.items()
             }
-            self._launch = launch
+            self._context = context
 
         more: dict[str, Any] = {"engine": self._engine, "console": self._console}
         try:

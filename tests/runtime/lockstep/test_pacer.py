@@ -43,7 +43,7 @@ def test_a_message_under_way_is_not_quiet_whoever_reports_first() -> None:
     made.report("broker", 1, {}, {"clock": 1})
     made.report("agent", 1, {"tracks": 1}, {"clock": 1})
     assert not made.quiet()
-    assert list(made.owing()) == ["broker has handled 0 of 1 messages of agent on tracks"]
+    assert list(made.unsettled()) == ["broker has handled 0 of 1 messages of agent on tracks"]
     made.report("broker", 1, {}, {"clock": 1, "tracks": 1})
     assert made.quiet()
 
@@ -168,4 +168,4 @@ def test_who_reports_more_than_all_others_have_heard_is_named_first() -> None:
     made.report("agent", 1, {}, {"clock": 1})
     made.report("broker", 1, {}, {"clock": 1})
     said = "simulator reports 2 messages sent on clock, of which all who hear it have handled 1 (agent, broker)"
-    assert list(made.owing()) == [said]
+    assert list(made.unsettled()) == [said]

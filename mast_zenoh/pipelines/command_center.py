@@ -1,11 +1,34 @@
-"""The command centre's whole way from the agents' tracks to the picture."""
+"""The command centre's pipeline, from the tracks of all agents to the picture."""
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
-from mast_zenoh.fusion.base import Clusterer, GroupTracker, Pipeline
+from mast_zenoh.fusion.base import Clusterer, GroupTracker
+
+
+class Pipeline(ABC):
+    """Turns the tracks of all agents into the picture."""
+
+    @abstractmethod
+    def step(
+        self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None
+    ) -> tuple[ObjectStates, Ints]:
+        """(picture, support): objects at `time_ns`, sorted by id, and how many agents' tracks are now in each (n,).
+
+        states: n tracks of all agents, world frame, at `time_ns`
+        agent: (n,) int64, rows of `agents`, the agents' names
+        weights: (n,), see `Fusion.fuse`
+
+        The result does not depend on the order of the rows, nor on that of the agents.
+        """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Back to the state of a newly made one."""
 
 
 class CommandCenterPipeline(Pipeline):

@@ -1,4 +1,7 @@
-"""What an agent makes of its detections and of the picture: two estimators, one of which nobody else can touch."""
+"""An agent's pipeline: from detections to its own tracks, and from these and the picture to its best estimate.
+
+No message of another node reaches the first of the two estimators.
+"""
 
 from __future__ import annotations
 
@@ -37,6 +40,8 @@ class MissionEstimator(ABC):
 class OwnAndPicture(MissionEstimator):
     """Clusters and fuses own tracks with the picture's objects.
 
+    clustering: which of them are one object;  fusion: makes one state of a cluster
+
     The picture holds this agent's own tracks already, in an unknown share: fuse by covariance intersection, which is
     consistent whatever the correlation (Julier and Uhlmann, ACC 1997).
     """
@@ -46,7 +51,7 @@ class OwnAndPicture(MissionEstimator):
         self.fusion = fusion
 
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
-        """See MissionEstimator."""
+        """The objects of both, world frame; see `MissionEstimator.estimate`."""
         both = concatenate([picture.with_(id=2 * picture.id), own.with_(id=2 * own.id + 1)])
         if len(picture) == 0 or len(own) == 0:
             return both
@@ -57,13 +62,16 @@ class OwnAndPicture(MissionEstimator):
 
 
 class PictureFirst(MissionEstimator):
-    """The picture as it is, and own tracks only where the picture has nothing within `radius` m."""
+    """The picture as it is, and own tracks only where the picture has nothing near.
+
+    radius: m, in the bird's-eye view, within which an own track is left out
+    """
 
     def __init__(self, *, radius: float = 2.0) -> None:
         self.radius = radius
 
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
-        """See MissionEstimator."""
+        """The objects of both, world frame; see `MissionEstimator.estimate`."""
         near, _, _, _ = neighbours(own.position, picture.position, np.full(len(own), self.radius))
         seen = np.zeros(len(own), bool)
         seen[near] = True
@@ -83,6 +91,7 @@ class Pose:
 class AgentPipeline:
     """The stages of an agent, from detections to tracks.
 
+    tracker: turns detections into tracks;  mission: makes the mission-critical estimate of them and the picture
     frame: "world": detections are brought to the world frame before they are tracked, so that the agent's own
            motion is taken out. "body": they are tracked in the agent's moving frame, as the original MAST did, and the
            tracks say so; only there to show what that costs.

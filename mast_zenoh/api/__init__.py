@@ -1,0 +1,13 @@
+"""Runs as Python objects, for notebooks and scripts: what `import mast_zenoh as mast` offers (docs/python.md).
+
+    execution    run: a scenario in, a run out; open: a run folder in, the same object out
+    runs         the object: tables, messages, agents, plots, report
+    messages     recorded messages, decoded; states of objects by frame, as tables
+    plots        the report's figures of a run, or of several
+    comparisons  compare: the same scores of several runs, and what differs in words
+    catalogue    list: what a scenario can name, with its parameters
+    parameters   the parameters of a class or function: defaults, units, meanings from the docstring
+    surface      the base classes that users derive from
+
+`mast.study` is in mast_zenoh.study.interface.
+"""

@@ -1,0 +1,224 @@
+"""What a scenario can name, by kind: a line on each thing, and its parameters with defaults and units."""
+
+from __future__ import annotations
+
+import ast
+import html
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+from mast_zenoh import attacks, fusion, links, metrics, scenes, sensing, tracking
+from mast_zenoh.api.parameters import Parameter, parameters_of, summary, unit_of
+from mast_zenoh.config import bundle, loading, registry
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.faults import Fault
+from mast_zenoh.faults.network import HOST_FAULTS
+from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline
+from mast_zenoh.report.tables.scores import MEASURES
+
+#: By kind, what is listed: a heading for each base class of those that `type=…` can name.
+_BASES: Mapping[str, Mapping[str, type]] = {
+    "attacks": {
+        "attacks, of an adversary": attacks.Attack,
+        "coordination, of a coordinator": attacks.Coordination,
+        "selections: what to insert, hide and move": attacks.Selection,
+        "propagations: how false objects move": attacks.Propagation,
+        "imitations: how false objects look": attacks.Imitation,
+    },
+    "trackers": {
+        "pipelines of agents": AgentPipeline,
+        "trackers": tracking.Tracker,
+        "assignments: which measurement goes to which track": tracking.Assignment,
+    },
+    "fusion": {
+        "mission estimators: what an agent makes of its tracks and the picture": MissionEstimator,
+        "pipelines of the command centre": Pipeline,
+        "clusterers: which tracks are one object": fusion.Clusterer,
+        "fusions: one state of a cluster": fusion.Fusion,
+        "group trackers: clusters over time": fusion.GroupTracker,
+    },
+    "scenes": {
+        "scenes: where the truth comes from": scenes.Scene,
+        "detectors: detections of what a lidar sees": sensing.Detector,
+    },
+    "links": {"rules: what a link does to messages": links.Rule},
+    "faults": {"faults of nodes and of their messages": Fault},
+    "metrics": {
+        "further metrics, named in evaluator=dict(metrics=[…])": metrics.Metric,
+        "assigners: which track is which object": metrics.Assigner,
+    },
+}
+#: The kinds that are files of a function.
+_FILES = {"scenarios": "scenario", "studies": "study"}
+
+KINDS = (*_BASES, *_FILES)
+
+_MEASURES = {
+    "fn": "Objects in range of the agent that no track matches, per frame",
+    "fp": "Tracks in range of the agent that match no object, per frame",
+    "tp": "Objects in range of the agent that a track matches, per frame",
+    "rmse_m": "Root mean square distance of the centres of matched pairs, in m",
+    "id_switches": "How often an object is matched by another track than the one that matched it last",
+    "completeness": "Part of an object's frames in which it is matched, 0 to 1, mean over objects",
+    "ospa_m": "OSPA: distance between the set of objects and the set of tracks, per object, in m",
+    "gospa_m": "GOSPA: the same summed over the objects, in m",
+}
+_HOST_FAULTS = {
+    "HostPartition": "Nothing gets through the links of these hosts, either way",
+    "HostLoss": "A part of the packets of these hosts is lost, besides what is lost anyway",
+    "HostDelay": "Packets of these hosts take longer",
+    "HostBandwidth": "The links of these hosts carry no more than this",
+}
+_FIGURES = {
+    "at": "s of scene time at which it begins",
+    "until": "s of scene time at which it is healed; None: it lasts to the end",
+    "hosts": "names of hosts, or '*' for all",
+    "probability": "part of the packets, 0 to 1",
+    "delay_ms": "added to each packet, in each direction",
+    "jitter_ms": "by how much more or less",
+    "bits_per_s": "in each direction",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Something that a scenario can name.
+
+    group: what it is used as;  description: a line;  parameters: in the order of its signature
+    """
+
+    name: str
+    group: str
+    description: str
+    parameters: tuple[Parameter, ...] = ()
+
+    def __str__(self) -> str:
+        lines = textwrap.wrap(self.description, 112, initial_indent="  ", subsequent_indent="  ")
+        written = [_written(each) for each in self.parameters]
+        width = min(max((len(text) for text in written), default=0), 44)
+        for text, each in zip(written, self.parameters, strict=True):
+            room = " " * (width + 6)
+            words = textwrap.wrap(each.words, 116 - len(room)) or [""]
+            first = f"    {text:{width}}  {words[0]}" if len(text) <= width else f"    {text}\n{room}{words[0]}"
+            lines += [first.rstrip(), *(room + line for line in words[1:])]
+        return "\n".join([self.name, *lines])
+
+
+def _written(parameter: Parameter) -> str:
+    """`start_s = 4.0 s`, or the name alone of one that must be given."""
+    default = f" = {parameter.default}" if parameter.default else ""
+    unit = parameter.unit if parameter.default not in ("", "None") else f"({parameter.unit})"
+    required = "" if parameter.default else ", required"
+    return f"{parameter.name}{default}{f' {unit}' if parameter.unit else ''}{required}"
+
+
+class Listing(Sequence[Entry]):
+    """What there is of one kind: prints as text, shows as a table; `listing["CoordinatedAttack"]` is one of it."""
+
+    def __init__(self, kind: str, entries: Sequence[Entry]) -> None:
+        self.kind = kind
+        self._entries = tuple(entries)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all."""
+        return tuple(entry.name for entry in self._entries)
+
+    @overload
+    def __getitem__(self, index: int | str) -> Entry: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Entry, ...]: ...
+    def __getitem__(self, index: int | str | slice) -> Entry | tuple[Entry, ...]:
+        if not isinstance(index, str):
+            return self._entries[index]
+        for entry in self._entries:
+            if entry.name == index:
+                return entry
+        raise ConfigurationError(f"{self.kind}: nothing named {index!r}{nearest(index, self.names)}")
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def groups(self) -> Iterator[tuple[str, tuple[Entry, ...]]]:
+        """The entries by what they are used as."""
+        for group in dict.fromkeys(entry.group for entry in self._entries):
+            yield group, tuple(entry for entry in self._entries if entry.group == group)
+
+    def __str__(self) -> str:
+        parts = []
+        for group, entries in self.groups():
+            parts += [f"# {group}", *map(str, entries)]
+        return "\n\n".join(parts)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for group, entries in self.groups():
+            rows.append(f"<tr><th colspan=3 style='text-align:left'>{html.escape(group)}</th></tr>")
+            for entry in entries:
+                listed = "<br>".join(
+                    f"<code>{html.escape(_written(each))}</code> {html.escape(each.words)}" for each in entry.parameters
+                )
+                cells = (f"<code>{html.escape(entry.name)}</code>", html.escape(entry.description), listed)
+                rows.append("<tr>" + "".join(f"<td style='text-align:left'>{cell}</td>" for cell in cells) + "</tr>")
+        return f"<table>{''.join(rows)}</table>"
+
+
+def list_kind(kind: str) -> Listing:
+    """What a scenario can name of a kind, with parameters, defaults and units; your own classes are among it.
+
+    kind: attacks, trackers, fusion, scenes, links, faults, metrics, scenarios or studies
+
+    Raises ConfigurationError for any other.
+    """
+    if kind not in KINDS:
+        raise ConfigurationError(f"list: found {kind!r}{nearest(kind, KINDS)}; expected one of {', '.join(KINDS)}")
+    if kind in _FILES:
+        return Listing(kind, list(_files(kind, _FILES[kind])))
+    entries = list(_special(kind))
+    for group, base in _BASES[kind].items():
+        entries += [
+            Entry(name, group, summary(cls), parameters_of(cls)) for name, cls in registry.known_types(base).items()
+        ]
+    return Listing(kind, entries)
+
+
+def _special(kind: str) -> Iterator[Entry]:
+    """What is no class: profiles of links, faults of hosts, metrics that are always computed."""
+    if kind == "links":
+        for name, ways in links.PROFILES.items():
+            rules = ", then ".join(_rule(rule) for rule in ways["up"]) or "no rule"
+            both = "up and down" if ways["up"] == ways["down"] else "up"
+            yield Entry(name, "profiles, of an agent's link", f"{both}: {rules}")
+    if kind == "faults":
+        for name, (required, optional) in HOST_FAULTS.items():
+            takes = [("at", ""), ("hosts", ""), *((figure, "") for figure in required)]
+            takes += [("until", "None"), *((figure, "0.0") for figure in optional)]
+            parameters = [Parameter(n, default, unit_of(n, _FIGURES[n]), _FIGURES[n]) for n, default in takes]
+            yield Entry(name, "faults of hosts' networks, in real time", _HOST_FAULTS[name], tuple(parameters))
+    if kind == "metrics":
+        for measure in MEASURES:
+            yield Entry(measure.key, "always computed, for every estimate of every agent", _MEASURES[measure.key])
+
+
+def _rule(rule: Mapping[str, Any]) -> str:
+    """`Loss(probability=0.1)`."""
+    given = ", ".join(f"{name}={value!r}" for name, value in rule.items() if name != "type")
+    return f"{rule['type']}({given})"
+
+
+def _files(kind: str, function: str) -> Iterator[Entry]:
+    """Our scenario or study files; parameters that one does not describe are those of `baseline` or `uncoordinated`."""
+    found = []
+    for name in bundle.names(kind):
+        path, made = loading.function(kind, name, function)
+        found.append((path, made, ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""))
+    shared = [loading.function("scenarios", name, "scenario")[1] for name in ("baseline", "uncoordinated")]
+    verb = {"scenarios": "run", "studies": "study"}[kind]
+    group = f"{kind}: mast {verb} NAME, or mast_zenoh.{verb}(NAME)"
+    for path, made, text in found:
+        line = text.split("\n\n")[0].replace("\n", " ").rstrip(".")
+        yield Entry(path.stem, group, line, parameters_of(made, shared))

@@ -1,0 +1,35 @@
+"""The base classes that users derive from: with `mast_zenoh.__all__`, all that is public (docs/stability.md)."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+#: By what one writes, its base classes as `module.Class`.
+BASE_CLASSES: dict[str, tuple[str, ...]] = {
+    "node": ("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
+    "attack": ("mast_zenoh.attacks.Attack", "mast_zenoh.attacks.Coordination"),
+    "part of an attack": (
+        "mast_zenoh.attacks.Selection",
+        "mast_zenoh.attacks.Propagation",
+        "mast_zenoh.attacks.Imitation",
+    ),
+    "tracker": ("mast_zenoh.tracking.Tracker", "mast_zenoh.tracking.Assignment"),
+    "fusion": (
+        "mast_zenoh.pipelines.Pipeline",
+        "mast_zenoh.fusion.Clusterer",
+        "mast_zenoh.fusion.Fusion",
+        "mast_zenoh.fusion.GroupTracker",
+    ),
+    "scene": ("mast_zenoh.scenes.Scene", "mast_zenoh.sensing.Detector"),
+    "metric": ("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
+    "link rule": ("mast_zenoh.links.Rule",),
+    "fault": ("mast_zenoh.faults.Fault",),
+}
+
+
+def base_class(place: str) -> type[Any]:
+    """The class of an entry of BASE_CLASSES."""
+    module, _, name = place.rpartition(".")
+    found: type[Any] = getattr(importlib.import_module(module), name)
+    return found

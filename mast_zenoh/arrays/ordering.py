@@ -1,0 +1,62 @@
+"""Orders of rows that do not depend on how the rows arrived."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import Ints, ObjectStates
+
+#: Rows up to which sorting costs less than finding out that they are in order already.
+_FEW = 256
+
+
+def row_order(*keys: NDArray[Any], ties: tuple[NDArray[Any], ...] = ()) -> Ints:
+    """(n,) row indices that sort by `keys` (n,), the last one first, then by `ties`, the last one first.
+
+    The same as `np.lexsort((*ties, *keys))`, but quick where the rows are in order already or no two keys are equal.
+    """
+    if len(keys[0]) > _FEW:
+        if ascending(*keys):
+            return np.arange(len(keys[0]), dtype=np.int64)
+        order = keys[-1].argsort(kind="stable")
+        if ascending(*[key.take(order) for key in keys]):
+            return order.astype(np.int64)
+    order = np.lexsort(keys) if len(keys) > 1 else keys[0].argsort(kind="stable")
+    if ties and _any_equal(*[key.take(order) for key in keys]):
+        order = np.lexsort((*ties, *keys))
+    return order.astype(np.int64, copy=False)
+
+
+def ascending(*keys: NDArray[Any]) -> bool:
+    """Whether every row of the keys (n,), the last one first, is greater than the row before it."""
+    n = max(len(keys[0]) - 1, 0)
+    later, equal = np.zeros(n, bool), np.ones(n, bool)
+    for key in keys[::-1]:
+        later |= equal & (key[1:] > key[:-1])
+        equal &= key[1:] == key[:-1]
+    return bool(later.all())
+
+
+def _any_equal(*keys: NDArray[Any]) -> bool:
+    """Whether two neighbouring rows have the same keys (n,)."""
+    equal = keys[0][1:] == keys[0][:-1]
+    for key in keys[1:]:
+        equal &= key[1:] == key[:-1]
+    return bool(equal.any())
+
+
+def canonical_order(objects: ObjectStates, source: Ints | None = None) -> Ints:
+    """(n,) row indices that sort objects by position, velocity, size, yaw, score, class and id, then by source.
+
+    The id comes after everything physical because objects taken from detections only have row numbers for ids.
+    source: (n,) int64, where each row came from. Draws and matches made in this order are the same for every
+    permutation of the rows.
+    """
+    o = objects
+    keys = [*o.position.T, *o.velocity.T, *o.size.T, o.yaw, o.score, o.class_id, o.id]
+    if source is not None:
+        keys.append(source)
+    return row_order(keys[0], ties=tuple(keys[:0:-1]))

@@ -1,0 +1,26 @@
+"""`mast list KIND`: what a scenario can name, with parameters, defaults and units."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from mast_zenoh.cli.options import out as _out
+
+_HELP = "attacks, trackers, fusion, scenes, links, faults, metrics, scenarios or studies. Default: all their names."
+
+
+def list_kind(
+    kind: Annotated[str | None, typer.Argument(help=_HELP)] = None,
+    name: Annotated[str | None, typer.Argument(help="One of the kind: shows this one alone.")] = None,
+) -> None:
+    """List what a scenario can name: a line on each thing, its parameters, their defaults and units."""
+    from mast_zenoh.api import catalogue  # every package of algorithms: commands that need none do not load them
+
+    if kind is None:
+        for each in catalogue.KINDS:
+            _out.print(f"{each}: {', '.join(catalogue.list_kind(each).names)}", markup=False, highlight=False)
+        return
+    listing = catalogue.list_kind(kind)
+    _out.print(str(listing if name is None else listing[name]), markup=False, highlight=False)

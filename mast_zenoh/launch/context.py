@@ -1,0 +1,141 @@
+"""A run on a mesh as engines, interceptions and observers see it: what it is, how far it is, and how to end it."""
+
+from __future__ import annotations
+
+import queue
+import signal
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import zenoh
+from rich.markup import escape
+
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control.invalid import InvalidMessages
+from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.errors import RunError
+from mast_zenoh.launch.supervisor import Supervisor
+from mast_zenoh.runtime.mesh.node import prefix
+from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.wiring.model import Wiring
+
+
+class Mesh(NamedTuple):
+    """A mesh that the launcher has joined.
+
+    session: the launcher's; supervisor: starts, watches and ends the nodes
+    deployment: the credentials of this run; None where there are none to make
+    """
+
+    session: zenoh.Session
+    supervisor: Supervisor[Any]
+    deployment: Deployment | None = None
+
+
+class Stop:
+    """Whether a run is to stop, since when (monotonic clock, s), why, and what went wrong.
+
+    problem: the first error; the run ends with it
+    """
+
+    def __init__(self) -> None:
+        self.since: float | None = None
+        self.reason = "end"
+        self.problem: RunError | None = None
+
+    @property
+    def requested(self) -> bool:
+        """Whether all nodes are asked to finish."""
+        return self.since is not None
+
+    def request(self, reason: str = "end") -> None:
+        """Ask all nodes to finish from now on; only the first request counts."""
+        if self.since is None:
+            self.since, self.reason = time.monotonic(), reason
+
+    def note(self, problem: RunError) -> None:
+        """Note an error with which the run ends, whenever it does; only the first counts."""
+        self.problem = self.problem or problem
+
+    def fail(self, problem: RunError, reason: str) -> None:
+        """Note an error, and ask all nodes to finish."""
+        self.note(problem)
+        self.request(reason)
+
+
+@dataclass
+class RunContext:
+    """What the parts of the launcher share of one run on a mesh.
+
+    resolved: the scenario as it is run now; an interception replaces it
+    record:   run.json, as far as it is known; an engine sets `endpoint` and `deployment` in it
+    show:     prints a line that stays, with the markup of rich
+    secure:   one of `security.levels.LEVELS`
+    signals:  stop signals that have come so far
+    detours:  endpoints of nodes that reach the router another way; to be set before the run starts
+
+    The launcher sets these as the run goes on:
+
+    frame:    the newest frame that has begun; -1 before the first
+    mesh:     None before it is joined
+    signatures: of control messages; with the run's keys once the mesh is joined
+    invalid:  counts the control messages that the launcher has refused
+    stop:     whether the run is to stop, and what went wrong
+    """
+
+    resolved: Resolved
+    folder: Path
+    record: dict[str, Any]
+    show: Callable[[str], None]
+    secure: str = "open"
+    signals: list[int] = field(default_factory=list)
+    detours: dict[str, str] = field(default_factory=dict)
+    frame: int = field(default=-1, init=False)
+    mesh: Mesh | None = field(default=None, init=False)
+    signatures: Signatures = field(init=False)
+    invalid: InvalidMessages = field(init=False)
+    stop: Stop = field(default_factory=Stop, init=False)
+    _refusals: queue.SimpleQueue[str] = field(default_factory=queue.SimpleQueue, init=False)  # by Zenoh's threads
+
+    def __post_init__(self) -> None:
+        self.signatures = Signatures(self.run_id)
+        self.invalid = InvalidMessages(self._refusals.put)
+
+    @property
+    def run_id(self) -> str:
+        """The id of the run."""
+        return str(self.record["id"])
+
+    def make_deployment(self, hosts: Iterable[str], folder: Path | None = None) -> Deployment:
+        """The credentials of all nodes of the run.
+
+        hosts: names and addresses under which the router is reached; folder: see Deployment
+        """
+        nodes = self.resolved.nodes
+        return Deployment(
+            self.secure,
+            self.run_id,
+            Wiring.from_json(self.resolved.wiring),
+            nodes,
+            prefix=prefix(self.run_id),
+            driver=next((name for name, spec in nodes.items() if spec.role == "simulator"), ""),
+            hosts=hosts,
+            folder=folder,
+        )
+
+    def joined(self, mesh: Mesh) -> None:
+        """The launcher has joined the mesh: control messages are signed from now on, if the run has keys."""
+        self.mesh = mesh
+        self.signatures = Signatures(self.run_id, mesh.deployment.control if mesh.deployment else None)
+
+    def interrupt(self) -> None:
+        """Have the run end, from any thread, as if somebody had pressed Ctrl-C."""
+        self.signals.append(signal.SIGINT)
+
+    def show_refusals(self) -> None:
+        """Show what has been refused since the last call; for the main thread."""
+        while not self._refusals.empty():
+            self.show(f"[yellow]{escape(self._refusals.get())}")

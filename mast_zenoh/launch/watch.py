@@ -1,0 +1,191 @@
+"""Watches the nodes of a run on a mesh to its end: takes what they report, handles exits, has them stop."""
+
+from __future__ import annotations
+
+import time
+
+from rich.markup import escape
+
+from mast_zenoh.control import failures
+from mast_zenoh.control.stop_reasons import StopKind, decode_reason
+from mast_zenoh.errors import (
+    BackendError,
+    ImplausibleCounts,
+    NodeDied,
+    RunError,
+    ServiceDied,
+    StallError,
+    StartError,
+)
+from mast_zenoh.launch import ending
+from mast_zenoh.launch.context import Mesh, RunContext
+from mast_zenoh.launch.display import Display
+from mast_zenoh.launch.file_server import FileServer
+from mast_zenoh.launch.interception.server import Interceptions
+from mast_zenoh.launch.netns.hosts import Hosts
+from mast_zenoh.launch.reports import Report, Reports
+from mast_zenoh.launch.steps import StepRequests, Steps
+from mast_zenoh.launch.supervisor import Child
+from mast_zenoh.runtime.mesh.node import prefix
+
+_POLL_S = 0.05
+_LEAVE_GRACE_S = 20.0  # from the end of the scene to the last node's results
+_INTERRUPT_GRACE_S = 5.0
+
+
+class Watch:
+    """The launcher's loop while nodes run.
+
+    file_server: of nodes that live elsewhere; hosts: network namespaces of nodes; None where there are none
+    """
+
+    def __init__(
+        self,
+        context: RunContext,
+        mesh: Mesh,
+        display: Display,
+        *,
+        steps: Steps,
+        requests: StepRequests,
+        reports: Reports,
+        interceptions: Interceptions,
+        file_server: FileServer | None = None,
+        hosts: Hosts | None = None,
+    ) -> None:
+        self._context = context
+        self._stop = context.stop
+        self._session = mesh.session
+        self._supervisor = mesh.supervisor
+        self._display = display
+        self._steps = steps
+        self._requests = requests
+        self._reports = reports
+        self._interceptions = interceptions
+        self._file_server = file_server
+        self._hosts = hosts
+        self._interrupts = 0  # stop signals that have been handled
+
+    def run(self) -> None:
+        """Watch until every process has ended, or the grace of a run that is to stop is over."""
+        while self._supervisor.running():
+            self._requests.serve(_POLL_S, stopping=self._stop.requested)
+            self._check_file_server()
+            self._context.show_refusals()
+            self._interceptions.turn()
+            self.take_reports()
+            for child in self._supervisor.newly_ended():
+                self._handle_exit(child)
+            if len(self._context.signals) > self._interrupts:
+                self._interrupts = len(self._context.signals)
+                self._stop.problem = ending.from_signals(self._context.signals)
+                self._stop.request("interrupted")
+            self._check_network()
+            if self._stop.since is not None and self._ask_to_stop(self._stop.since):
+                return
+            self._display.update(self._context.frame + 1, self._states())
+
+    def take_reports(self) -> None:
+        """Take what the nodes have reported: results, and failures of handlers, which are shown at once."""
+        for report in self._reports.take():
+            if report.failure is not None:
+                self._show_failure(report)
+                continue
+            text = self._reports.outcomes[report.node].get("stop_reason")
+            if text is not None:
+                self._stop.request()
+                if (problem := self._problem(text)) is not None:
+                    self._stop.note(problem)
+
+    def _problem(self, text: str) -> RunError | None:
+        """The error that the driver's reason to stop stands for; None for the end of the scene."""
+        reason = decode_reason(text)
+        if reason.kind is StopKind.END:
+            return None
+        if reason.kind is StopKind.STALL:
+            return StallError(text)
+        if reason.kind is StopKind.START:
+            return StartError(text)
+        if reason.kind is StopKind.IMPLAUSIBLE:
+            return ImplausibleCounts(reason.detail)
+        # If the launcher has told it to stop, there is a problem already, and this one is not noted.
+        return RunError(f"told to stop at frame {self._context.frame}, not by us: {text!r:.80}")
+
+    def _ask_to_stop(self, since: float) -> bool:
+        """Ask all nodes to stop; whether to wait no longer."""
+        # Every time, because a node that is still starting, or was cut off, has not got it before.
+        stop = self._context.signatures.sign("stop", self._stop.reason.encode())
+        self._session.put(f"{prefix(self._context.run_id)}/@control/stop", stop)
+        if self._interrupts > 1:
+            return True
+        self._supervisor.resume(self._supervisor.running())  # a suspended node gets no message
+        self._supervisor.connect(self._supervisor.running())
+        # A node that was taken off its networks needs the longer grace to reconnect.
+        grace = _INTERRUPT_GRACE_S if self._interrupts and not self._steps.cut else _LEAVE_GRACE_S
+        busy_at = max(since, self._file_server.taken_at if self._file_server else since)
+        return time.monotonic() - busy_at > grace
+
+    def _check_file_server(self) -> None:
+        """End the run when the file server has died: nodes elsewhere could get nothing and hand in nothing."""
+        server = self._file_server
+        if server is not None and server.died and not self._stop.requested:
+            self._stop.fail(
+                ServiceDied(f"the depot, which serves the nodes' files, has ended: {server.death}"),
+                "a service has ended",
+            )
+
+    def _check_network(self) -> None:
+        """End the run when its network has failed; heal the network when nodes are to stop and hand in results."""
+        if self._hosts is None:
+            return
+        if (what := self._hosts.problem()) and self._stop.problem is None:
+            self._stop.fail(BackendError(f"hosts: {what}"), "the network has failed")
+        if self._stop.requested:
+            self._hosts.heal()
+
+    def _handle_exit(self, child: Child) -> None:
+        """A process has ended: as expected, or else as its node's `on_exit` says."""
+        self.take_reports()
+        if child.exit_expected or (child.exit == 0 and (child.handed_in or self._stop.requested)):
+            return
+        what = f"{child.name} {child.ended} at frame {self._context.frame}"
+        if self._context.frame < 0:
+            text = f"{child.name} ended before the first frame: {child.ended}{self._last_words(child)}"
+            self._stop.fail(StartError(text), "a node did not start")
+        elif child.spec.on_exit == "continue":
+            self._context.show(f"[yellow]{what}; going on without it")
+        elif child.spec.on_exit == "restart" and not self._stop.requested:
+            again = self._steps.restart(child)
+            self._context.show(
+                f"[yellow]{what}; {'restarted' if again else 'restarted too often, going on without it'}"
+            )
+        elif self._stop.problem is None:
+            text = f"{what}; see logs/{child.name}.log{self._last_words(child)}"
+            self._stop.fail(NodeDied(text), "a node died")
+
+    def _last_words(self, child: Child) -> str:
+        """The last line of a node's log."""
+        log = self._context.folder / "logs" / f"{child.name}.log"
+        lines = log.read_text(errors="replace").strip().splitlines()
+        return f": {lines[-1]}" if lines else ""
+
+    def _show_failure(self, report: Report) -> None:
+        """Show the first failure of a handler; one of `start` ends the run."""
+        assert report.failure is not None
+        (line,) = failures.lines({report.node: [report.failure]}, {report.node: f"logs/{report.node}.log"})
+        self._context.show(f"[red]{escape(line)}")
+        if report.failure["handler"] == "start":
+            self._stop.fail(ending.from_failed_start(line, report.failure["exception"]), "a node did not start")
+
+    def _states(self) -> dict[str, str]:
+        """The state of every node, for the display."""
+
+        def state(child: Child) -> str:
+            if child.exit is not None:
+                return "done" if child.exit == 0 and child.handed_in else "away" if child.exit_expected else "dead"
+            if child.paused:
+                return "paused"
+            if child.cut_off:
+                return "cut off"
+            return "running" if self._context.frame >= 0 else "starting"
+
+        return {name: state(child) for name, child in self._supervisor.children.items()}

@@ -1,0 +1,14 @@
+"""The stages of an agent and of the command centre, put together: tracking and fusion from input to output."""
+
+from mast_zenoh.pipelines.agent import AgentPipeline, MissionEstimator, OwnAndPicture, PictureFirst, Pose
+from mast_zenoh.pipelines.command_center import CommandCenterPipeline, Pipeline
+
+__all__ = [
+    "AgentPipeline",
+    "CommandCenterPipeline",
+    "MissionEstimator",
+    "OwnAndPicture",
+    "PictureFirst",
+    "Pipeline",
+    "Pose",
+]

@@ -1,0 +1,53 @@
+"""The frames of the node that drives the scene: made ahead of time, and sent when they are due."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+
+from mast_zenoh.node import Context, Source
+from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.mesh.arrivals import NOTED_FRAMES
+
+
+class SceneFrames:
+    """Makes each frame while the mesh is busy with the one before, and keeps it until it is sent.
+
+    Until its clock is sent, a frame is no more than bytes in this process: no node can act on it too early.
+
+    send:    sends a message
+    sent:    messages of the current epoch, by key
+    sent_ns: when the newest frames were sent, ns on the wall clock
+    """
+
+    def __init__(self, source: Source, context: Context, send: Callable[[Outgoing], None]) -> None:
+        self.sent: Counter[str] = Counter()
+        self.sent_ns: dict[int, int] = {}
+        self._source = source
+        self._context = context
+        self._send = send
+        self._ready: list[Outgoing] | None = None
+
+    def keep(self, message: Outgoing) -> None:
+        """Keep what the source publishes until its frame is sent."""
+        assert self._ready is not None
+        self._ready.append(message)
+
+    def prepare(self) -> None:
+        """Make the next frame; it has no messages at the end of the scene."""
+        self._ready = []
+        self._source.advance(self._context)
+
+    def send(self, number: int) -> bool:
+        """Send the frame that is ready, as this one; False if there is none."""
+        if self._ready is None:
+            self.prepare()
+        if not self._ready:
+            return False
+        self.sent_ns[number] = time.time_ns()
+        self.sent_ns.pop(number - NOTED_FRAMES, None)
+        for message in self._ready:
+            self._send(message)
+            self.sent[message.key] += 1
+        return True

@@ -1,0 +1,137 @@
+"""`mast_zenoh.study(…)`: a study carried out from Python, and its tables."""
+
+from __future__ import annotations
+
+import html
+import inspect
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow
+from pyarrow import csv
+
+from mast_zenoh.api.comparisons import Comparison, as_text
+from mast_zenoh.api.runs import Run
+from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError
+from mast_zenoh.launch.tables import read_arrow
+from mast_zenoh.report.html import write_study_report
+from mast_zenoh.report.tables import study as study_table
+from mast_zenoh.study import comparison, definition, execution
+from mast_zenoh.study import trials as many
+
+
+class FinishedStudy:
+    """A study that has ended.
+
+    path:   of its folder
+    report: its page
+    runs:   the run of each configuration, by label, where each was carried out once; {} of many trials
+    """
+
+    def __init__(self, path: Path, report: Path, runs: Mapping[str, Run], text: str = "") -> None:
+        self.path = path
+        self.report = report
+        self.runs = dict(runs)
+        self._text = text
+
+    def table(self) -> pyarrow.Table:
+        """The estimates.
+
+        Of many trials a row per configuration and series, with intervals (table.csv, docs/studies.md); of a study that
+        ran each configuration once, the table of `mast_zenoh.compare`.
+        """
+        if self.runs:
+            return self.comparison.table
+        return csv.read_csv(self.path / "table.csv")
+
+    @property
+    def comparison(self) -> Comparison:
+        """The runs compared with the first of them: of a study whose configurations were carried out once."""
+        if not self.runs:
+            raise ConfigurationError(f"{self.path}: of many trials no run is kept: expected a study without `trials`")
+        baseline = ["baseline"] if "baseline" in self.runs else []
+        labels = [*baseline, *(label for label in self.runs if label not in baseline)]
+        return Comparison(tuple(self.runs[label] for label in labels))
+
+    @property
+    def results(self) -> pyarrow.Table:
+        """A row per trial and metric (docs/studies.md)."""
+        return self._of_trials("results.parquet")
+
+    @property
+    def frames(self) -> pyarrow.Table:
+        """A row per trial, frame, agent and estimator (docs/studies.md)."""
+        return self._of_trials("frames.parquet")
+
+    def _of_trials(self, name: str) -> pyarrow.Table:
+        if not (self.path / name).is_file():
+            raise RunFolderError(f"{self.path / name}: missing; it is written where `trials` were asked for")
+        return read_arrow(self.path / name)
+
+    def __str__(self) -> str:
+        """The main results, as on the terminal."""
+        return str(self.comparison) if self.runs else self._text
+
+    def __repr__(self) -> str:
+        return f"<FinishedStudy {self.path.name}: .table(), .report; {self.path}>"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre><p>Report: {html.escape(str(self.report))}</p>"
+
+
+def carry_out(
+    study: str | Path,
+    *,
+    trials: int | None = None,
+    jobs: int | None = None,
+    cluster: str | None = None,
+    resume: bool = False,
+    frames: int | None = None,
+    seed: int | None = None,
+    runtime: str = "inproc",
+    out: str | Path | None = None,
+    allow_failures: bool = False,
+    **parameters: Any,
+) -> FinishedStudy:
+    """Carry out a study, and return its tables.
+
+    study:      name of one of ours (`mast.list("studies")`), or a file
+    parameters: of the study's function
+    trials:     seeds for each configuration and scene; None: as the study says, or else one run of each configuration
+    jobs:       trials at a time; None: as many as there are cores, if dask is installed
+    cluster:    address of a Dask scheduler, tcp://HOST:8786;  resume: go on with what is done in `out`
+    frames, seed, runtime, out, allow_failures: as of `mast_zenoh.run`
+
+    A script that has more than one job needs `if __name__ == "__main__":`, as each worker imports it.
+
+    Raises ConfigurationError before anything starts. Raises TrialsFailed or HandlerFailed where trials or runs have
+    failed: what the others gave is kept in the folder that the error names.
+    """
+    options = [name for name in inspect.signature(carry_out).parameters if name not in ("study", "parameters")]
+    loaded = definition.load_values(str(study), parameters, options)
+    if loaded.security:
+        raise ConfigurationError(f"{loaded.path}: a study of security runs by the command line: mast study {study}")
+    if runtime not in definition.RUNTIMES:
+        raise ConfigurationError(f"runtime: found {runtime!r}, expected inproc or mesh")
+    folder = None if out is None else Path(out)
+    chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime, "allow_failures": allow_failures}
+    count = trials or loaded.trials
+    if count is None and not (jobs or cluster or resume):
+        compared = comparison.run(loaded, folder, **chosen)
+        page = write_study_report(compared.out, compared.folders)
+        _raise(compared, compared.out)
+        return FinishedStudy(compared.out, page, {label: Run(path) for label, path in compared.folders.items()})
+    jobs = jobs or execution.default_jobs()
+    ended = many.run(loaded, folder, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **chosen)
+    _raise(ended, ended.out)
+    return FinishedStudy(ended.out, ended.report, {}, as_text(study_table.as_rich(ended.rows, ended.facts)))
+
+
+def _raise(ended: Any, folder: Path) -> None:
+    """Raise what runs or trials have failed by, with the folder that keeps the others."""
+    try:
+        ended.raise_failures()
+    except MastError as error:
+        error.add_note(f"What the others gave is in {folder}.")
+        raise

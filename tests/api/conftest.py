@@ -1,0 +1,26 @@
+"""Two short runs of one junction, one of them attacked, that the tests of the Python API read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import mast_zenoh as mast
+
+FRAMES, SEED = 60, 3
+
+
+@pytest.fixture(scope="session")
+def baseline(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    """A run without adversaries."""
+    out: Path = tmp_path_factory.mktemp("baseline") / "run"
+    return mast.run("baseline", n_infrastructure=2, frames=FRAMES, seed=SEED, out=out)
+
+
+@pytest.fixture(scope="session")
+def attacked(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    """The same with one adversary, which begins after two seconds."""
+    out: Path = tmp_path_factory.mktemp("attacked") / "run"
+    parameters = dict(n_infrastructure=2, n_adversaries=1, attack_start_s=2.0)
+    return mast.run("uncoordinated", frames=FRAMES, seed=SEED, out=out, **parameters)

@@ -1,0 +1,146 @@
+"""Everything that a scenario can name is listed, and says what it is, what it takes, and in which units."""
+
+from __future__ import annotations
+
+import inspect
+import re
+
+import pytest
+from typer.testing import CliRunner
+
+import mast_zenoh as mast
+from mast_zenoh import attacks, faults, fusion, links, metrics, pipelines, scenes, sensing, tracking
+from mast_zenoh.api.catalogue import KINDS, Entry
+from mast_zenoh.api.parameters import described, unit_of
+from mast_zenoh.cli.app import app
+from mast_zenoh.config import bundle, registry
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.faults.network import HOST_FAULTS
+from mast_zenoh.report.tables.scores import MEASURES
+
+BASES: dict[str, list[type]] = {
+    "attacks": [
+        *(attacks.Attack, attacks.Coordination),
+        *(attacks.Selection, attacks.Propagation, attacks.Imitation),
+    ],
+    "trackers": [tracking.Tracker, tracking.Assignment],
+    "fusion": [pipelines.Pipeline, fusion.Clusterer, fusion.Fusion, fusion.GroupTracker],
+    "scenes": [scenes.Scene, sensing.Detector],
+    "links": [links.Rule],
+    "faults": [faults.Fault],
+    "metrics": [metrics.Metric, metrics.Assigner],
+}
+
+
+def of_ours(kind: str) -> list[Entry]:
+    """The entries of a kind, but for classes that other tests have defined."""
+    classes = {name: cls for base in BASES.get(kind, ()) for name, cls in registry.known_types(base).items()}
+    foreign = {name for name, cls in classes.items() if not cls.__module__.startswith("mast_zenoh.")}
+    return [entry for entry in mast.list(kind) if entry.name not in foreign]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_everything_says_what_it_is(kind: str) -> None:
+    entries = of_ours(kind)
+    assert entries
+    for entry in entries:
+        assert 15 < len(entry.description) < 250, f"{entry.name}: {entry.description!r}"
+        assert not re.match(r"(See |`?[a-z_]+`?: )", entry.description), f"{entry.name}: {entry.description!r}"
+        for parameter in entry.parameters:
+            place = f"{kind}: {entry.name}.{parameter.name}"
+            assert parameter.words, f"{place} is not described in the docstring"
+            assert not re.search(r"(^|; )[a-z]\w*_\w+: ", parameter.words), f"{place}: {parameter.words!r}"
+
+
+@pytest.mark.parametrize(("kind", "bases"), BASES.items())
+def test_every_class_is_listed_with_all_its_parameters(kind: str, bases: list[type]) -> None:
+    listing = mast.list(kind)
+    for base in bases:
+        for name, cls in registry.known_types(base).items():
+            signature = inspect.signature(cls).parameters
+            taken = [name for name, each in signature.items() if each.kind is not each.VAR_KEYWORD]
+            entries = [entry for entry in listing if entry.name == name]
+            assert taken in [[parameter.name for parameter in entry.parameters] for entry in entries]
+
+
+def test_what_is_no_class_is_listed_too() -> None:
+    assert set(links.PROFILES) <= set(mast.list("links").names)
+    assert set(HOST_FAULTS) <= set(mast.list("faults").names)
+    assert {measure.key for measure in MEASURES} <= set(mast.list("metrics").names)
+    for kind in ("scenarios", "studies"):
+        assert [f"{name}.py" for name in mast.list(kind).names] == bundle.names(kind)
+
+
+@pytest.mark.parametrize(
+    ("name", "meaning", "unit"),
+    [
+        ("start_s", "", "s"),
+        ("sigma_mps2", "", "m/s²"),
+        ("bits_per_s", "", "bit/s"),
+        ("yaw_noise_deg", "", "°"),
+        ("box", "m, length, width and height", "m"),
+        ("at", "s of scene time; it begins", "s"),
+        ("until", "s of scene time", "s"),
+        ("region", "where they are put", ""),
+        ("copies", "how many more", ""),
+    ],
+)
+def test_units_are_those_of_names_and_descriptions(name: str, meaning: str, unit: str) -> None:
+    assert unit_of(name, meaning) == unit
+
+
+def test_docstrings_describe_parameters_in_lines_and_in_sentences() -> None:
+    text = """Does it. count: how many.
+
+    first, second: of both
+                   and more
+    third: of one; fourth: of another
+    The rest is prose: it is left out.
+
+    start_…, gate_m: m, of all that begin so
+    """
+    names = ["count", "first", "second", "third", "fourth", "start_a", "start_b", "gate_m", "other"]
+    assert described(text, names) == {
+        "count": "how many",
+        "first": "of both and more",
+        "second": "of both and more",
+        "third": "of one",
+        "fourth": "of another",
+        "start_a": "m, of all that begin so",
+        "start_b": "m, of all that begin so",
+        "gate_m": "m, of all that begin so",
+    }
+
+
+def test_defaults_units_and_meanings_are_shown() -> None:
+    shown = str(mast.list("scenarios")["coordinated"])
+    assert "attack_start_s = 4.0 s" in shown
+    assert "how often the coordinator makes a new plan" in shown, "its own description"
+    assert "mean number added by each (Poisson)" in shown, "that of `uncoordinated`"
+    shown = str(mast.list("faults")["Pause"])
+    assert "until (s), required" in shown
+
+
+def test_a_listing_is_a_sequence_that_shows_itself() -> None:
+    listing = mast.list("trackers")
+    assert len(listing) == len(listing.names)
+    assert listing[0] in listing
+    assert listing["KalmanBoxTracker3D"].name == "KalmanBoxTracker3D"
+    assert "# trackers" in repr(listing)
+    assert "<code>KalmanBoxTracker3D</code>" in listing._repr_html_()
+    with pytest.raises(ConfigurationError, match="did you mean 'KalmanBoxTracker3D'"):
+        _ = listing["KalmanBoxTracker"]
+    with pytest.raises(ConfigurationError, match="did you mean 'attacks'"):
+        mast.list("attack")
+
+
+def test_the_command_line_lists_the_same() -> None:
+    def printed(*words: str) -> str:
+        done = CliRunner().invoke(app, ["list", *words])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    for kind in KINDS:
+        assert printed(kind).strip() == str(mast.list(kind)).strip()
+        assert f"{kind}: {', '.join(mast.list(kind).names)}" in printed()
+    assert printed("attacks", "ConflictSelection").strip() == str(mast.list("attacks")["ConflictSelection"])

@@ -1,0 +1,97 @@
+"""The public names: a change of them is a decision (docs/stability.md)."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh.api.surface import BASE_CLASSES, base_class
+from mast_zenoh.study.interface import carry_out
+
+PROJECT = Path(__file__).parents[2] / "pyproject.toml"
+
+NAMES = {
+    *("run", "open", "study", "compare", "list", "__version__"),
+    *("Run", "Comparison", "FinishedStudy", "Listing", "MastError"),
+}
+BASES = {
+    *("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
+    *("mast_zenoh.attacks.Attack", "mast_zenoh.attacks.Coordination", "mast_zenoh.attacks.Selection"),
+    *("mast_zenoh.attacks.Propagation", "mast_zenoh.attacks.Imitation"),
+    *("mast_zenoh.tracking.Tracker", "mast_zenoh.tracking.Assignment"),
+    *("mast_zenoh.pipelines.Pipeline", "mast_zenoh.fusion.Clusterer", "mast_zenoh.fusion.Fusion"),
+    *("mast_zenoh.fusion.GroupTracker", "mast_zenoh.scenes.Scene", "mast_zenoh.sensing.Detector"),
+    *("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
+    *("mast_zenoh.links.Rule", "mast_zenoh.faults.Fault"),
+}
+MEMBERS = {
+    "Run": {
+        *("record", "id", "name", "seed", "status", "running", "headline", "summary", "metrics", "objects", "attacks"),
+        *("targets", "driving", "messages", "truth", "picture", "agents", "agent", "plot", "report"),
+    },
+    "Comparison": {"table", "headline", "plot", "markdown"},
+    "FinishedStudy": {"table", "comparison", "results", "frames"},
+    "Listing": {"names", "groups", "index", "count"},
+}
+KEYWORDS = {
+    "run": "scenario frames seed out runtime mode rate record report endpoint secure allow_failures allow_churn",
+    "study": "study trials jobs cluster resume frames seed runtime out allow_failures",
+    "open": "path",
+    "compare": "runs",
+    "list": "kind",
+}
+
+
+def test_the_names_of_the_package() -> None:
+    assert set(mast.__all__) == NAMES
+    assert set(dir(mast)) >= NAMES
+    for name in NAMES:
+        assert getattr(mast, name) is not None
+
+
+def test_the_base_classes() -> None:
+    assert {place for places in BASE_CLASSES.values() for place in places} == BASES
+    for place in BASES:
+        assert inspect.isclass(base_class(place))
+        assert base_class(place).__doc__
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_the_members_of_what_calls_return(name: str) -> None:
+    assert {member for member in dir(getattr(mast, name)) if not member.startswith("_")} == MEMBERS[name]
+
+
+@pytest.mark.parametrize("name", KEYWORDS)
+def test_the_keywords_of_calls(name: str) -> None:
+    function = carry_out if name == "study" else getattr(mast, name)
+    taken = inspect.signature(function).parameters.values()
+    assert [each.name for each in taken if each.kind is not each.VAR_KEYWORD] == KEYWORDS[name].split()
+
+
+def test_the_version_is_that_of_the_project() -> None:
+    assert mast.__version__ == tomllib.loads(PROJECT.read_text())["project"]["version"]
+
+
+def test_an_unknown_name_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'runn'"):
+        _ = mast.runn
+
+
+def test_importing_the_package_loads_nothing_else_of_it() -> None:
+    code = "import sys; before = set(sys.modules); import mast_zenoh; print(*sorted(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = done.stdout.split()
+    assert [name for name in loaded if name.startswith("mast_zenoh")] == ["mast_zenoh"]
+    assert not {"numpy", "pyarrow", "matplotlib", "typing"} & set(loaded)
+
+
+def test_the_package_of_studies_can_be_called_however_it_was_imported() -> None:
+    code = "import mast_zenoh.study.definition, mast_zenoh as mast; mast.study('nosuch')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "ConfigurationError: nosuch: no such file" in done.stderr

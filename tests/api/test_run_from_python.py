@@ -1,0 +1,130 @@
+"""`mast.run` takes scenarios as the command line does, and plain Python values besides."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunFolderError
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.scenario import load
+
+SMALL: dict[str, Any] = dict(n_infrastructure=1)
+
+
+def test_the_results_go_to_a_new_folder_below_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    first, second = (mast.run("baseline", frames=2, **SMALL) for _ in range(2))
+    assert first.path.parent == second.path.parent == tmp_path / "runs"
+    assert first.path != second.path
+    assert first.path.name.startswith("baseline-")
+
+
+def test_a_name_a_file_a_function_and_a_dict_are_the_same_scenario(tmp_path: Path) -> None:
+    path, content = load("uncoordinated", ["n_infrastructure=2", "n_adversaries=1"])
+
+    def scenario(n_adversaries: int = 1) -> dict[str, Any]:
+        return load("uncoordinated", ["n_infrastructure=2", f"n_adversaries={n_adversaries}"])[1]
+
+    given = dict(n_infrastructure=2, n_adversaries=1)
+    runs = [
+        mast.run("uncoordinated", frames=5, out=tmp_path / "name", **given),
+        mast.run(path, frames=5, out=tmp_path / "file", **given),
+        mast.run(scenario, frames=5, out=tmp_path / "function", n_adversaries=1),
+        mast.run(content, frames=5, out=tmp_path / "dict"),
+    ]
+    for run in runs[1:]:
+        found = compare(runs[0].path, run.path)
+        assert found.first is None
+
+
+def test_a_dict_is_not_changed_by_being_run(tmp_path: Path) -> None:
+    _, content = load("uncoordinated", ["n_infrastructure=1", "n_adversaries=1"])
+    before = json.dumps(content, sort_keys=True)
+    mast.run(content, frames=2, out=tmp_path / "run", **{"run.seed": 5})
+    assert json.dumps(content, sort_keys=True) == before
+
+
+def test_a_dotted_keyword_reaches_into_the_scenario(tmp_path: Path) -> None:
+    radius = {"command_center.pipeline.clustering": dict(type="DBSCANClusterer", eps=3.0)}
+    run = mast.run("baseline", frames=2, out=tmp_path / "run", **SMALL, **radius)
+    center = json.loads((run.path / "scenario.json").read_text())["nodes"]["command_center"]
+    assert center["config"]["pipeline"]["clustering"] == {"type": "DBSCANClusterer", "eps": 3.0}
+
+
+def test_what_was_called_is_in_the_record_of_the_run(baseline: mast.Run) -> None:
+    assert baseline.record["command"].startswith("mast_zenoh.run('baseline', frames=60, seed=3")
+
+
+@pytest.mark.parametrize(
+    ("scenario", "options", "words"),
+    [
+        ("uncoordinated", dict(n_adversary=1), "did you mean 'n_adversaries'?"),
+        ("uncoordinated", dict(frame=1), "did you mean 'frames'?"),
+        ("uncoordinated", dict(n_adversaries="two"), "expected int as in 2"),
+        ("uncordinated", {}, "did you mean 'uncoordinated.py'?"),
+        (dict(scene="intersection"), dict(n_adversaries=1), "scenario: n_adversaries: no such parameter"),
+        (dict(scen="intersection"), {}, "did you mean 'scene'?"),
+        (3, {}, "expected a name, a file, a dict or a function"),
+        (lambda: 3, {}, "expected a dict"),
+        ("baseline", dict(mode="realtime"), "realtime needs the mesh"),
+        ("baseline", dict(secure="tls"), "runtime='mesh'"),
+        ("baseline", dict(runtime="cloud"), "expected inproc or mesh"),
+        ("baseline", dict(runtime="mesh", secure="tls", endpoint="tcp/127.0.0.1:1"), "router of its own"),
+    ],
+)
+def test_what_is_wrong_is_refused_before_anything_starts(
+    scenario: Any, options: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        mast.run(scenario, frames=2, out=tmp_path / "run", **options)
+    assert words in str(refused.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_whole_number_will_do_for_a_number(tmp_path: Path) -> None:
+    given = dict(n_infrastructure=1, n_adversaries=1, attack_start_s=3)
+    run = mast.run("uncoordinated", frames=2, out=tmp_path / "run", **given)
+    config = json.loads((run.path / "scenario.json").read_text())["nodes"]["adversary_1"]["config"]
+    assert config["attack"]["start_s"] == 3.0
+
+
+def test_a_run_that_fails_raises_its_error_which_names_the_folder(tmp_path: Path) -> None:
+    node = """
+from mast_zenoh.node import Node
+
+class Failing(Node):
+    role = "failing"
+    inputs = {"everything": "*"}
+
+    def on_everything(self, received, context):
+        raise KeyError("no")
+"""
+    (tmp_path / "failing.py").write_text(node)
+    (tmp_path / "mine.py").write_text(
+        "from mast_zenoh.scenario import load\n\ndef scenario():\n"
+        "    return load('baseline', ['n_infrastructure=1'])[1] | dict(nodes=dict(bad=dict(role='failing')))\n"
+    )
+    with pytest.raises(HandlerFailed) as failed:
+        mast.run(tmp_path / "mine.py", frames=2, out=tmp_path / "run")
+    assert str(tmp_path / "run") in failed.value.__notes__[0]
+    assert mast.open(tmp_path / "run").status == "handler_failures"
+    allowed = mast.run(tmp_path / "mine.py", frames=2, out=tmp_path / "allowed", allow_failures=True)
+    assert allowed.status == "ok"
+
+
+@pytest.mark.mesh
+def test_the_same_scenario_runs_as_processes(attacked: mast.Run, tmp_path: Path) -> None:
+    parameters = dict(n_infrastructure=2, n_adversaries=1, attack_start_s=2.0)
+    run = mast.run("uncoordinated", frames=60, seed=3, runtime="mesh", out=tmp_path / "run", **parameters)
+    assert len({node["pid"] for node in run.record["nodes"].values()}) > 5
+    assert compare(attacked.path, run.path).first is None
+
+
+def test_a_folder_without_a_run_cannot_be_opened(tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match=r"no run\.json there"):
+        mast.open(tmp_path)

@@ -1,0 +1,150 @@
+"""A run as an object says what its folder holds, while the run goes on and afterwards."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+import mast_zenoh as mast
+from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.launch import liveness
+from mast_zenoh.scenes.recording import Recording
+
+BOX = ["x", "y", "z", "vx", "vy", "vz", "l", "w", "h", "yaw"]
+
+
+@pytest.mark.parametrize("name", ["metrics", "objects", "attacks", "targets", "driving"])
+def test_a_table_is_that_of_the_file(name: str, attacked: mast.Run) -> None:
+    table = getattr(attacked, name)
+    assert table.equals(parquet.read_table(attacked.path / f"{name}.parquet"))
+    assert table.num_rows
+
+
+def test_tables_become_data_frames_where_pandas_is_installed(attacked: mast.Run) -> None:
+    pytest.importorskip("pandas")
+    frame = attacked.metrics.to_pandas()
+    assert (frame[frame.estimator == "picture"].fp > 0).any()
+
+
+def test_the_truth_is_that_of_the_scene(attacked: mast.Run) -> None:
+    truth = attacked.truth
+    assert truth.column_names == ["frame", "time_s", "id", "class", *BOX, "points"]
+    recording = Recording.load(attacked.path / "scene.npz")
+    for frame in (0, 30, 59):
+        rows = truth.filter(np.asarray(truth["frame"]) == frame)
+        there = recording.truth_at(frame)
+        order = np.argsort(there.id)
+        mine = np.argsort(np.asarray(rows["id"]))
+        np.testing.assert_array_equal(np.asarray(rows["x"])[mine], there.position[order, 0])
+        np.testing.assert_array_equal(np.asarray(rows["yaw"])[mine], there.yaw[order])
+        np.testing.assert_allclose(rows["time_s"], frame * 0.1)
+
+
+def test_columns_say_their_units(attacked: mast.Run) -> None:
+    schema = attacked.picture.schema
+    units = {name: (schema.field(name).metadata or {}).get(b"unit", b"").decode() for name in schema.names}
+    assert units["time_s"] == "s"
+    assert units["x"] == units["l"] == "m"
+    assert units["vx"] == "m/s"
+    assert units["yaw"] == "rad"
+    assert units["id"] == units["score"] == ""
+
+
+def test_the_picture_and_the_tracks_are_near_the_truth(baseline: mast.Run) -> None:
+    truth = baseline.truth.filter(np.asarray(baseline.truth["frame"]) == 50)
+    there = np.stack([truth["x"], truth["y"]], axis=1)
+    for table in (baseline.picture, baseline.agent("infra_1").tracks, baseline.agent("ego").mission):
+        rows = table.filter(np.asarray(table["frame"]) == 50)
+        here = np.stack([rows["x"], rows["y"]], axis=1)
+        assert len(here) > 3
+        nearest = np.linalg.norm(here[:, None] - there, axis=2).min(axis=1)
+        assert np.median(nearest) < 1.0, "in the world frame, also of an agent whose sensor is not at its origin"
+
+
+def test_an_agent_has_its_detections_and_its_pose(baseline: mast.Run) -> None:
+    assert baseline.agents == ("ego", "infra_1", "infra_2")
+    ego = baseline.agent("ego")
+    assert ego.detections.column_names == ["frame", "time_s", "class", "x", "y", "z", "l", "w", "h", "yaw", "score"]
+    assert ego.pose.num_rows == 60
+    speed = np.hypot(ego.pose["vx"], ego.pose["vy"])
+    moved = np.hypot(np.diff(ego.pose["x"]), np.diff(ego.pose["y"])) / 0.1
+    np.testing.assert_allclose(moved, speed[:-1], atol=0.5)
+    with pytest.raises(ConfigurationError, match="did you mean 'infra_1'"):
+        baseline.agent("infra_11")
+
+
+def test_messages_come_by_frame_from_the_wires_that_match(attacked: mast.Run) -> None:
+    messages = list(attacked.messages("agent/*/tracks"))
+    assert {message.wire for message in messages} == {f"agent/{name}/tracks" for name in attacked.agents}
+    assert {message.type for message in messages} == {"tracks"}
+    assert [message.frame for message in messages] == sorted(message.frame for message in messages)
+    assert len(messages) == 60 * 3
+    last = messages[-1]
+    assert last["position"].shape == (len(last["id"]), 3)
+    assert "agent/infra_2/tracks, frame 59" in repr(last)
+
+
+def test_taps_are_what_was_sent_before_an_adversary_changed_it(attacked: mast.Run) -> None:
+    wire = "agent/infra_1/detections"
+    assert not any(message.tap for message in attacked.messages(wire))
+    both = list(attacked.messages(wire, taps=True))
+    sent, received = ([len(m["yaw"]) for m in both if m.tap is tap and m.frame > 30] for tap in (True, False))
+    assert len(sent) == len(received) == 29
+    assert sent != received
+
+
+def test_a_table_that_a_run_has_not_left_is_missing_by_name(attacked: mast.Run, tmp_path: Path) -> None:
+    shutil.copytree(attacked.path, tmp_path / "run")
+    for name in ("targets.parquet", "messages.mcap", "metrics.parquet"):
+        (tmp_path / "run" / name).unlink()
+    run = mast.open(tmp_path / "run")
+    with pytest.raises(RunFolderError, match=r"targets\.parquet: missing; the run is ok"):
+        _ = run.targets
+    with pytest.raises(RunFolderError, match=r"run\.json counts \d+ messages"):
+        _ = run.truth
+    with pytest.raises(RunFolderError, match=r"metrics\.parquet is absent"):
+        run.plot.over_time("fp")
+
+
+def test_a_run_that_goes_on_is_read_as_far_as_it_has_come(attacked: mast.Run, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(attacked.path, folder)
+    record = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": liveness.identity()}))
+    content = (folder / "messages.mcap").read_bytes()
+    (folder / "messages.mcap").write_bytes(content[: len(content) // 2])
+    for name in ("metrics.parquet", "metrics.json"):
+        (folder / name).unlink()
+    run = mast.open(folder)
+    assert run.running
+    assert 5 < max(run.truth["frame"].to_pylist()) < 55
+    with pytest.raises(RunFolderError, match="the run still goes on, and it is written at its end"):
+        _ = run.metrics
+    assert "running" in repr(run)
+    assert "running" in run._repr_html_()
+    (folder / "run.json").write_text(json.dumps(record))
+    shutil.copy(attacked.path / "metrics.parquet", folder)
+    assert not run.running
+    assert run.metrics.num_rows
+    assert run.plot.over_time("fp").axes
+
+
+def test_a_run_shows_in_a_line_what_it_is(attacked: mast.Run) -> None:
+    assert repr(attacked).startswith("<Run uncoordinated-")
+    assert "ok, 60 frames, seed 3, inproc" in repr(attacked)
+    assert "false objects a frame in the common picture" in attacked.headline
+    assert attacked.headline in attacked._repr_html_()
+    assert attacked.name == "uncoordinated"
+    assert attacked.summary["frames"] == 60
+
+
+def test_a_report_can_be_written_against_another_run(attacked: mast.Run, baseline: mast.Run, tmp_path: Path) -> None:
+    shutil.copytree(attacked.path, tmp_path / "run")
+    page = mast.open(tmp_path / "run").report(frame=40, against=baseline)
+    assert page == (tmp_path / "run" / "report.html").resolve()
+    assert "compared with baseline" in page.read_text()

@@ -1,0 +1,234 @@
+"""Every code block of every page runs, is checked against the code, or is marked as output or illustration.
+
+text, mermaid          output and diagrams
+console                commands of `mast`: parsed by the command line itself
+toml, json             parsed
+python                 run below, by page
+python file=…          files of walk-throughs, which tests of their own run
+python illustration    needs what no test machine has: only compiled
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shlex
+import tomllib
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import typer
+
+from mast_zenoh import scenario
+from mast_zenoh.arrays.states import Detections, ObjectStates
+from mast_zenoh.cli.app import app
+from mast_zenoh.config import registry
+from mast_zenoh.faults import Fault
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.security.authority import Authority
+from mast_zenoh.study import definition
+from mast_zenoh.tracking import SensorView
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+KINDS = ("text", "mermaid", "console", "toml", "json", "python")
+
+
+class Block(NamedTuple):
+    """A fenced block: the page that it is on, its language, what else stands behind the fence, and its content."""
+
+    page: str
+    language: str
+    mark: str
+    content: str
+
+
+def blocks_of(path: Path) -> list[Block]:
+    """All fenced blocks of a page; refuses a fence without a language."""
+    text = path.read_text(encoding="utf-8")
+    found = re.findall(r"^```([^\n]*)\n(.*?)^```$", text, flags=re.S | re.M)
+    assert 2 * len(found) == len(re.findall(r"^ *```", text, flags=re.M)), f"{path.name}: a fence that is not closed"
+    return [Block(path.name, *head.partition(" ")[::2], content) for head, content in found]
+
+
+BLOCKS = [block for path in PAGES for block in blocks_of(path)]
+
+
+def blocks(language: str, mark: str = "") -> list[Block]:
+    return [block for block in BLOCKS if block.language == language and block.mark.startswith(mark)]
+
+
+def test_every_block_says_what_it_is() -> None:
+    for block in BLOCKS:
+        assert block.language in KINDS, f"{block.page}: a block of the language {block.language!r}\n{block.content}"
+
+
+# -- commands ----------------------------------------------------------------------------------------------------------
+
+COMMANDS = [
+    (path.name, line.strip())
+    for path in PAGES
+    for line in re.findall(r"^(?:\$|   ) (mast .*)$", path.read_text(encoding="utf-8"), flags=re.M)
+    if not any(line in block.content for block in blocks("text"))
+]
+
+
+@pytest.mark.parametrize(("page", "command"), COMMANDS)
+def test_a_command_has_options_and_arguments_that_the_command_line_knows(page: str, command: str) -> None:
+    words = shlex.split(command, comments=True)[1:]
+    words = words[: next((k for k, word in enumerate(words) if word in ("||", "&&", "|", ">", "&")), len(words))]
+    group: Any = typer.main.get_command(app)
+    context = group.make_context("mast", [], resilient_parsing=True)
+    while hasattr(group, "commands"):
+        name = words.pop(0)
+        assert name in group.commands, f"mast has no command {name}"
+        group = group.commands[name]
+    group.make_context(command, words, parent=context)  # raises UsageError
+
+
+def test_a_console_block_holds_commands_alone() -> None:
+    for block in blocks("console"):
+        for line in block.content.splitlines():
+            assert line.startswith("$ "), f"{block.page}: {line}"
+
+
+# -- data --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("block", [*blocks("toml"), *blocks("json")], ids=lambda block: block.page)
+def test_data_can_be_read(block: Block) -> None:
+    assert (tomllib.loads if block.language == "toml" else json.loads)(block.content)
+
+
+# -- Python ------------------------------------------------------------------------------------------------------------
+
+
+def executed(block: Block, **names: Any) -> dict[str, Any]:
+    """The names that a block defines; `_` is the value of an expression at its end."""
+    tree = ast.parse(block.content, block.page)
+    if isinstance(last := tree.body[-1], ast.Expr):
+        tree.body[-1] = ast.copy_location(ast.Assign([ast.Name("_", ast.Store())], last.value), last)
+    # As a module of this name, so that a class of the block can be built.
+    space = {"__name__": __name__, **names}
+    exec(compile(ast.fix_missing_locations(tree), block.page, "exec"), space)
+    return space
+
+
+def resolved(part: dict[str, Any]) -> Any:
+    """A scenario with this part, resolved."""
+    path, content = scenario.load("baseline")
+    return scenario.resolve(path, content | part, frames=120)
+
+
+def part_of_a_scenario(block: Block, folder: Path) -> None:
+    resolved(executed(block)["_"])
+
+
+def whole_scenario(block: Block, folder: Path) -> None:
+    (folder / "mine.py").write_text(block.content)
+    path, content = scenario.load(str(folder / "mine.py"))
+    assert scenario.resolve(path, content, frames=120).nodes
+
+
+def random_faults(block: Block, folder: Path) -> None:
+    assert all(registry.build(fault, Fault, "faults") for fault in executed(block)["faults"])
+
+
+def fault_of_ones_own(block: Block, folder: Path) -> None:
+    jam = executed(block)["Jam"](at=1.0, node="ego", strength=0.5)
+    assert [rule["type"] for rule in jam.rules(lockstep=True)] == ["Loss", "Delay"]
+    resolved(dict(faults=[dict(type="Jam", at=1.0, until=2.0, node="ego", strength=0.5)]))
+
+
+def results_of_a_node(block: Block, folder: Path) -> None:
+    node = SimpleNamespace(seen=[1, 2], frames=np.arange(2), counts=np.ones(2))
+    assert executed(block)["finish"](node, None)["frames"] == 2
+
+
+def messages_of_a_run(block: Block, folder: Path) -> None:
+    path, content = scenario.load("baseline", ["n_infrastructure=1"])
+    settled = scenario.resolve(path, content, frames=3, record=True)
+    run = launcher.run(settled, folder / "run", runtime="inproc")
+    printed: list[Any] = []
+    content_ = block.content.replace("messages.mcap", str(run.folder / "messages.mcap"))
+    executed(block._replace(content=content_), print=lambda *words: printed.append(words))
+    assert len(printed) == 6  # two agents, three frames
+
+
+def expired_credentials(block: Block, folder: Path) -> None:
+    now = datetime.now(UTC)
+    begins, ends = now - timedelta(hours=2), now - timedelta(hours=1)
+    credentials = Authority("r").issue("infra_1", begins=begins, ends=ends).write(folder)
+    content = block.content.replace("credentials/infra_1", str(credentials)).replace(
+        "tls/router:7447", "tls/127.0.0.1:9"
+    )
+    sentences = executed(block._replace(content=content))["_"]
+    assert "the certificate has expired at" in sentences[0]
+    assert "the certificate has expired at" in block.content
+
+
+def study_of_ones_own(block: Block, folder: Path) -> None:
+    (folder / "mine.py").write_text(block.content.replace("avstack:PATH", "intersection:1"))
+    study = definition.load(str(folder / "mine.py"), ["n=3"])
+    assert (study.trials, len(study.scenes), len(study.configurations)) == (20, 2, 4)
+
+
+def tracking_by_hand(block: Block, folder: Path) -> None:
+    place = np.array([[20.0, 0.0, 0.8]])
+    size, zero = np.array([[4.5, 1.8, 1.5]]), np.zeros(1)
+    detections = Detections(place, size, zero, zero + 0.9, np.ones(1, np.uint8), np.zeros((1, 3, 3)))
+    view = SensorView(np.zeros(3), np.eye(3), -np.pi, np.pi, -1.0, 1.0, 60.0)
+    all_tracks = ObjectStates.of(place, size=size, covariance=np.eye(9)[None])
+    found = executed(
+        block,
+        time_ns=0,
+        detections=detections,
+        view=view,
+        all_tracks=all_tracks,
+        agent=zero.astype(int),
+        agents=("ego",),
+    )
+    assert found["tracker"].matched.tolist() == [-1] or len(found["tracker"].matched) <= 1
+    assert len(found["picture"]) == len(found["support"])
+
+
+#: By page what runs its Python blocks, in their order; None: a test of that page does.
+RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
+    "faults.md": [part_of_a_scenario, random_faults, fault_of_ones_own],
+    "links.md": [part_of_a_scenario, None],  # test_links_page.py
+    "metrics.md": [None],  # test_measurement_pages.py
+    "network.md": [whole_scenario],
+    "python.md": [None] * 11,  # test_python_page.py
+    "recording.md": [messages_of_a_run],
+    "scenarios.md": [whole_scenario, results_of_a_node],
+    "security.md": [expired_credentials],
+    "studies.md": [study_of_ones_own],
+    "tracking.md": [tracking_by_hand],
+}
+
+
+def test_every_python_block_is_run_by_a_test() -> None:
+    for path in PAGES:
+        plain = [block for block in blocks("python") if block.page == path.name and not block.mark]
+        assert len(plain) == len(RUN.get(path.name, [])), f"{path.name}: say in RUN how its Python blocks are run"
+    for block in blocks("python", "file="):
+        assert block.page in ("tutorial.md", "interception.md"), f"{block.page}: nothing runs this file"
+
+
+@pytest.mark.parametrize("page", RUN)
+def test_the_python_blocks_of_a_page_run(page: str, tmp_path: Path) -> None:
+    plain = [block for block in blocks("python") if block.page == page and not block.mark]
+    for block, run in zip(plain, RUN[page], strict=True):
+        if run is not None:
+            run(block, tmp_path)
+
+
+@pytest.mark.parametrize("block", blocks("python", "illustration"), ids=lambda block: block.page)
+def test_an_illustration_can_be_compiled(block: Block) -> None:
+    compile(block.content, block.page, "exec")
