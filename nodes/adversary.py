@@ -1,8 +1,8 @@
-"""An adversary on a wire: takes what a publisher sent, and passes on what it wants its subscribers to believe.
+"""An adversary on a wire: receives a publisher's messages and forwards manipulated ones to the subscribers.
 
 It sits on `detections` (between an agent's sensors and its perception), on `tracks` (between the agent and the
-command centre) or on `picture` (between the command centre and the agent); the key-expression map decides. Neither end
-can tell: keys, headers and the rows that it leaves alone are passed on as they came.
+command centre) or on `picture` (between the command centre and the agent), as the key-expression map says. Neither end
+can tell: keys, headers and untouched rows are forwarded unchanged.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
 from mast_zenoh.tracking.view import SensorView
 
-POSES_KEPT = 16  #: frames for which a message may be late on its wire and still be attacked
+POSES_KEPT = 16  #: frames by which a message may be late and still be attacked
 
 
 class Adversary(Node):
-    """attack: what it does; agent: the compromised agent, on whose wire it sits;
+    """Manipulates the messages of one wire.
 
-    surroundings: what the attacker knows of the scene in advance
+    attack: the manipulation; agent: the compromised agent, whose wire it is on
+    surroundings: the attacker's prior knowledge of the scene
     """
 
     role = "adversary"
@@ -55,7 +56,7 @@ class Adversary(Node):
         self.agent = agent
         self.surroundings = surroundings
         self.poses: dict[int, Body] = {}
-        self.seen: tuple[bytes, SensorView] | None = None  # newest pose, and the view from it
+        self.last_view: tuple[bytes, SensorView] | None = None  # latest pose, and the view from it
         self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque(), "picture": deque()}
         self.directives: LatestBefore[Targets] = LatestBefore()
 
@@ -65,20 +66,20 @@ class Adversary(Node):
         self.attack.bind(context.seed, context.name)
 
     def finish(self, context: Context) -> dict[str, int]:
-        """How many targets were chosen; what was wanted and not found is logged."""
+        """The number of chosen targets; logs a warning if fewer were found than wanted."""
         counts = self.attack.counts()
         if missing := shortfall(counts):
             context.log.warning("%s", missing)
         return counts
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """A message whose pose has not come by now is passed on as it is: holding it back would be a trace."""
+        """Forward messages whose pose has not arrived unchanged: delaying them further could be noticed."""
         for queue in self.waiting.values():
             while queue:
-                self.pass_on(queue.popleft(), context)
+                self.forward(queue.popleft(), context)
 
     def on_pose(self, received: Received, context: Context) -> None:
-        """Where the victim is: what waited for it can be attacked."""
+        """Store the victim's pose, and attack the messages that waited for it."""
         self.poses.setdefault(received.frame, received.body)
         if len(self.poses) > POSES_KEPT:
             del self.poses[min(self.poses)]
@@ -98,11 +99,11 @@ class Adversary(Node):
         self.on_message(received, context)
 
     def on_directive(self, received: Received, context: Context) -> None:
-        """The coordinator's plan: followed from the frame after the one in which it comes."""
+        """Store the coordinator's plan, which takes effect from the frame after its arrival."""
         self.directives.add(context.frame, targets_of(received))
 
     def on_message(self, received: Received, context: Context) -> None:
-        """A message on the wire: attacked as soon as the victim's pose is known, in the order of the wire."""
+        """Queue a message, to attack it in order as soon as the victim's pose is known."""
         schema = received.message.header.schema
         if isinstance(self.attack, PassThrough):
             context.relay(f"{schema}_out", received)
@@ -111,12 +112,12 @@ class Adversary(Node):
             self.proceed(self.waiting[schema], context)
 
     def proceed(self, queue: deque[Received], context: Context) -> None:
-        """Attack the first messages of a queue, up to one whose pose is not there yet."""
+        """Attack the first messages of a queue, up to one whose pose has not arrived."""
         while queue and queue[0].frame in self.poses:
-            self.pass_on(queue.popleft(), context)
+            self.forward(queue.popleft(), context)
 
-    def pass_on(self, message: Received, context: Context) -> None:
-        """Attack a message if the pose of its frame is known."""
+    def forward(self, message: Received, context: Context) -> None:
+        """Forward a message, attacked if the pose of its frame is known."""
         schema = message.message.header.schema
         pose = self.poses.get(message.frame)
         if pose is None:
@@ -127,7 +128,7 @@ class Adversary(Node):
             self.attack_states(schema, message, pose, context)
 
     def attack_detections(self, received: Received, pose: Body, context: Context) -> None:
-        """Tamper in the world frame; rows left alone keep their bytes."""
+        """Tamper with detections in the world frame; untouched rows keep their bytes."""
         body = received.body
         sensor = sensor_pose(
             pose["position"],
@@ -135,16 +136,16 @@ class Adversary(Node):
             body["mount_position"],
             rotation_from_quaternion(body["mount_rotation"]),
         )
-        seen = to_world(Detections.from_columns(body), *sensor)
-        covariance = np.zeros((len(seen), 9, 9))
-        covariance[:, :3, :3] = seen.covariance
+        last_view = to_world(Detections.from_columns(body), *sensor)
+        covariance = np.zeros((len(last_view), 9, 9))
+        covariance[:, :3, :3] = last_view.covariance
         objects = ObjectStates.of(
-            seen.position,
-            id=np.full(len(seen), -1),  # detections have no identity
-            size=seen.size,
-            yaw=seen.yaw,
-            score=seen.score,
-            class_id=seen.class_id,
+            last_view.position,
+            id=np.full(len(last_view), -1),  # detections have no identity
+            size=last_view.size,
+            yaw=last_view.yaw,
+            score=last_view.score,
+            class_id=last_view.class_id,
             covariance=covariance,
         )
         self.attack.look(self.view(pose), fused=False)
@@ -172,7 +173,7 @@ class Adversary(Node):
         context.relay("detections_out", received, columns | mount)
 
     def attack_states(self, schema: str, received: Received, pose: Body, context: Context) -> None:
-        """Tell the coordinator what there is, then tamper with tracks or with a picture."""
+        """Send the coordinator an observation, then tamper with tracks or with a picture."""
         body = received.body
         states, view = ObjectStates.from_columns(body), self.view(pose)
         in_world = "origin" not in body
@@ -201,22 +202,22 @@ class Adversary(Node):
             context.relay(f"{schema}_out", received, forged.applied_to(states).columns() | reference)
 
     def view(self, pose: Body) -> SensorView:
-        """What the victim's sensor covers; remembered, because most agents stand still."""
+        """The view of the victim's sensor; cached, because most agents are static."""
         key = pose["position"].tobytes() + pose["rotation"].tobytes()
-        if self.seen is None or self.seen[0] != key:
+        if self.last_view is None or self.last_view[0] != key:
             rotation = rotation_from_quaternion(pose["rotation"])
-            self.seen = (key, self.surroundings.view(self.agent, pose["position"], rotation))
-        return self.seen[1]
+            self.last_view = (key, self.surroundings.view(self.agent, pose["position"], rotation))
+        return self.last_view[1]
 
     def support(self, support: np.ndarray, tampering: Tampering) -> np.ndarray:
-        """By how many agents each object of a forged picture is said to be seen: false ones by as many as usual."""
+        """The support of each object in a forged picture: false objects get the median."""
         usual = int(np.median(support)) if len(support) else 1
         return np.concatenate([support[tampering.keep], np.full(len(tampering.added), usual, np.int64)])
 
     def tamper(self, received: Received, objects: ObjectStates, pose: Body, context: Context) -> Tampering:
-        """What the attack does to one message, and a report of it."""
-        newest = self.directives.get(context.frame)
-        directive = newest[1] if newest else None
+        """Apply the attack to one message, and publish a report of it."""
+        latest = self.directives.get(context.frame)
+        directive = latest[1] if latest else None
         tampering = self.attack.step(received.frame, received.time_ns, objects, pose["position"], directive)
         if len(tampering.report):
             context.publish("report", tampering.report.columns(), frame=received.frame, time_ns=received.time_ns)

@@ -1,8 +1,8 @@
-"""An agent: tracks what its own sensors detect, and sees more through the picture.
+"""An agent: tracks its own sensor's detections, and sees more through the picture.
 
-Two estimators. The safety-critical one (`tracks`) is made of the agent's own detections and pose alone; no message
-from outside reaches it. The mission-critical one (`mission`) also takes the newest picture of an earlier frame: this
-frame's may come before or after it, and nothing may depend on which.
+It has two estimators. The safety-critical one (`tracks`) uses only the agent's own detections and pose; no message
+from outside reaches it. The mission-critical one (`mission`) also uses the latest picture that arrived in an earlier
+frame: this frame's may arrive before or after it, and the result must not depend on that.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from mast_zenoh.pipelines import AgentPipeline, Pose
 from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.sensing import LidarSensor
 
-#: The frame of reference of what is in the world frame.
+#: Frame of reference of states in the world frame.
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
 for _part in WORLD.values():
     _part.setflags(write=False)
 
 
 class Agent(Node):
-    """pipeline: its stages; lidar: its sensor; mobile: whether it moves; status_every: frames between two statuses;
+    """Tracks objects from its own sensor, and estimates the mission picture.
 
-    picture_age_s: an older picture is not used any more.
+    pipeline: its stages; lidar: its sensor; mobile: whether it moves; status_every: frames between two statuses
+    picture_age_s: the greatest age of a picture that is used
     """
 
     role = "agent"
@@ -52,40 +53,40 @@ class Agent(Node):
         self.picture_age_ns = round(picture_age_s * 1e9)
         self.sensed: Gather[str, Received] = Gather({"clock", "pose", "detections"})
         self.pictures: LatestBefore[tuple[int, ObjectStates]] = LatestBefore()
-        self.last: tuple[Pose, Pose] | None = None  # newest pose and mount
-        self.newest_ns = 0  # to which the tracker has been stepped
+        self.last: tuple[Pose, Pose] | None = None  # latest pose and mount
+        self.newest_ns = 0  # time of the tracker's last step
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """Frames whose pose or detections never came are tracked with what there is."""
+        """Process frames whose pose or detections are missing with whatever has arrived."""
         for frame, items in self.sensed.expired(received.frame):
             self.perceive(frame, items, context)
         self.sense("clock", received, context)
 
     def on_pose(self, received: Received, context: Context) -> None:
-        """Where the agent is."""
+        """The agent's pose."""
         self.sense("pose", received, context)
 
     def on_detections(self, received: Received, context: Context) -> None:
-        """What its sensor detects."""
+        """The detections of its sensor."""
         self.sense("detections", received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """The common picture: kept for the frames after the one in which it comes, which may be later than its own."""
+        """Store the common picture for the frames after its arrival, which may be later than its own frame."""
         picture = (received.time_ns, ObjectStates.from_columns(received.body))
         self.pictures.add(context.frame, picture, received.frame)
 
     def sense(self, port: str, received: Received, context: Context) -> None:
-        """A frame is perceived when its clock, its pose and its detections are there."""
+        """Process a frame once its clock, its pose and its detections have arrived."""
         items = self.sensed.add(received.frame, port, received)
         if items is not None:
             self.perceive(received.frame, items, context)
 
     def perceive(self, frame: int, items: dict[str, Received], context: Context) -> None:
-        """Both estimates of one frame; always one message each, even if empty."""
+        """Publish both estimates of one frame; always one message each, even if empty."""
         time_ns = items.get("clock", next(iter(items.values()))).time_ns
         if time_ns < self.newest_ns:
-            before = f"{self.newest_ns}, that of the frame before"
-            context.reject(f"old: frame {frame}: time_ns is {time_ns}, expected at least {before}")
+            least = f"{self.newest_ns}, that of the frame before"
+            context.reject(f"old: frame {frame}: time_ns is {time_ns}, expected at least {least}")
             return
         detections = Detections.empty()
         if "detections" in items:
@@ -99,7 +100,7 @@ class Agent(Node):
         elif self.last:
             pose = self.last[0]
         if self.last is None and not {"pose", "detections"} <= items.keys():
-            return  # never heard where it is or what its sensor is like
+            return  # its pose or its sensor's mount has never arrived
         self.last = (pose, mount)
         self.newest_ns = time_ns
         tracks, origin, rotation = self.pipeline.track(time_ns, detections, pose, mount, self.lidar)
@@ -114,12 +115,12 @@ class Agent(Node):
             context.publish("status", {k: np.array(v) for k, v in status.items()}, frame=frame, time_ns=time_ns)
 
     def picture_at(self, frame: int, time_ns: int) -> ObjectStates:
-        """The newest picture that came in an earlier frame, moved to `time_ns`; empty if it is not fresh enough."""
-        newest = self.pictures.get(frame)
-        if newest is None:
+        """The latest picture that arrived in an earlier frame, propagated to `time_ns`; empty if it is too old."""
+        latest = self.pictures.get(frame)
+        if latest is None:
             return ObjectStates.empty()
-        then, states = newest[1]
-        age_ns = time_ns - then
+        picture_ns, states = latest[1]
+        age_ns = time_ns - picture_ns
         return propagate(states, age_ns * 1e-9) if 0 <= age_ns <= self.picture_age_ns else ObjectStates.empty()
 
 

@@ -1,8 +1,8 @@
-"""The broker: the command centre's ear. Brings the tracks of all agents to one time and one frame of reference.
+"""The broker: collates the tracks of all agents at one time and in one frame of reference.
 
-It learns of agents by their presence on the mesh and their first status, and forgets those that go. A batch is
-emitted when everyone has spoken, or when the next frame's clock says that it is too late to wait: a dead or silent
-agent stalls nobody. What an agent said last stays in the batch, moved along, until it is too old.
+It discovers agents by their presence on the mesh and their first status, and forgets those that leave. A batch is
+emitted when all agents have sent their tracks, or when the clock of the next frame arrives: a dead or silent agent
+does not stall it. An agent's last tracks stay in later batches, propagated, until they are too old.
 """
 
 from __future__ import annotations
@@ -16,18 +16,19 @@ from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.main import main
 
-#: In SI units; a track beyond it is of no world, and brought to another time would make the whole batch unsound.
-MOST = 1e8
+#: In SI units; a track beyond it is not physical: rejected, as propagating it could make the whole batch invalid.
+MAX_MAGNITUDE = 1e8
 
 
 class Broker(Node):
-    """latency_s: emit what is at least this much older than now; patience: clocks that a missing message is waited
+    """Collates the agents' tracks, one batch a frame.
 
-    for beyond its own frame's; capacity: messages kept per agent; max_age_s: an agent's last word counts so long.
+    latency_s: age at which frames are emitted; patience: further clocks to wait for a missing message, beyond that of
+    its own frame; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
 
-    Which frame a word belongs to is what its header says, and so is its time: an agent whose clock is wrong completes
-    its batches all the same, and its tracks are brought from the time that it says, forward or back, to the batch's.
-    A time that is off by more than `max_age_s`, either way, counts as too old.
+    The header gives the frame of a message and its time: an agent whose clock is wrong still completes its batches,
+    and its tracks are propagated from the time in the header, forward or back, to that of the batch. A time that is
+    off by more than `max_age_s`, either way, counts as too old.
     """
 
     role = "broker"
@@ -58,41 +59,43 @@ class Broker(Node):
         self.absurd = 0
 
     def joined(self, node: str, role: str, context: Context) -> None:
-        """An agent has come up: from now on it is waited for."""
+        """Wait for an agent from now on."""
         if role == "agent":
             self.agents.add(node)
             self.gone.discard(node)
 
     def left(self, node: str, role: str, context: Context) -> None:
-        """An agent has gone: it is waited for no longer. This may complete a batch."""
+        """Stop waiting for an agent that has left, which may complete a batch."""
         self.agents.discard(node)
         self.gone.add(node)
         self.emit_complete(context)
 
     def on_status(self, received: Received, context: Context) -> None:
-        """An agent presents itself: from the next frame on it takes part and is waited for, announced or not."""
+        """Add the agent from the next frame on, whether or not its presence was announced."""
         self.newcomers.add(received.subject)
 
     def on_tracks(self, received: Received, context: Context) -> None:
-        """An agent's tracks: into the buffer, in the world frame."""
+        """Store an agent's tracks in the buffer, in the world frame."""
         if received.subject not in self.agents:
-            # It is not waited for in this frame: whether its tracks come before the batch goes out would be chance.
+            # Not expected in this frame: whether its tracks arrive before the batch is emitted would be random.
             self.newcomers.add(received.subject)
             return
         body = received.body
         states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
-        real = real_rows(states)
-        if len(real) < len(states):
-            self.absurd += len(states) - len(real)
-            states = states.select(real)
+        plausible = plausible_rows(states)
+        if len(plausible) < len(states):
+            self.absurd += len(states) - len(plausible)
+            states = states.select(plausible)
         self.buffer.push(received.subject, received.frame, (received.time_ns, states))
         self.emit_complete(context)
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """A new frame: older ones that have waited long enough are emitted as they are."""
+        """Open a new frame, and emit incomplete older ones that have waited long enough."""
         overdue = received.time_ns - self.latency_ns
-        waited = sorted(f for f, t in self.open_frames.items() if f < received.frame - self.patience and t < overdue)
-        for frame in waited:
+        overdue_frames = sorted(
+            f for f, t in self.open_frames.items() if f < received.frame - self.patience and t < overdue
+        )
+        for frame in overdue_frames:
             self.emit(frame, "overdue", context)
         self.agents |= self.newcomers - self.gone
         self.newcomers.clear()
@@ -100,7 +103,7 @@ class Broker(Node):
         self.emit_complete(context)
 
     def emit_complete(self, context: Context) -> None:
-        """Emit, oldest first, what is old enough and has everyone's word."""
+        """Emit the frames that are old enough and have the tracks of all agents, oldest first."""
         for frame in sorted(self.open_frames):
             time_ns = self.open_frames[frame]
             if time_ns > context.time_ns - self.latency_ns or not self.buffer.complete(frame, self.agents):
@@ -108,7 +111,7 @@ class Broker(Node):
             self.emit(frame, "complete", context)
 
     def emit(self, frame: int, how: str, context: Context) -> None:
-        """Publish the batch of a frame: every agent's newest tracks up to then, brought to its time."""
+        """Publish the batch of a frame: every agent's latest tracks until then, propagated to its time."""
         time_ns = self.open_frames.pop(frame)
         self.last |= self.buffer.pop(frame)
         self.last = {a: (t, s) for a, (t, s) in self.last.items() if abs(time_ns - t) <= self.max_age_ns}
@@ -128,18 +131,18 @@ class Broker(Node):
         )
 
     def finish(self, context: Context) -> dict[str, object]:
-        """How many batches were complete, what came too late, and what was left out."""
-        left_out = {"overflowed": self.buffer.dropped, "absurd": self.absurd}
-        return {"collation": {**self.batches, "late": self.buffer.late, **left_out}}
+        """Numbers of complete and overdue batches, of late messages, and of rejected ones."""
+        rejected = {"overflowed": self.buffer.dropped, "absurd": self.absurd}
+        return {"collation": {**self.batches, "late": self.buffer.late, **rejected}}
 
 
-def real_rows(states: ObjectStates) -> np.ndarray:
-    """(k,) rows of the objects of which nothing is beyond MOST."""
+def plausible_rows(states: ObjectStates) -> np.ndarray:
+    """(k,) rows of the objects without a value beyond MAX_MAGNITUDE."""
     columns = (states.position, states.velocity, states.size, states.covariance)
-    if sum([np.vdot(column, column) for column in columns]) <= MOST**2:
-        return np.arange(len(states))  # mostly: none is beyond what all are together
+    if sum([np.vdot(column, column) for column in columns]) <= MAX_MAGNITUDE**2:
+        return np.arange(len(states))  # the usual case: no value exceeds the norm of all
     flat = np.concatenate([column.reshape(len(states), -1) for column in columns], axis=1)
-    return (np.abs(flat).max(axis=1) <= MOST).nonzero()[0]
+    return (np.abs(flat).max(axis=1) <= MAX_MAGNITUDE).nonzero()[0]
 
 
 if __name__ == "__main__":

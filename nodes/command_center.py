@@ -11,7 +11,10 @@ from mast_zenoh.runtime.mesh.main import main
 
 
 class CommandCenter(Node):
-    """pipeline: from the agents' tracks to the picture; `CommandCenterPipeline` is that of the paper's listing."""
+    """Turns each batch into a picture.
+
+    pipeline: from the agents' tracks to the picture; `CommandCenterPipeline` is that of the paper's listing
+    """
 
     role = "command_center"
     inputs = {"clock": "clock", "collated": "collated"}
@@ -19,24 +22,24 @@ class CommandCenter(Node):
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
-        self.taken: deque[int] = deque(maxlen=64)  # frames of the newest batches
-        self.newest_ns = 0  # to which the pipeline has been stepped
+        self.processed: deque[int] = deque(maxlen=64)  # frames of the latest batches
+        self.newest_ns = 0  # time of the pipeline's last step
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """Nothing to do: the broker judges the deadlines."""
+        """Do nothing: the broker applies the deadlines."""
 
     def on_collated(self, received: Received, context: Context) -> None:
-        """One batch in, one picture out, about the same frame; a second batch of a frame is a duplicate.
+        """Publish one picture for each batch, about the same frame; a second batch of a frame is ignored.
 
-        A pipeline never goes back in time: a batch that is older than the one before is rejected.
+        A pipeline never goes back in time: a batch that is older than the previous one is rejected.
         """
-        if received.frame in self.taken:
+        if received.frame in self.processed:
             return
         if received.time_ns < self.newest_ns:
-            before = f"{self.newest_ns}, that of the batch before"
-            context.reject(f"old: collated: time_ns is {received.time_ns}, expected at least {before}")
+            least = f"{self.newest_ns}, that of the batch before"
+            context.reject(f"old: collated: time_ns is {received.time_ns}, expected at least {least}")
             return
-        self.taken.append(received.frame)
+        self.processed.append(received.frame)
         self.newest_ns = received.time_ns
         body = received.body
         picture, support = self.pipeline.step(

@@ -1,4 +1,4 @@
-"""The coordinator of the adversaries: sees what they all see, and gives them one plan."""
+"""The coordinator of the adversaries: combines their observations, and sends them one plan."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from mast_zenoh.tracking.view import SensorView
 
 
 class Coordinator(Node):
-    """coordination: how targets are chosen and moved; adversaries: the names of those it directs;
+    """Directs several adversaries by a common plan.
 
-    surroundings: what the attackers know of the scene in advance
+    coordination: how targets are chosen and moved; adversaries: names of the adversaries that it directs
+    surroundings: the attackers' prior knowledge of the scene
     """
 
     role = "coordinator"
@@ -39,45 +40,45 @@ class Coordinator(Node):
         self.coordination.bind(context.seed, context.name)
 
     def finish(self, context: Context) -> dict[str, int]:
-        """How many targets were chosen; what was wanted and not found is logged."""
+        """The number of chosen targets; logs a warning if fewer were found than wanted."""
         counts = self.coordination.counts()
         if missing := shortfall(counts):
             context.log.warning("%s", missing)
         return counts
 
     def left(self, node: str, role: str, context: Context) -> None:
-        """An adversary that has gone is waited for no longer."""
+        """Stop waiting for an adversary that has left."""
         self.observed.expected.discard(node)
 
     def joined(self, node: str, role: str, context: Context) -> None:
-        """One of its adversaries that has come (back) is directed from now on."""
+        """Direct one of its adversaries from now on, when it joins or rejoins."""
         if node in self.adversaries:
             self.observed.expected.add(node)
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """Frames of which not all has come: go on with what there is."""
+        """Make a plan for incomplete frames with whatever has arrived."""
         for frame, items in self.observed.expired(received.frame):
             self.direct(frame, items, context)
 
     def on_observations(self, received: Received, context: Context) -> None:
-        """What one adversary sees."""
+        """Store the observation of one adversary."""
         if received.subject not in self.observed.expected:
-            return  # one of somebody else's
+            return  # of an adversary that it does not direct
         items = self.observed.add(received.frame, received.subject, received)
         if items is not None:
             self.direct(received.frame, items, context)
 
     def direct(self, frame: int, items: dict[str, Received], context: Context) -> None:
-        """One plan for all adversaries that have reported; they follow it from the next frame on."""
+        """Send one plan to all adversaries that have reported; they follow it from the next frame on."""
         names = sorted(items)
-        seen = [ObjectStates.from_columns(items[name].body) for name in names]
+        states_seen = [ObjectStates.from_columns(items[name].body) for name in names]
         time_ns = items[names[0]].time_ns
         self.coordination.look(tuple(view_of(items[name].body) for name in names))
         plans = self.coordination.step(
             frame,
             time_ns,
-            concatenate(seen),
-            np.repeat(np.arange(len(seen)), [len(states) for states in seen]),
+            concatenate(states_seen),
+            np.repeat(np.arange(len(states_seen)), [len(states) for states in states_seen]),
             np.array([items[name].body["agent_position"] for name in names]),
         )
         for name, targets in zip(names, plans, strict=True):

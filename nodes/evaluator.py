@@ -1,8 +1,8 @@
-"""The evaluator: hears every message of the run, the truth included, and scores it when the run is over.
+"""The evaluator: receives every message of the run, including the truth, and scores it when the run is over.
 
-Nothing listens to it, so it can change nothing. It takes nobody's word for what happened: estimates are scored as they
-were sent and as they were received, and what adversaries and links did is measured by comparing what they sent with
-what they received. What it returns becomes metrics.json and the tables of the run folder.
+It publishes nothing, so it cannot influence the run. It measures instead of trusting reports: estimates are scored as
+sent and as received, and the effects of adversaries and links are the differences between their inputs and outputs.
+Its results become metrics.json and the tables of the run folder.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.mesh.main import main
 from mast_zenoh.wiring.model import ANY, Wiring
 
-#: Numbers of messages of a wire that are remembered, so that one that is only passed on is recognised.
+#: How many recent messages of a wire are kept, to recognise one that is forwarded unchanged.
 REMEMBERED = 32
 
 
 class Route(NamedTuple):
-    """What the messages of a key are to the evaluator.
+    """How the evaluator uses the messages of a key.
 
-    take:   name of the method that takes them
-    series: the estimates that they are
-    wire:   key of their wire, if its messages are heard on several keys
+    take:   name of the method that handles them
+    series: the estimates that they contain
+    wire:   key of their wire, if its messages arrive on several keys
     """
 
     take: str
@@ -79,28 +79,28 @@ class Evaluator(Node):
         self.routes: dict[str, Route] = {}
         self.takes: dict[str, Callable[[Overheard, Route], None]] = {}
         self.metered: set[str] = set()
-        #: By wire and number the messages that have been kept lately.
+        #: The recently kept messages, by wire and (frame, sequence number).
         self.recent: dict[str, dict[tuple[int, int], list[tuple[Overheard, Snapshot]]]] = defaultdict(dict)
 
     def start(self, context: Context) -> None:
-        """The keys of the run are known before its first message."""
+        """Set up the routes of all keys before the first message."""
         self.follow(context, 0)
 
     def rewired(self, context: Context) -> None:
-        """A node has been put on a wire, or taken off one: from the next frame on messages take other ways."""
+        """Follow a changed wiring from the next frame on, after a node was inserted or released."""
         self.follow(context, context.frame + 1)
 
     def joined(self, node: str, role: str, context: Context) -> None:
-        """A node is there from the next frame on."""
+        """Note that a node is present from the next frame on."""
         self.heard.roles[node] = role
         self.heard.presence.note(node, role, context.frame + 1, True)
 
     def left(self, node: str, role: str, context: Context) -> None:
-        """A node is not there any more."""
+        """Note that a node has left."""
         self.heard.presence.note(node, role, context.frame + 1, False)
 
     def follow(self, context: Context, first_frame: int) -> None:
-        """From a frame on, messages go the ways of the wiring as it is now."""
+        """Use the current wiring from a frame on."""
         wiring = context.wiring
         self.heard.meter.follow(wiring, first_frame)
         self.routes = routes(wiring, self.agents)
@@ -111,7 +111,7 @@ class Evaluator(Node):
         context.ignore(set(wiring.keys()) - self.routes.keys() - self.metered)
 
     def on_everything(self, message: Overheard, context: Context) -> None:
-        """A message on any key. One that its subscribers refuse is no estimate; to the meter it is an effect."""
+        """Handle a message on any key. One that subscribers refuse is no estimate, but the meter counts its effect."""
         key = message.key
         if key in self.metered:
             self.heard.meter.add(message)
@@ -121,7 +121,7 @@ class Evaluator(Node):
             self.takes[key](message, route)
 
     def take_clock(self, message: Overheard, route: Route) -> None:
-        """A frame begins."""
+        """Store the time of a frame."""
         message.check()
         self.heard.times_ns[message.header.frame] = message.header.time_ns
 
@@ -136,32 +136,32 @@ class Evaluator(Node):
         )
 
     def take_pose(self, message: Overheard, route: Route) -> None:
-        """Where an agent is: what its sensor detects is given relative to that."""
+        """Store an agent's pose, to which its detections are relative."""
         pose = Pose(message.body["position"].copy(), message.body["rotation"].copy())
         self.heard.poses[message.wire.subject, message.header.frame] = pose
 
     def take_tracks(self, message: Overheard, route: Route) -> None:
-        """An agent's own tracks, where it sends them, where the broker receives them, or both."""
+        """Store an agent's own tracks, as sent, as the broker received them, or both."""
         header = message.header
         if route.series[0].estimator == LOCAL and message.step >= 0:
             self.heard.tracks_sent.setdefault((message.wire.subject, header.frame), message.step)
         self.keep(message, route)
 
     def take_picture(self, message: Overheard, route: Route) -> None:
-        """The common picture, where it is sent, where an agent receives it, or both."""
+        """Store the common picture, as sent, as an agent received it, or both."""
         if route.series[0].estimator == PICTURE:
             self.heard.picture_sent.setdefault(message.header.frame, message.step)
         self.keep(message, route)
 
     def keep(self, message: Overheard, route: Route) -> None:
-        """Keep an estimate. A message that is passed on as it was is kept only once, so that it is scored only once."""
+        """Store an estimate. A message that is forwarded unchanged is stored and scored only once."""
         objects, header = None, message.header
         if route.wire:
             recent = self.recent[route.wire]
-            alike = recent.setdefault((header.frame, header.seq), [])
+            candidates = recent.setdefault((header.frame, header.seq), [])
             if len(recent) > REMEMBERED:
                 del recent[next(iter(recent))]
-            for other, kept in alike:
+            for other, kept in candidates:
                 if other.same_bytes(message):
                     objects = kept
                     break
@@ -172,16 +172,16 @@ class Evaluator(Node):
                 states = states_to_world(states, body["origin"], body["rotation"])
             objects = Snapshot.of(states, views=message.encoded)
             if route.wire:
-                alike.append((message, objects))
+                candidates.append((message, objects))
         self.heard.record.add(header.frame, route.series, objects, message.step, header.time_ns)
 
     def take_attack_report(self, message: Overheard, route: Route) -> None:
-        """What an adversary says it changed."""
+        """Store an adversary's report of its changes."""
         header = message.header
         self.heard.attack_reports.append((header.source, header.frame, header.seq, message.body))
 
     def take_link_report(self, message: Overheard, route: Route) -> None:
-        """What a link says it did to messages in the step before."""
+        """Store a link's report of what it did to messages in the previous step."""
         header = message.header
         self.heard.link_reports.append((header.source, header.frame, header.seq, message.body))
 
@@ -194,9 +194,9 @@ class Evaluator(Node):
 
 
 def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
-    """What the messages of each key of a wiring are to the evaluator; keys that it needs no message of are left out.
+    """The route of each key of a wiring; keys that the evaluator does not need are left out.
 
-    Wires are known by the port of the node that publishes them, whatever a map calls their keys.
+    Wires are identified by the port of their publisher, not by the keys that a map gives them.
     """
     series: dict[str, list[Series]] = defaultdict(list)
     takes: dict[str, str] = {}

@@ -1,8 +1,8 @@
-"""A link: an agent's connection to the network, with all that is wrong with it.
+"""A link: an agent's imperfect connection to the network.
 
-It stands before the broker on what its agent says (tracks, status), and before its agent on what that hears (the
-picture): the key-expression map decides (keyexpr_maps/network.toml). Rules act on every message in their order: they
-let it pass, later, not at all, several times, or changed.
+It is inserted before the broker on the wires that its agent publishes (tracks, status), and before its agent on those
+that it receives (the picture), as the key-expression map says (keyexpr_maps/network.toml). Rules act on every message
+in their order: they forward it, delay it, drop it, duplicate it or change it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ class Event(NamedTuple):
 
 
 class Link(Node):
-    """agent: whose link it is; rules_up, rules_down: what acts on what the agent says, and on what it hears.
+    """Applies the rules of an agent's link.
+
+    agent: the agent of the link; rules_up, rules_down: rules for messages from the agent, and to the agent
 
     A wire's messages pass through the port of their type, `tracks` to `tracks_out`. A subclass can have more ports:
     handlers that call `carry`.
@@ -45,7 +47,7 @@ class Link(Node):
     outputs = {**{f"{wire}_out": wire for wire in WIRES}, "report": "link_report"}
     unopened = WIRES
     prompt = True
-    down = ("picture",)  #: ports of what the agent hears; through all others goes what it says
+    down = ("picture",)  #: ports of messages to the agent; all others are for messages from the agent
 
     def __init__(self, agent: str = "", rules_up: tuple[Rule, ...] = (), rules_down: tuple[Rule, ...] = ()) -> None:
         self.agent = agent
@@ -53,45 +55,45 @@ class Link(Node):
         self.chains: dict[tuple[str, str], Chain] = {}
         self.places: LatestBefore[Floats] = LatestBefore()
         self.events: list[Event] = []
-        self.clocks: tuple[tuple[int, int], tuple[int, int]] = ((-1, 0), (-1, 0))  # frame and time of the newest two
+        self.clocks: tuple[tuple[int, int], tuple[int, int]] = ((-1, 0), (-1, 0))  # frame and time of the latest two
         self.carried: Counter[str] = Counter()
         self.fates: dict[str, Counter[str]] = {}
 
     def restamps_s(self, duration_s: float) -> float:
-        """See `Node.restamps_s`."""
+        """The largest shift of message times by the rules of one direction, s."""
         return max(sum(rule.restamps_s(duration_s) for rule in rules) for rules in self.rules.values())
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """The step before is over: what was done in it is reported."""
+        """Report what was done in the previous step."""
         self.clocks = (self.clocks[1], (received.frame, received.time_ns))
         self.report(context)
 
     def on_pose(self, received: Received, context: Context) -> None:
-        """Where the agent is: it counts from the frame after the one in which it comes."""
+        """Store the agent's position, which takes effect from the frame after its arrival."""
         self.places.add(context.frame, received.body["position"])
 
     def on_tracks(self, received: Received, context: Context) -> None:
-        """What the agent sees."""
+        """The agent's tracks."""
         self.carry("tracks", received, context)
 
     def on_status(self, received: Received, context: Context) -> None:
-        """What the agent says of itself."""
+        """The agent's status."""
         self.carry("status", received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """What the command centre tells the agent."""
+        """The picture, on its way to the agent."""
         self.carry("picture", received, context)
 
     def on_detections(self, received: Received, context: Context) -> None:
-        """What the agent's sensor detects, where a map puts the link there."""
+        """The agent's detections, if a map inserts the link there."""
         self.carry("detections", received, context)
 
     def on_collated(self, received: Received, context: Context) -> None:
-        """What the broker collates, where a map puts the link there."""
+        """The broker's collations, if a map inserts the link there."""
         self.carry("collated", received, context)
 
     def carry(self, port: str, received: Received, context: Context) -> None:
-        """Let a message pass as the rules of its wire have it."""
+        """Apply the rules of its wire to a message."""
         self.carried[port] += 1
         chain = self.chains.get((port, received.subject)) or self.chain(port, received.subject, context)
         if not chain.rules:
@@ -113,14 +115,14 @@ class Link(Node):
             self.note(port, received, outcome)
 
     def chain(self, port: str, subject: str, context: Context) -> Chain:
-        """The rules of one wire, which has draws and a memory of its own."""
+        """The rules of one wire, which has its own random draws and memory."""
         rules = self.rules["down" if port in self.down else "up"]
         chain = Chain(rules, lambda *purpose: context.rng("link", port, subject, *purpose))
         self.chains[port, subject] = chain
         return chain
 
     def send(self, port: str, received: Received, passage: Passage, after_s: float, context: Context) -> None:
-        """Let one copy of a message go, with what the rules have changed in it."""
+        """Forward one copy of a message, with the changes of the rules."""
         body, time_ns = None, None
         if passage.skew_ns and columns_of(received):
             time_ns = max(0, received.time_ns + passage.skew_ns)
@@ -137,7 +139,7 @@ class Link(Node):
             context.relay(port, received, body, time_ns=time_ns, after_s=after_s)
 
     def note(self, port: str, received: Received, outcome: Outcome) -> None:
-        """Remember for the report what became of a message; what is malformed is nobody's message."""
+        """Note the fate of a message for the report; malformed messages are not reported."""
         try:
             header = received.message.header
         except MessageError:
@@ -147,9 +149,9 @@ class Link(Node):
             self.events.append(Event(wire, header.frame, header.seq, FATES.index(fate), rule, outcome.delay_s))
 
     def report(self, context: Context) -> None:
-        """Tell what was done in the step before, delays by less than a frame left out."""
-        (before, then_ns), (now, now_ns) = self.clocks
-        period_s = (now_ns - then_ns) * 1e-9 / (now - before) if before >= 0 else 0.0
+        """Report what was done in the previous step, except delays by less than a frame."""
+        (previous, previous_ns), (now, now_ns) = self.clocks
+        period_s = (now_ns - previous_ns) * 1e-9 / (now - previous) if previous >= 0 else 0.0
         rows = sorted(
             event for event in self.events if FATES[event.fate] != "delayed" or event.delay_s > period_s - 1e-9
         )
@@ -161,12 +163,12 @@ class Link(Node):
             context.publish("report", {name: np.array(column) for name, column in columns})
 
     def finish(self, context: Context) -> dict[str, object]:
-        """How many messages came on each wire, and what became of them (of those of the last step, nobody knows)."""
+        """Numbers of messages on each wire, and their fates (except those of the last step)."""
         return {"link": {port: {"came": n, **self.fates.get(port, {})} for port, n in sorted(self.carried.items())}}
 
 
 def columns_of(received: Received) -> Body:
-    """The columns of a message; none where they are malformed, which is for its subscribers to find out."""
+    """The columns of a message; none if they are malformed, which its subscribers will report."""
     try:
         len(received.body)
     except MessageError:

@@ -1,7 +1,7 @@
-"""The recorder: writes down every message on every key, tap legs included, as it was sent.
+"""The recorder: records every message on every key, including tap legs, as it was sent.
 
-Nothing listens to it, so it can change nothing; and nobody waits for it but at the end of the run. It does no I/O: the
-log is handed to it.
+It publishes nothing, so it cannot influence the run, and the run waits for it only at its end. It does no I/O itself:
+it gets the log as a parameter.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mast_zenoh.wiring.model import ANY
 
 
 class Recorder(Node):
-    """log: what it writes into, a path in the run folder."""
+    """Records messages; log: a path in the run folder."""
 
     role = "recorder"
     inputs = {"everything": ANY}
@@ -27,24 +27,24 @@ class Recorder(Node):
         self.log = log
 
     def start(self, context: Context) -> None:
-        """All keys are known before the first message, except those of nodes inserted later."""
+        """Open the log with all keys known so far; nodes that are inserted later add theirs."""
         self.log.begin(context.hears)
         self.rewired(context)
 
     def rewired(self, context: Context) -> None:
-        """From the next frame on messages take other ways."""
+        """Record a change of the wiring."""
         self.log.add_event(Event(REWIRED, context.frame, wiring=context.wiring.to_json()))
 
     def joined(self, node: str, role: str, context: Context) -> None:
-        """Another node is there from the next frame on."""
+        """Record that a node has joined."""
         self.log.add_event(Event(JOINED, context.frame, node, role))
 
     def left(self, node: str, role: str, context: Context) -> None:
-        """Another node has gone."""
+        """Record that a node has left."""
         self.log.add_event(Event(LEFT, context.frame, node, role))
 
     def on_everything(self, overheard: Overheard, context: Context) -> None:
-        """A message, sound or not; of its body it is only asked that it is whole."""
+        """Record a message, valid or not; of its body only completeness is checked."""
         payload = overheard.payload
         try:
             header = overheard.header
@@ -55,7 +55,7 @@ class Recorder(Node):
             self.log.add(overheard.key, payload, header, overheard.step)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """How many there were, how many could not be written, and why."""
+        """Numbers of recorded and lost messages, and why they were lost."""
         self.log.close()
         recorded = {name: getattr(self.log, name) for name in ("messages", "malformed", "lost")}
         if self.log.problem:

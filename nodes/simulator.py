@@ -1,7 +1,7 @@
 """The simulator: replays a prepared scene, frame by frame, to every agent's sensors and to the evaluator.
 
-It is the one node that drives: the runtime asks it for the next frame when the mesh is quiet (lock-step) or when the
-time has come (real time). It says nothing of the truth to anyone but the evaluator.
+It is the one node that drives the run: the runtime asks it for the next frame when the mesh is quiet (lock-step) or
+when the frame is due (real time). It sends the truth to the evaluator only.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mast_zenoh.scenes.recording import Recording
 
 
 class Simulator(Source):
-    """recording: the prepared scene (a file of its own); frames: how many to play, None for all."""
+    """Replays a scene; recording: the prepared scene (its own file); frames: how many to play, None for all."""
 
     role = "simulator"
     outputs = {"clock": "clock", "truth": "truth", "pose": "pose", "detections": "detections"}

@@ -1,8 +1,8 @@
-"""Nobody attacks: the picture that collaboration gives, to compare everything else with."""
+"""No attack: the picture from undisturbed collaboration, as the reference for all other scenarios."""
 
 from mast_zenoh.scenario import choose_scene
 
-# What the command centre does with the agents' tracks: the paper's configuration listing.
+# The command centre's pipeline for the agents' tracks: the paper's configuration listing.
 commandcenter = dict(
     type="CommandCenter",
     pipeline=dict(
@@ -16,7 +16,7 @@ commandcenter = dict(
     ),
 )
 
-# What every agent does with its detections, and with the picture that comes back.
+# Every agent's pipeline for its detections, and for the picture that it receives.
 agent = dict(
     pipeline=dict(
         type="AgentPipeline",
@@ -27,9 +27,9 @@ agent = dict(
 
 
 def scenario(scene="intersection", scene_index=None, n_infrastructure=None, n_mobile=None):
-    """scene: a short name such as "intersection" or "avstack:PATH"; scene_index: which generated junction;
+    """scene: a short name such as "intersection" or "avstack:PATH"; scene_index: number of a generated junction;
 
-    n_infrastructure, n_mobile: how many poles, and cars besides the ego, have sensors; None: all that the scene has.
+    n_infrastructure, n_mobile: numbers of poles, and of cars besides the ego, with sensors; None: all of the scene.
     """
     return dict(
         name="baseline",

@@ -1,4 +1,4 @@
-"""Whatever can go wrong, at random: a list of faults drawn from a seed, all of them healed before the run ends."""
+"""Random faults, drawn from a seed and all healed before the run ends."""
 
 from baseline import scenario as baseline
 

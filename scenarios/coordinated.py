@@ -1,4 +1,4 @@
-"""Adversaries with a common plan: each sits between its agent and the command centre, a coordinator directs them."""
+"""Adversaries with a common plan: each sits between its agent and the command centre, directed by a coordinator."""
 
 from baseline import scenario as baseline
 

@@ -1,4 +1,4 @@
-"""An adversary on the way from the command centre to the ego: it alone is shown a false picture.
+"""An adversary between the command centre and the ego: only the ego receives a false picture.
 
 False objects stand or drive in the ego's lane, ahead of it. The command centre and all other agents see none of them.
 """

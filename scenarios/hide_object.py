@@ -2,7 +2,7 @@
 
 It is the object that will come nearest to the ego among those that are not in the ego's own tracks: a car behind a
 corner, a cyclist behind a truck. If the ego sees every object, it is the nearest one. All agents' tracks of it are
-removed, so nobody reports it, and the ego drives on without it until it sees the object itself.
+removed, so no agent reports it, and the ego drives on without it until it sees the object itself.
 """
 
 from baseline import scenario as baseline

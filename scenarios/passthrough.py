@@ -1,4 +1,4 @@
-"""An interposer on every agent's wires that changes nothing: what it costs, and the proof that it leaves no trace."""
+"""An interposer on every agent's wires that changes nothing: measures its cost, and proves that it leaves no trace."""
 
 from baseline import scenario as baseline
 

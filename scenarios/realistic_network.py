@@ -1,4 +1,4 @@
-"""A network as it is: infrastructure on wires, cars on radio; nobody attacks, or adversaries with or without a plan."""
+"""A realistic network: wired infrastructure, cars on radio; with or without an attack."""
 
 from baseline import scenario as baseline
 from coordinated import scenario as coordinated
@@ -20,20 +20,20 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """attack: none, uncoordinated or coordinated; n_adversaries: agents compromised, where there is an attack;
+    """attack: none, uncoordinated or coordinated; n_adversaries: agents compromised, if there is an attack;
 
-    infrastructure, mobile: profiles of the links of the agents that stand and of those that move (perfect, wired,
-    wireless_v2x); max_age_s: the command centre uses what an agent said last for so long;
+    infrastructure, mobile: link profiles of static and of mobile agents (perfect, wired, wireless_v2x); max_age_s: the
+    greatest age of an agent's tracks that the command centre uses;
 
-    n_mobile: None: two cars besides the ego on a generated junction, else all that the scene has.
+    n_mobile: None: two cars besides the ego on a generated junction, else all of the scene.
     """
     if n_mobile is None and str(scene).startswith("intersection"):
         n_mobile = 2
     if attack not in ATTACKS:
         raise ConfigurationError(f"attack: found {attack!r}{nearest(str(attack), ATTACKS)}")
-    more = {} if attack == "none" else dict(n_adversaries=n_adversaries)
+    attack_options = {} if attack == "none" else dict(n_adversaries=n_adversaries)
     place = dict(scene=scene, scene_index=scene_index, n_infrastructure=n_infrastructure, n_mobile=n_mobile)
-    return ATTACKS[attack](**more, **place) | dict(
+    return ATTACKS[attack](**attack_options, **place) | dict(
         name="realistic_network",
         links={"infra_*": infrastructure, "*": mobile},
         broker=dict(latency_s=0.0, max_age_s=max_age_s),

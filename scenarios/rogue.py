@@ -1,14 +1,14 @@
-"""A small run with a node of every role, and what attackers try against it: for `mast study rogue`."""
+"""A small run with a node of every role, and the attempts of attackers against it, for `mast study rogue`."""
 
 from coordinated import scenario as coordinated
 
 
 def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
-    """An adversary behind the first infrastructure agent, so that there is a tap leg to be heard, and one link."""
-    made = coordinated(
+    """An adversary on the first infrastructure agent, which makes a tap leg to eavesdrop on, and one link."""
+    attacked = coordinated(
         n_adversaries=1, n_infrastructure=n_infrastructure, scene=scene, scene_index=scene_index, attack_start_s=0.5
     )
-    return made | dict(
+    return attacked | dict(
         name="rogue",
         links={"ego": "wired"},
         run=dict(mode="realtime", rate=0.25, seed=0, record=False),
@@ -16,9 +16,9 @@ def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
 
 
 def outsider():
-    """shows: what he shows when he is asked for a certificate: nothing, one of his own authority (foreign), an expired
+    """shows: the certificate that the attacker presents: nothing, one of its own authority (foreign), an expired one,
 
-    one, or that of a node which he has taken over. wire: the key that he forges messages on.
+    or that of a node that it has taken over. wire: the key on which it forges messages.
     """
     return [
         dict(type="Inject", name="no certificate", shows="nothing", wire="agent/infra_1/tracks"),

@@ -20,11 +20,11 @@ def scenario(
 ):
     """n_adversaries: agents compromised; false_positives: mean number added by each (Poisson);
 
-    fraction_…: of the agent's objects that vanish, or are moved;
+    fraction_…: fraction of the agent's objects that are hidden, or moved;
 
     region: where false objects are put: in_view, ego_path, victim_only, or paper (about the agent, never missed);
 
-    attack_start_s: when it begins, in scene time; reselect_every_s: how often each chooses new targets.
+    attack_start_s: start of the attack, in scene time; reselect_every_s: interval at which each chooses new targets.
     """
     attack = dict(
         type="UncoordinatedAttack",

@@ -1,4 +1,4 @@
-"""The paper's Monte Carlo study: what 1, 2 and 3 adversaries add, with a common plan and without, over many seeds."""
+"""The paper's Monte Carlo study: 1, 2 and 3 adversaries, with and without a common plan, over many seeds."""
 
 
 def study(

@@ -2,7 +2,7 @@
 
 
 def study(levels="open,tls,mtls,acl", n_infrastructure=2):
-    """levels: of security, separated by commas; what is tried at each stands in scenarios/rogue.py."""
+    """levels: security levels, separated by commas; scenarios/rogue.py has the attempts made at each."""
     return dict(
         name="rogue",
         runs=dict(rogue=dict(scenario="rogue", parameters=dict(n_infrastructure=n_infrastructure))),

@@ -68,7 +68,7 @@ def messages(path: Path, pattern: str = "*", *, taps: bool = False) -> Iterator[
     for recorded in read(path):
         if recorded.malformed or (recorded.tap and not taps) or not fnmatchcase(recorded.wire, pattern):
             continue
-        header, body = codec.decode_unopened(recorded.payload, recorded.message)
+        header, body = codec.decode_lazily(recorded.payload, recorded.message)
         of_wire = recorded.wire, recorded.tap, recorded.message, recorded.publisher
         yield WireMessage(*of_wire, header.frame, header.time_ns * 1e-9, header.seq, body)
 

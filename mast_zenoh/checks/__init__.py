@@ -1,13 +1,11 @@
-"""Checks over the record of a finished run: what must hold whatever was lost, late, killed or cut off.
+"""Checks of a finished run's record, which must hold whatever was lost, late, killed or cut off. See docs/faults.md.
 
-    base         what a check says
-    evidence     what a run has left behind, read once
-    collation    what was delivered in time is in the collation
-    convergence  after the last heal the picture is what it would have been;  reference  what it would have been
-    sequences    no hole and no double that nothing explains
-    processes    nothing is left running
-
-See docs/faults.md.
+base         the outcome of a check
+evidence     the record of a run, read once
+collation    messages delivered in time are in the collation
+convergence  after the last heal the picture equals that of a run without faults;  reference  that picture
+sequences    every gap and every duplicate is explained
+processes    no process is left running
 """
 
 from __future__ import annotations
@@ -30,20 +28,26 @@ FILE = "checks.json"
 
 
 def run(folder: Path, resolved: Resolved) -> list[Check]:
-    """Check the run in a folder, and write checks.json there; a run that was not recorded is checked for processes.
+    """Check the run in a folder and write checks.json there; without a recording, only its processes are checked.
 
-    Raises RunFolderError where there is no run.
+    Raises RunFolderError if there is no run.
     """
     heals: list[float] = []
     try:
         evidence = Evidence.read(folder, resolved)
     except RunFolderError as error:
-        found = [Check.skipped(name, str(error)) for name in ("collation", "convergence", "sequences")]
+        checks = [Check.skipped(name, str(error)) for name in ("collation", "convergence", "sequences")]
     else:
-        found = [check_collation(evidence), check_convergence(evidence), check_sequences(evidence)]
+        checks = [check_collation(evidence), check_convergence(evidence), check_sequences(evidence)]
         heals = evidence.heals_s()
-    found.append(check_processes(folder))
-    after = next((check.values.get("converged_after_s") for check in found if check.name == "convergence"), None)
-    content = {"checks": [check._asdict() for check in found], "heals_s": heals, "converged_after_s": after}
+    checks.append(check_processes(folder))
+    converged_after_s = next(
+        (check.values.get("converged_after_s") for check in checks if check.name == "convergence"), None
+    )
+    content = {
+        "checks": [check._asdict() for check in checks],
+        "heals_s": heals,
+        "converged_after_s": converged_after_s,
+    }
     (folder / FILE).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return found
+    return checks

@@ -1,4 +1,4 @@
-"""What a check says."""
+"""The outcome of a check."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 class Check(NamedTuple):
     """The outcome of a check.
 
-    name:   which one
-    ok:     False: what was checked does not hold
-    detail: in a sentence: what was found, or why nothing was checked
-    values: figures, plain values
+    name:   name of the check
+    ok:     False: the check failed
+    detail: a sentence: the findings, or why nothing was checked
+    values: measured values, plain
     """
 
     name: str
@@ -21,5 +21,5 @@ class Check(NamedTuple):
 
     @classmethod
     def skipped(cls, name: str, reason: str) -> Check:
-        """There was nothing to check."""
+        """The outcome if there was nothing to check."""
         return cls(name, True, f"not checked: {reason}", {"checked": False})

@@ -1,4 +1,4 @@
-"""Every track message that the links delivered in time is in the collation, with all its rows."""
+"""Checks that every track message that the links delivered in time is in the collation, with all its rows."""
 
 from __future__ import annotations
 
@@ -6,80 +6,89 @@ from collections import Counter
 from collections.abc import Mapping
 
 from mast_zenoh.checks.base import Check
-from mast_zenoh.checks.evidence import Evidence, Said
+from mast_zenoh.checks.evidence import Evidence, Sent
 
 NAME = "collation"
 _SHOWN = 5
-#: Beyond it the broker takes a track for none of this world; in the agent's own frame of reference, so with room.
-_MOST = 1e7
-#: In real time the broker may hear an agent before it hears of it; messages.
-_JUST_COME = 5
+#: The broker rejects tracks beyond such values as not physical; here they are in the agent's own frame, so with margin.
+_MAX_MAGNITUDE = 1e7
+#: In real time, messages that may reach the broker before it knows of their agent.
+_FIRST_MESSAGES = 5
 _BATCH = ("collated", "")  # the broker's output
-#: Roles of nodes on a wire of which it is known when they pass a message on.
-_KNOWN = ("adversary", "link")
+#: Roles of interposers whose forwarding times are known.
+_KNOWN_ROLES = ("adversary", "link")
 
 
 def check_collation(evidence: Evidence) -> Check:
-    """What reached the broker before it closed a frame is in that frame's batch: the agent by name, all its rows.
+    """Check that every message that reached the broker in time is in its frame's batch, with all its rows.
 
-    Left out are messages whose time was changed, those of a frame of which there are several, those that came late
-    (in real time: as many as the broker itself counts), and those of the time at which the agent or the broker was
-    down.
+    Exempt are messages whose time was changed, several messages of one frame, late ones (in real time: as many as the
+    broker itself counts), and those sent while the agent or the broker was down.
     """
     brokers = evidence.role("broker")
     if len(brokers) != 1:
         return Check.skipped(NAME, f"{len(brokers)} brokers")
     (broker,) = brokers
     ports = evidence.wiring.ports(broker)
-    batches = {message.frame: message.content for message in evidence.said.get(ports.outputs.get(_BATCH, ""), ())}
+    batches = {message.frame: message.content for message in evidence.sent.get(ports.outputs.get(_BATCH, ""), ())}
     if not batches:
-        return Check.skipped(NAME, "not one collation was recorded")
+        return Check.skipped(NAME, "no collation was recorded")
     excepted: Counter[str] = Counter()
     missing: list[str] = []
     missing_of: Counter[str] = Counter()
-    judged = 0
-    for key, heard in ports.inputs.items():
-        if heard.message != "tracks":
+    n_checked = 0
+    for key, input_ in ports.inputs.items():
+        if input_.message != "tracks":
             continue
         chain = _chain(evidence, key)
-        if any(evidence.resolved.nodes[name].role not in _KNOWN for name in chain):
-            excepted["behind a node of the user's"] += len(evidence.said.get(key, ()))
+        if any(evidence.resolved.nodes[name].role not in _KNOWN_ROLES for name in chain):
+            excepted["behind a node of the user's"] += len(evidence.sent.get(key, ()))
             continue
-        ids = Counter(frame for frame, _ in {(message.frame, message.seq) for message in evidence.said.get(key, ())})
-        for message in evidence.said.get(key, ()):
-            reason = _excepted(message, heard.subject, broker, bool(chain), batches, evidence)
-            if ids[message.frame] > 1:
+        n_in_frame = Counter(
+            frame for frame, _ in {(message.frame, message.seq) for message in evidence.sent.get(key, ())}
+        )
+        for message in evidence.sent.get(key, ()):
+            reason = _exemption(message, input_.subject, broker, bool(chain), batches, evidence)
+            if n_in_frame[message.frame] > 1:
                 reason = "beside another one of its frame"
             if reason:
                 excepted[reason] += 1
                 continue
-            judged += 1
-            found, sent = batches.get(message.frame, {}).get(heard.subject), message.content.rows
-            if found != sent:
-                what = "no batch" if message.frame not in batches else "not in it" if found is None else f"{found} rows"
-                missing.append(f"frame {message.frame}: {heard.subject} delivered {sent} rows, {what}")
-                missing_of[heard.subject] += 1
+            n_checked += 1
+            n_found, n_sent = batches.get(message.frame, {}).get(input_.subject), message.content.rows
+            if n_found != n_sent:
+                problem = (
+                    "no batch"
+                    if message.frame not in batches
+                    else "not in it"
+                    if n_found is None
+                    else f"{n_found} rows"
+                )
+                missing.append(f"frame {message.frame}: {input_.subject} delivered {n_sent} rows, {problem}")
+                missing_of[input_.subject] += 1
     late = _late(evidence, broker)
     values = {
         "checked": True,
-        "messages": judged,
+        "messages": n_checked,
         "missing": dict(sorted(missing_of.items())),
         "late": late,
         "excepted": dict(sorted(excepted.items())),
     }
     if not evidence.lockstep and missing:
         if late is None:
-            return Check.skipped(NAME, "the broker, which counts what is late in real time, left no count")
+            return Check.skipped(NAME, "the broker, which counts late messages in real time, returned no count")
         if all(count <= late.get(agent, 0) for agent, count in missing_of.items()):
-            return Check(NAME, True, f"{judged} messages delivered; late, as the broker says: {len(missing)}", values)
+            return Check(
+                NAME, True, f"{n_checked} messages delivered; late, by the broker's count: {len(missing)}", values
+            )
     if missing:
         more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
         return Check(NAME, False, "; ".join(missing[:_SHOWN]) + more, values)
-    return Check(NAME, True, f"all {judged} messages that were delivered in time are in the collation", values)
+    return Check(NAME, True, f"all {n_checked} messages that were delivered in time are in the collation", values)
 
 
 def _chain(evidence: Evidence, key: str) -> list[str]:
-    """The interposers through which a message comes to a key, from the first on."""
+    """The interposers that a message passes on its way to a key, in order."""
     for wire in evidence.wiring.wires:
         trunk = [leg.publisher.node for leg in wire.legs[1:]]
         if key == wire.key:
@@ -91,15 +100,15 @@ def _chain(evidence: Evidence, key: str) -> list[str]:
     return []
 
 
-def _excepted(
-    message: Said,
+def _exemption(
+    message: Sent,
     agent: str,
     broker: str,
     interposed: bool,
     batches: Mapping[int, Mapping[str, int]],
     evidence: Evidence,
 ) -> str | None:
-    """Why a message need not be in a collation; None: it must be."""
+    """Why a message may be missing from the collation; None: it must be there."""
     frame = message.frame
     if evidence.times_ns.get(frame) != message.time_ns:
         return "of another time than its frame's"
@@ -117,13 +126,13 @@ def _excepted(
         return "after the agent had gone"
     if interposed and frame >= evidence.last - evidence.slack:
         return "in the last frame"
-    if not evidence.lockstep and message.seq < _JUST_COME:
+    if not evidence.lockstep and message.seq < _FIRST_MESSAGES:
         return "when the agent had just come"
-    return "of no world" if message.content.most > _MOST else None
+    return "of no world" if message.content.magnitude > _MAX_MAGNITUDE else None
 
 
 def _closed(frame: int, broker: str, evidence: Evidence) -> int | None:
-    """The first frame whose clock makes the broker emit a frame's batch at the latest; None: there was none."""
+    """The first frame whose clock makes the broker emit a frame's batch; None: there was none."""
     config = evidence.resolved.nodes[broker].config
     latency_ns, patience = round(float(config.get("latency_s", 0.0)) * 1e9), int(config.get("patience", 0))
     time_ns = evidence.times_ns[frame]
@@ -134,7 +143,7 @@ def _closed(frame: int, broker: str, evidence: Evidence) -> int | None:
 
 
 def _late(evidence: Evidence, broker: str) -> dict[str, int] | None:
-    """How many messages of each agent came too late, as the broker itself says; None: not all of its lives say so."""
+    """Number of late messages of each agent by the broker's own count; None if a process of it gave no count."""
     if any(step.node == broker for step in evidence.resolved.steps) or "late" not in evidence.metrics:
         return None
     return {str(agent): int(count) for agent, count in evidence.metrics["late"].items()}

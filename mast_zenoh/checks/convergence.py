@@ -1,4 +1,4 @@
-"""After the last fault is healed, the picture becomes what it would have been without any."""
+"""Checks that after the last heal the picture becomes equal to that of a run without faults."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ NAME = "convergence"
 
 #: OSPA with c = 5 m and p = 1: of n objects, one that is missing costs 5 / n m, one that is 1 m astray 1 / n m.
 DISTANCE = SetDistance(c=5.0, p=1.0)
-#: m; below it two pictures are the same to whoever uses them: at most one object of ten is missing or false.
+#: m; pictures closer than this count as the same: at most one object of ten is missing or false.
 THRESHOLD_M = 0.5
-#: s; a run that ends sooner after its last heal says nothing about where it would have got to.
+#: s; a run that ends sooner after its last heal is too short to judge.
 ENOUGH_S = 2.0
 
 
 def check_convergence(evidence: Evidence) -> Check:
-    """The distance to the picture of the same scenario without links and faults is below a threshold in the end.
+    """Check that the distance to the picture without links and faults is below a threshold at the end.
 
-    converged_after_s is the time from the last heal until it stays below. It is not asked for where nothing was healed,
-    where a fault or a link with rules of its own lasts to the end, and where an adversary or a coordinator has been
-    restarted: it chooses its targets anew.
+    converged_after_s is the time from the last heal until it stays below. The check is skipped if nothing was healed,
+    if a fault or a link with rules of its own lasts to the end, and if an adversary or a coordinator was restarted,
+    because it then chooses its targets anew.
     """
     heals = evidence.heals_s()
     reason = _undefined(evidence)
     if not heals and not reason:
         return Check.skipped(NAME, "no fault was healed")
     expected = reference.pictures(evidence.resolved, evidence.folder)
-    found = {message.frame: message.content for message in evidence.said.get(reference.PICTURE, ())}
+    actual = {message.frame: message.content for message in evidence.sent.get(reference.PICTURE, ())}
     frames = np.array([frame for frame in sorted(expected) if frame in evidence.times_ns], np.int64)
-    if not evidence.lockstep and found:
-        frames = frames[frames <= max(found)]  # the end of the run cuts off what was under way
+    if not evidence.lockstep and actual:
+        frames = frames[frames <= max(actual)]  # messages in transit are lost at the end of the run
     if len(frames) == 0:
         return Check.skipped(NAME, "there is no picture to compare")
-    distance = between(expected, found, frames)
+    distance = between(expected, actual, frames)
     times_s = np.array([evidence.times_ns[int(frame)] for frame in frames]) * 1e-9
     values = {
         "checked": not reason,
@@ -48,16 +48,16 @@ def check_convergence(evidence: Evidence) -> Check:
         "converged_after_s": None,
     }
     if reason:
-        return Check(NAME, True, f"not asked for: {reason}; the distance was {distance[-1]:.2f} m in the end", values)
+        return Check(NAME, True, f"not required: {reason}; the distance was {distance[-1]:.2f} m at the end", values)
     after_s = converged_after(distance, times_s, heals[-1])
     left_s = float(times_s[-1]) - heals[-1]
     if after_s is not None:
         values["converged_after_s"] = round(after_s, 4)
-        return Check(NAME, True, f"{after_s:.1f} s after the last heal the picture is what it would have been", values)
-    told = f"the distance is {distance[-1]:.2f} m at the end, {left_s:.1f} s after the last heal"
+        return Check(NAME, True, f"{after_s:.1f} s after the last heal the picture is as without faults", values)
+    summary = f"the distance is {distance[-1]:.2f} m at the end, {left_s:.1f} s after the last heal"
     if left_s < ENOUGH_S:
-        return Check(NAME, True, f"no time to converge: {told}; {ENOUGH_S:g} s would be enough to ask", values)
-    return Check(NAME, False, f"the picture has not converged: {told}, expected less than {THRESHOLD_M:g} m", values)
+        return Check(NAME, True, f"no time to converge: {summary}; the check needs {ENOUGH_S:g} s", values)
+    return Check(NAME, False, f"the picture has not converged: {summary}, expected less than {THRESHOLD_M:g} m", values)
 
 
 def _undefined(evidence: Evidence) -> str | None:
@@ -75,9 +75,9 @@ def _undefined(evidence: Evidence) -> str | None:
     return None
 
 
-def between(expected: dict[int, Floats], found: dict[int, Floats], frames: Ints) -> Floats:
-    """(frames,) m, OSPA between two pictures frame by frame; one that is missing counts as empty."""
-    ospa, _ = DISTANCE.of(_boxes(expected, frames), _boxes(found, frames), len(frames))
+def between(expected: dict[int, Floats], actual: dict[int, Floats], frames: Ints) -> Floats:
+    """(frames,) m, OSPA between two pictures frame by frame; a missing picture counts as empty."""
+    ospa, _ = DISTANCE.of(_boxes(expected, frames), _boxes(actual, frames), len(frames))
     return ospa
 
 

@@ -1,4 +1,4 @@
-"""What a run has left behind, read once: its messages by key, its links' reports, and who was down when."""
+"""The record of a run, read once: messages by key, reports of links, and down times of nodes."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.wiring.model import Wiring
 
-#: In real time things happen about when they should; s of scene time.
+#: s of scene time, by which events of a real-time run may be early or late.
 REALTIME_SLACK_S = 1.5
-#: After a network has healed, what it held back still comes, or is given up.
+#: s of scene time after the heal of a network in which delayed messages still arrive or are lost.
 NETWORK_SLACK_S = 5.0
 
 
 class Tracks(NamedTuple):
-    """What is kept of an agent's tracks: how many, and the greatest figure among them, SI units."""
+    """Summary of an agent's track message: number of tracks, and the greatest absolute value in SI units."""
 
     rows: int
-    most: float
+    magnitude: float
 
 
-class Said(NamedTuple):
-    """A sound message on one leg.
+class Sent(NamedTuple):
+    """A valid message on one leg.
 
-    content: of tracks, Tracks; of a collation, the rows of each agent whose tracks are of its own frame; of a picture,
-             (n, 3) m, positions; else None
-    step:    the frame that the run was at when it was sent; -1: unknown
+    content: for tracks, Tracks; for a collation, the rows of each agent whose tracks are of its own frame; for a
+             picture, (n, 3) m, positions; else None
+    step:    the run's frame when it was sent; -1: unknown
     """
 
     frame: int
@@ -50,7 +50,7 @@ class Said(NamedTuple):
 
 
 class Fate(NamedTuple):
-    """What a link says it did to a message: one of links.FATES, and by how much it is late."""
+    """What a link reports of a message: one of links.FATES, and its delay."""
 
     name: str
     delay_s: float
@@ -65,10 +65,10 @@ class Evidence:
     """The record of a run.
 
     run, metrics: run.json and metrics.json
-    said:      sound messages by key, in the order (frame, publisher, sequence)
-    malformed: how many of the messages of a key are not sound
-    fates:     by (link, message type): what became of which message
-    times_ns:  by frame, of the frames that were played
+    sent:      valid messages by key, in the order (frame, publisher, sequence)
+    malformed: number of malformed messages by key
+    fates:     reports of links by (link, message type) and message
+    times_ns:  times of the frames that were played
     """
 
     folder: Path
@@ -76,49 +76,49 @@ class Evidence:
     wiring: Wiring
     run: Mapping[str, Any]
     metrics: Mapping[str, Any]
-    said: dict[str, list[Said]] = field(default_factory=lambda: defaultdict(list))
+    sent: dict[str, list[Sent]] = field(default_factory=lambda: defaultdict(list))
     malformed: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     fates: dict[tuple[str, str], dict[Id, list[Fate]]] = field(default_factory=lambda: defaultdict(dict))
     times_ns: dict[int, int] = field(default_factory=dict)
 
     @classmethod
     def read(cls, folder: Path, resolved: Resolved) -> Evidence:
-        """The evidence in a run folder; raises RunFolderError where the run, or its recording, is not complete."""
+        """Read the evidence in a run folder; raises RunFolderError if the run or its recording is incomplete."""
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
         if run["status"] not in ("ok", "handler_failures"):
-            raise RunFolderError(f"the run has not come to its end: {run['status']}")
+            raise RunFolderError(f"the run did not finish: {run['status']}")
         metrics = folder / "metrics.json"
         scores = json.loads(metrics.read_text(encoding="utf-8")) if metrics.is_file() else {}
-        found = cls(folder, resolved, Wiring.from_json(resolved.wiring), run, scores)
+        evidence = cls(folder, resolved, Wiring.from_json(resolved.wiring), run, scores)
         for message in reader.read(folder):
             key = message.key.removesuffix(f"/{channels.MALFORMED}")
             if message.malformed:
-                found.malformed[key] += 1
+                evidence.malformed[key] += 1
                 continue
             content = None
-            if message.message in _KEPT:
+            if message.message in _SUMMARIES:
                 try:
                     body = codec.decode(message.payload, message.message).body
-                except MessageError:  # its header is sound, the rest is not: nobody takes it
-                    found.malformed[key] += 1
+                except MessageError:  # its header is valid, its body is not: subscribers refuse it
+                    evidence.malformed[key] += 1
                     continue
-                content = _KEPT[message.message](body)
+                content = _SUMMARIES[message.message](body)
                 if message.message == "link_report":
-                    found._take_report(message.publisher, body)
-            found.said[key].append(Said(message.frame, message.seq, message.time_ns, content, message.step))
+                    evidence._add_report(message.publisher, body)
+            evidence.sent[key].append(Sent(message.frame, message.seq, message.time_ns, content, message.step))
             if message.message == "clock":
-                found.times_ns[message.frame] = message.time_ns
+                evidence.times_ns[message.frame] = message.time_ns
         lost = run.get("recorded", {}).get("lost", 0)
-        if lost or not found.times_ns:
+        if lost or not evidence.times_ns:
             raise RunFolderError(f"the recording lacks {lost or 'all'} messages")
-        return found
+        return evidence
 
-    def _take_report(self, link: str, body: Body) -> None:
+    def _add_report(self, link: str, body: Body) -> None:
         for port, frame, seq, fate, delay_s in zip(
             *(body[name].tolist() for name in ("port", "frame", "seq", "fate", "delay_s")), strict=True
         ):
-            of_wire = self.fates[link, WIRES[port]]
-            of_wire.setdefault((frame, seq), []).append(Fate(FATES[fate], delay_s))
+            fates = self.fates[link, WIRES[port]]
+            fates.setdefault((frame, seq), []).append(Fate(FATES[fate], delay_s))
 
     @property
     def lockstep(self) -> bool:
@@ -132,16 +132,16 @@ class Evidence:
 
     @cached_property
     def end_s(self) -> float:
-        """s of scene time, of the last frame."""
+        """Time of the last frame, s of scene time."""
         return self.times_ns[self.last] * 1e-9
 
     def frames_in(self, seconds: float) -> int:
-        """How many frames last so long."""
+        """The number of frames in a duration, rounded up."""
         return math.ceil(seconds * 1e9 / self.resolved.period_ns)
 
     @property
     def slack(self) -> int:
-        """Frames by which something may be early or late: none in lock-step."""
+        """Frames by which events may be early or late: none in lock-step."""
         return 0 if self.lockstep else self.frames_in(REALTIME_SLACK_S)
 
     def role(self, role: str) -> list[str]:
@@ -149,39 +149,43 @@ class Evidence:
         return [name for name, spec in self.resolved.nodes.items() if spec.role == role]
 
     def restarts(self, node: str) -> list[int]:
-        """The frames before which a node is started again."""
+        """The frames before which a node is restarted."""
         steps = [step for step in self.resolved.steps if step.node == node]
         return [step.frame for step in steps[1:] if step.action == "start"]
 
     @cached_property
     def broker_lag(self) -> int:
-        """Frames that the broker waits before it gives up on those of whom it has heard nothing."""
+        """Frames that the broker waits for agents without a message."""
         configs = [self.resolved.nodes[name].config for name in self.role("broker")]
         return max(
-            (self.frames_in(float(c.get("latency_s", 0.0))) + int(c.get("patience", 0)) for c in configs), default=0
+            (
+                self.frames_in(float(config.get("latency_s", 0.0))) + int(config.get("patience", 0))
+                for config in configs
+            ),
+            default=0,
         )
 
     def down(self, node: str, first: int, last: int) -> bool:
-        """Whether a node is not there, stands still, or is cut off, in any of the frames from `first` to `last`."""
+        """Whether a node is stopped, paused or disconnected in any of the frames from `first` to `last`."""
         slack = self.slack
         return any(begin - slack <= last and first < end + slack for begin, end in self._absences.get(node, ()))
 
     @cached_property
     def _absences(self) -> dict[str, list[tuple[int, int]]]:
-        found: dict[str, list[tuple[int, int]]] = {}
+        absences: dict[str, list[tuple[int, int]]] = {}
         since: dict[str, int] = {}
         for step in self.resolved.steps:  # ordered by frame
             if step.action in ("start", "resume", "connect"):
                 back = step.frame + (self.frames_in(NETWORK_SLACK_S) if step.action == "connect" else 0)
-                found.setdefault(step.node, []).append((since.pop(step.node, -1), back))
+                absences.setdefault(step.node, []).append((since.pop(step.node, -1), back))
             else:
                 since[step.node] = step.frame
         for node, begin in since.items():
-            found.setdefault(node, []).append((begin, self.last + 1))
-        return found
+            absences.setdefault(node, []).append((begin, self.last + 1))
+        return absences
 
     def by_network(self, frame: int) -> bool:
-        """Whether a fault of the hosts' network may have touched a message of this frame."""
+        """Whether a fault of the hosts' network may have affected a message of this frame."""
         at_s = self.times_ns.get(frame, 0) * 1e-9
         return any(
             band["at_s"] - REALTIME_SLACK_S <= at_s
@@ -191,16 +195,16 @@ class Evidence:
         )
 
     def unplugged(self, node: str, frame: int) -> bool:
-        """Whether a node was off its networks at this frame, or had not found back yet."""
-        cut = any(step.node == node and step.action == "disconnect" for step in self.resolved.steps)
-        return cut and self.down(node, frame, frame)
+        """Whether a node was disconnected at this frame, or had not reconnected yet."""
+        disconnected = any(step.node == node and step.action == "disconnect" for step in self.resolved.steps)
+        return disconnected and self.down(node, frame, frame)
 
     def heals_s(self) -> list[float]:
-        """When faults were healed, s of scene time, those that are open at the end of the run left out."""
+        """When faults were healed, s of scene time, without those that last until the end."""
         return sorted({float(band["until_s"]) for band in self._faults() if band["until_s"] is not None})
 
     def open_faults(self) -> list[str]:
-        """The labels of faults that are not healed before the end."""
+        """The labels of faults that last until the end."""
         return [band["label"] for band in self._faults() if band["until_s"] is None]
 
     def _faults(self) -> list[dict[str, Any]]:
@@ -208,20 +212,20 @@ class Evidence:
 
 
 def _tracks(body: Body) -> Tracks:
-    figures = [np.abs(body[name]).max(initial=0.0) for name in ("position", "velocity", "size", "covariance")]
-    return Tracks(len(body["id"]), float(max(figures)))
+    magnitudes = [np.abs(body[name]).max(initial=0.0) for name in ("position", "velocity", "size", "covariance")]
+    return Tracks(len(body["id"]), float(max(magnitudes)))
 
 
-def _fresh(body: Body) -> dict[str, int]:
+def _current_rows(body: Body) -> dict[str, int]:
     counts = np.bincount(body["agent"], minlength=len(body["agents"])).tolist()
-    told = zip(body["agents"], body["age_ns"].tolist(), counts, strict=True)
-    return {str(name): count for name, age_ns, count in told if age_ns == 0}
+    agents = zip(body["agents"], body["age_ns"].tolist(), counts, strict=True)
+    return {str(name): count for name, age_ns, count in agents if age_ns == 0}
 
 
-#: What is kept of the messages of which a check wants more than the header; a recording may be larger than the memory.
-_KEPT: dict[str, Callable[[Body], Any]] = {
+#: What is kept of messages whose content a check needs; a whole recording may not fit into memory.
+_SUMMARIES: dict[str, Callable[[Body], Any]] = {
     "tracks": _tracks,
-    "collated": _fresh,
+    "collated": _current_rows,
     "picture": lambda body: body["position"].copy(),
     "link_report": lambda body: None,
 }

@@ -1,4 +1,4 @@
-"""What the picture would have been: the same run without links and faults, in this process."""
+"""The reference picture: the same run without links and faults, in this process."""
 
 from __future__ import annotations
 
@@ -20,63 +20,65 @@ from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 PICTURE = "cc/picture"
 
-_newest: tuple[str, dict[int, Floats]] = ("", {})
+_cache: tuple[str, dict[int, Floats]] = ("", {})
 
 
 def unfaulted(resolved: Resolved) -> Resolved:
-    """The same scenario in lock-step with perfect links and without faults; nobody records or scores it.
+    """The same scenario in lock-step, with perfect links, without faults, recorder and evaluator.
 
-    Links before one subscriber are taken out; those that a user's map has put elsewhere pass everything on as it is.
+    Links before one subscriber are removed; those that a user's map inserts elsewhere forward everything unchanged.
     """
     wiring = Wiring.from_json(resolved.wiring)
     links = {name for name, spec in resolved.nodes.items() if spec.role == "link"}
     wires = [_without_branches(wire, links) for wire in wiring.wires]
     needed = {end.node for wire in wires for branch in wire.branches for end in (branch.entrance, branch.subscriber)}
-    gone = {
+    removed = {
         name
         for name, spec in resolved.nodes.items()
         if name not in needed and spec.role in ("recorder", "evaluator", "visualizer")
     }
     on_wires = {name for wire in wires for name in wire.interposers}
-    gone |= {name for name in links if name not in on_wires}
+    removed |= {name for name in links if name not in on_wires}
     kept = Wiring(
-        tuple(_without(wire, gone) for wire in wires if wire.legs[0].publisher.node not in gone),
-        tuple(end for end in wiring.overhearers if end.node not in gone),
+        tuple(_without(wire, removed) for wire in wires if wire.legs[0].publisher.node not in removed),
+        tuple(end for end in wiring.overhearers if end.node not in removed),
     )
-    nodes = {name: _perfect(spec) for name, spec in resolved.nodes.items() if name not in gone}
+    nodes = {name: _perfect(spec) for name, spec in resolved.nodes.items() if name not in removed}
     return replace(resolved, nodes=nodes, wiring=kept.to_json(), mode="lockstep", steps=(), timeline=(), network={})
 
 
 def pictures(resolved: Resolved, folder: Path) -> dict[int, Floats]:
-    """(n, 3) m, world frame: positions of the picture's objects by frame, as they would have been.
+    """(n, 3) m, world frame: positions of the reference picture's objects by frame.
 
-    folder: of the run, where its scene lies
+    folder: the run folder, which holds the scene
     """
-    global _newest
-    plain = unfaulted(resolved)
-    told = json.dumps([plain.to_json(), plain.wiring], sort_keys=True, default=str)
-    digest = hashlib.blake2b(told.encode()).hexdigest()
-    if _newest[0] != digest:
-        _newest = digest, _played(_with_scene(plain, folder))
-    return _newest[1]
+    global _cache
+    reference = unfaulted(resolved)
+    content = json.dumps([reference.to_json(), reference.wiring], sort_keys=True, default=str)
+    digest = hashlib.blake2b(content.encode()).hexdigest()
+    if _cache[0] != digest:
+        _cache = digest, _run(_with_scene(reference, folder))
+    return _cache[1]
 
 
-def _played(resolved: Resolved) -> dict[int, Floats]:
-    found: dict[int, Floats] = {}
+def _run(resolved: Resolved) -> dict[int, Floats]:
+    positions: dict[int, Floats] = {}
 
-    def tap(said: Outgoing) -> None:
-        if said.key == PICTURE:
-            message = said.payload if isinstance(said.payload, Message) else codec.decode(said.payload, "picture")
-            found[message.header.frame] = message.body["position"].copy()
+    def tap(outgoing: Outgoing) -> None:
+        if outgoing.key == PICTURE:
+            message = (
+                outgoing.payload if isinstance(outgoing.payload, Message) else codec.decode(outgoing.payload, "picture")
+            )
+            positions[message.header.frame] = message.body["position"].copy()
 
     for module in resolved.modules:
         loading.module(Path(module))
     InProcess(resolved, tap=tap).run()
-    return found
+    return positions
 
 
 def _with_scene(resolved: Resolved, folder: Path) -> Resolved:
-    """With the scene of the run folder, where the nodes know it by its name."""
+    """A copy in which nodes load the scene from the run folder."""
     nodes = {
         name: replace(
             spec,
@@ -91,33 +93,35 @@ def _with_scene(resolved: Resolved, folder: Path) -> Resolved:
 
 
 def _without_branches(wire: Wire, links: set[str]) -> Wire:
-    """The wire without branches on which there is nothing but links."""
-    perfect = {
+    """The wire without the branches that consist of links only."""
+    bypassed = {
         branch.entrance: branch.subscriber
         for branch in wire.branches
         if all(leg.publisher.node in links for leg in branch.legs)
     }
     *trunk, last = wire.legs
-    heard_by = tuple(perfect.get(end, end) for end in last.subscribers)
+    subscribers = tuple(bypassed.get(end, end) for end in last.subscribers)
     return replace(
         wire,
-        legs=(*trunk, replace(last, subscribers=heard_by)),
-        branches=tuple(branch for branch in wire.branches if branch.entrance not in perfect),
+        legs=(*trunk, replace(last, subscribers=subscribers)),
+        branches=tuple(branch for branch in wire.branches if branch.entrance not in bypassed),
     )
 
 
-def _without(wire: Wire, gone: set[str]) -> Wire:
+def _without(wire: Wire, removed: set[str]) -> Wire:
     """The wire without some of its subscribers and listeners."""
 
-    def rest(ends: tuple[Endpoint, ...]) -> tuple[Endpoint, ...]:
-        return tuple(end for end in ends if end.node not in gone)
+    def remaining(ends: tuple[Endpoint, ...]) -> tuple[Endpoint, ...]:
+        return tuple(end for end in ends if end.node not in removed)
 
-    legs: tuple[Leg, ...] = tuple(replace(leg, subscribers=rest(leg.subscribers)) for leg in wire.legs)
-    return replace(wire, legs=legs, listeners=tuple(ear for ear in wire.listeners if ear.end.node not in gone))
+    legs: tuple[Leg, ...] = tuple(replace(leg, subscribers=remaining(leg.subscribers)) for leg in wire.legs)
+    return replace(
+        wire, legs=legs, listeners=tuple(listener for listener in wire.listeners if listener.end.node not in removed)
+    )
 
 
 def _perfect(spec: NodeSpec) -> NodeSpec:
-    """A link that passes everything on; any other node as it is."""
+    """A link without rules, which forwards everything; any other node unchanged."""
     if spec.role != "link":
         return spec
     config: Mapping[str, Any] = spec.config

@@ -62,7 +62,7 @@ def run(
     mode: Mode = None,
     rate: Rate = None,
     out: Out = None,
-    endpoint: Annotated[str | None, typer.Option(help="Of a Zenoh router that runs already, tcp/HOST:PORT.")] = None,
+    endpoint: Annotated[str | None, typer.Option(help="Address of a running Zenoh router, tcp/HOST:PORT.")] = None,
     secure: Secure = "open",
     report: Report = True,
     record: Record = True,
@@ -80,30 +80,30 @@ def run(
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
     if runtime == "inproc" and resolved.mode == "realtime":
         raise typer.BadParameter(
-            "real time needs the mesh: one process has no network to be late on", param_hint="--mode"
+            "real time needs the mesh: a single process has no network latency", param_hint="--mode"
         )
     if secure != "open" and (runtime == "inproc" or endpoint):
-        where = f"the router at {endpoint} is another's" if endpoint else "one process has no mesh"
-        raise typer.BadParameter(f"a secure mesh has a router of its own: {where}", param_hint="--secure")
-    place: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
+        problem = f"the router at {endpoint} is not ours" if endpoint else "one process has no mesh"
+        raise typer.BadParameter(f"a secure mesh has its own router: {problem}", param_hint="--secure")
+    environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    ended = launcher.run(resolved, out, **place, **allowed, console=_out)
+    ended = launcher.run(resolved, out, **environment, **allowed, console=_out)
     conclude(ended, report=report, against=against, allow_failures=allow_failures)
 
 
 @app.command()
 def study(
-    study_file: Annotated[str, typer.Argument(help="A study file, or the name of one of ours: case_study, …")],
+    study_file: Annotated[str, typer.Argument(help="A study file, or the name of a shipped one: case_study, …")],
     settings: Settings = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Seeds for each configuration and scene.")] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Trials at a time; all cores if dask is installed.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Concurrent trials; all cores if dask is installed.")] = None,
     cluster: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, tcp://HOST:8786.")
+        str | None, typer.Option(metavar="ADDRESS", help="Address of a Dask scheduler, tcp://HOST:8786.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with what is done in --out.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the unfinished study in --out.")] = False,
     frames: Frames = None,
     seed: Seed = None,
-    runtime: Annotated[Literal["mesh", "inproc"] | None, typer.Option(help="Overrides the study's own.")] = None,
+    runtime: Annotated[Literal["mesh", "inproc"] | None, typer.Option(help="Overrides the study's runtime.")] = None,
     out: Out = None,
     allow_failures: AllowFailures = False,
 ) -> None:
@@ -112,11 +112,11 @@ def study(
 
     loaded = definition.load(study_file, settings or ())
     if loaded.security:
-        given = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume}
-        given |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
-        if useless := [name for name, value in given.items() if value]:
-            why = f"attackers are let loose once at each level, on the mesh: {', '.join(useless)} cannot change that"
-            raise typer.BadParameter(why, param_hint=study_file)
+        options = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume}
+        options |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
+        if invalid := [name for name, value in options.items() if value]:
+            problem = f"attackers run once at each level, on the mesh: {', '.join(invalid)} cannot change that"
+            raise typer.BadParameter(problem, param_hint=study_file)
         _besiege(loaded, out, seed=seed, frames=frames)
         return
     count = trials or loaded.trials
@@ -125,9 +125,9 @@ def study(
         return
     from mast_zenoh.report.tables import study as study_table
     from mast_zenoh.study import execution
-    from mast_zenoh.study import trials as many
+    from mast_zenoh.study import trials as study_trials
 
-    ended = many.run(
+    ended = study_trials.run(
         loaded,
         out,
         count=count or 1,
@@ -148,7 +148,7 @@ def study(
 
 
 def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
-    """Every configuration once, side by side."""
+    """Run every configuration once, and compare them."""
     from mast_zenoh.study import comparison
 
     ended = comparison.run(loaded, out, console=_out, **options)
@@ -163,7 +163,7 @@ def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
 
 
 def _besiege(loaded: Study, out: Path | None, **options: Any) -> None:
-    """Every configuration at every level of security, with the attackers that its scenario file lists."""
+    """Run every configuration at every security level, with the attackers that its scenario file lists."""
     from mast_zenoh.report.tables import attempts
     from mast_zenoh.study.rogue import comparison
 
@@ -179,14 +179,14 @@ def wiring(
     settings: Settings = None,
     format: Annotated[Literal["text", "json", "mermaid"], typer.Option(help="How to print it.")] = "text",
 ) -> None:
-    """Who talks to whom on which key, rewrites shown."""
+    """Show the publishers and subscribers of every key, with rewrites marked."""
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, record=True)
-    found = Wiring.from_json(resolved.wiring)
+    resolved_wiring = Wiring.from_json(resolved.wiring)
     if format == "json":
-        sys.stdout.write(json.dumps(found.to_json(), indent=2) + "\n")
+        sys.stdout.write(json.dumps(resolved_wiring.to_json(), indent=2) + "\n")
     else:
-        sys.stdout.write((to_text if format == "text" else to_mermaid)(found) + "\n")
+        sys.stdout.write((to_text if format == "text" else to_mermaid)(resolved_wiring) + "\n")
 
 
 @app.command()
@@ -202,17 +202,17 @@ def diff(
     from mast_zenoh.messagelog.explain import explain
 
     try:
-        before, why = comparable(run_a, run_b)
-        found = compare(run_a, run_b, ignore=ignore or (), taps=taps, before=before)
+        before, reason = comparable(run_a, run_b)
+        difference = compare(run_a, run_b, ignore=ignore or (), taps=taps, before=before)
     except MastError as error:
         _err.print(f"cannot compare: {error}", markup=False, highlight=False)
         raise typer.Exit(2) from None
-    for line in explain(found):
+    for line in explain(difference):
         _out.print(line, markup=False, highlight=False)
-    if why and found.first is None:
-        _err.print(f"not comparable from frame {before} on: {why}", markup=False, highlight=False)
+    if reason and difference.first is None:
+        _err.print(f"not comparable from frame {before} on: {reason}", markup=False, highlight=False)
         raise typer.Exit(2)
-    raise typer.Exit(0 if found.first is None else 1)
+    raise typer.Exit(0 if difference.first is None else 1)
 
 
 app.command("list")(listing.list_kind)
@@ -223,13 +223,13 @@ app.command()(intercept.release)
 @app.command()
 def report(
     run_folder: Annotated[Path, typer.Argument(help="The folder of a run.")],
-    frame: Annotated[int | None, typer.Option(min=0, help="The frame that the pictures show.")] = None,
+    frame: Annotated[int | None, typer.Option(min=0, help="The frame that figures show.")] = None,
     against: Against = None,
-    measure: Annotated[bool, typer.Option("--measure", help="Measure the run anew, from its recording.")] = False,
+    measure: Annotated[bool, typer.Option("--measure", help="Measure the run again, from its recording.")] = False,
 ) -> None:
     """Write the report of a run again, compared with another run if one is named.
 
-    A run that has no metrics is measured first, if it was recorded.
+    A run without metrics is measured first, if it was recorded.
     """
     from mast_zenoh.launch import measurement
     from mast_zenoh.report import html, terminal
@@ -248,16 +248,16 @@ def report(
 
 
 def carry_out() -> int:
-    """Carry out the command; its exit code. An error becomes one line and its own code (docs/exit_codes.md)."""
-    os.umask(os.umask(0o022) | 0o022)  # what a run writes is nobody else's to change; its nodes inherit it
+    """Run the command; returns its exit code. An error becomes one line and its own code (docs/exit_codes.md)."""
+    os.umask(os.umask(0o022) | 0o022)  # only this user may change a run's files; its nodes inherit the umask
     try:
         app()
-    except SystemExit as left:
-        if left.code == Interrupted.exit_code:  # Typer's, for a KeyboardInterrupt
+    except SystemExit as exit_:
+        if exit_.code == Interrupted.exit_code:  # Typer's, for a KeyboardInterrupt
             return _show(Interrupted("stopped before anything was started, or left running"))
-        return left.code if isinstance(left.code, int) else int(left.code is not None)
-    except (Exception, KeyboardInterrupt) as caught:
-        error = ending.from_exception(caught)
+        return exit_.code if isinstance(exit_.code, int) else int(exit_.code is not None)
+    except (Exception, KeyboardInterrupt) as exception:
+        error = ending.from_exception(exception)
         if error is None:
             raise
         return _show(error)
@@ -271,5 +271,5 @@ def _show(error: MastError) -> int:
 
 
 def main() -> None:
-    """Carry out the command, and exit with its code."""
+    """Run the command, and exit with its code."""
     sys.exit(carry_out())

@@ -1,4 +1,4 @@
-"""`mast deploy …` and `mast doctor`: runs whose nodes live elsewhere, and what this machine can do."""
+"""`mast deploy …` and `mast doctor`: runs with nodes in containers or on other hosts, and checks of this machine."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from mast_zenoh.errors import ConfigurationError, RunFolderError
 
 app = typer.Typer(help="Run a scenario in containers or on other hosts.", no_args_is_help=True, add_completion=False)
 
-Engine = Annotated[Literal["compose", "swarm", "ssh"], typer.Option(help="Where the nodes live.")]
+Engine = Annotated[Literal["compose", "swarm", "ssh"], typer.Option(help="Where the nodes run.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
 
 
@@ -47,27 +47,27 @@ def up(
     out: Out = None,
     secure: Secure = "open",
     image: Annotated[
-        str | None, typer.Option(help="Of all containers. Default: what `mast deploy image` makes.")
+        str | None, typer.Option(help="Image of all containers. Default: that of `mast deploy image`.")
     ] = None,
-    hosts: Annotated[Path | None, typer.Option(help="SSH: which hosts there are. Default: deploy/hosts.toml.")] = None,
+    hosts: Annotated[Path | None, typer.Option(help="SSH: file with the hosts. Default: deploy/hosts.toml.")] = None,
     place: Annotated[
         list[str] | None,
-        typer.Option(metavar="NODES=LABEL", help="Swarm: on which machine, by its label mast.host, nodes are to be."),
+        typer.Option(metavar="NODES=LABEL", help="Swarm: run nodes on the machine with this label mast.host."),
     ] = None,
-    patience: Annotated[float | None, typer.Option(help="Seconds that nodes stay without this launcher.")] = None,
+    patience: Annotated[float | None, typer.Option(help="Seconds that nodes run without this launcher.")] = None,
     report: Report = True,
     record: Record = True,
     allow_failures: AllowFailures = False,
     allow_churn: AllowChurn = False,
 ) -> None:
-    """Run a scenario elsewhere: start all, follow it, collect its results into a run folder, take all away again."""
+    """Run a scenario in containers or on other hosts: start it, follow it, collect its results, clean up."""
     from mast_zenoh.deploy import engines, space
     from mast_zenoh.launch import run
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
-    told = {"image": image, "hosts": hosts, "place": _placed(place), "patience_s": patience}
-    chosen = _made(engines.load(engine), {name: value for name, value in told.items() if value is not None})
+    options = {"image": image, "hosts": hosts, "place": _placed(place), "patience_s": patience}
+    chosen = _engine(engines.load(engine), {name: value for name, value in options.items() if value is not None})
     space.check(out or Path("runs"), space.needed(resolved))
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
     ended = run.run(resolved, out, engine=chosen, secure=secure, **allowed, console=_out)
@@ -76,7 +76,7 @@ def up(
 
 @app.command()
 def status(run_folder: RunFolder) -> None:
-    """Which nodes of a run there are, and where."""
+    """List the nodes of a run, their state and place."""
     kind, record = _deployed(run_folder)
     table = Table("node", "state", "where", box=None)
     for row in kind.status(run_folder, record):
@@ -90,17 +90,17 @@ def status(run_folder: RunFolder) -> None:
 @app.command()
 def logs(
     run_folder: RunFolder,
-    node: Annotated[str | None, typer.Argument(help="Of which node. Default: all.")] = None,
-    follow: Annotated[bool, typer.Option("--follow", help="Go on while it says more.")] = False,
+    node: Annotated[str | None, typer.Argument(help="The node. Default: all.")] = None,
+    follow: Annotated[bool, typer.Option("--follow", help="Continue with new output.")] = False,
 ) -> None:
-    """What the nodes of a run have said."""
+    """Print the logs of a run's nodes."""
     kind, record = _deployed(run_folder)
     kind.logs(run_folder, record, node, follow=follow)
 
 
 @app.command()
 def down(run_folder: RunFolder) -> None:
-    """Take away what is left of a run: after a launcher that was killed, or lost its machine."""
+    """Remove what is left of a run after its launcher was killed or its machine was lost."""
     kind, record = _deployed(run_folder)
     kind.down(run_folder, record)
     if record["status"] == "running":
@@ -115,32 +115,32 @@ def down(run_folder: RunFolder) -> None:
 @app.command()
 def image(
     base: Annotated[str | None, typer.Option(help="An image with Python 3.11 or newer and venv.")] = None,
-    tag: Annotated[str | None, typer.Option(help="What to call it.")] = None,
+    tag: Annotated[str | None, typer.Option(help="Name of the image.")] = None,
 ) -> None:
-    """Build the image that nodes in containers are made from."""
+    """Build the image for nodes in containers."""
     from mast_zenoh.deploy import image as images
 
     base = base or images.BASE
-    made = images.build(tag or images.TAG, base)
-    more = images.size_over_base(made, base) / 1e6
-    _out.print(f"image: {made}, {more:.0f} MB over {base}", highlight=False)
+    built = images.build(tag or images.TAG, base)
+    added_mb = images.size_over_base(built, base) / 1e6
+    _out.print(f"image: {built}, {added_mb:.0f} MB over {base}", highlight=False)
 
 
 def doctor(
-    credentials: Annotated[Path | None, typer.Option(help="A folder of certificates to look at, too.")] = None,
-    endpoint: Annotated[str | None, typer.Option(help="And whether they are good for this router.")] = None,
+    credentials: Annotated[Path | None, typer.Option(help="A folder of certificates to check.")] = None,
+    endpoint: Annotated[str | None, typer.Option(help="A router that the certificates are checked against.")] = None,
 ) -> None:
-    """What this machine can do, and what to install for what it cannot."""
+    """Check what this machine can do, and what to install for the rest."""
     from mast_zenoh.deploy import doctor as findings
 
     table = Table("", "", "", "what to do", box=None)
-    wrong = False
+    failed = False
     for finding in findings.examine(credentials, endpoint):
-        mark = {True: "[green]ok", False: "[red]no", None: "[yellow]--"}[finding.ok]
-        wrong |= finding.ok is False
-        table.add_row(mark, finding.name, finding.said, finding.fix)
+        symbol = {True: "[green]ok", False: "[red]no", None: "[yellow]--"}[finding.ok]
+        failed |= finding.ok is False
+        table.add_row(symbol, finding.name, finding.detail, finding.fix)
     _out.print(table)
-    raise typer.Exit(1 if wrong else 0)
+    raise typer.Exit(1 if failed else 0)
 
 
 def _deployed(folder: Path) -> tuple[Any, dict[str, Any]]:
@@ -150,19 +150,19 @@ def _deployed(folder: Path) -> tuple[Any, dict[str, Any]]:
 
     record = read_json(folder / "run.json")
     if "deployment" not in record:
-        raise RunFolderError(f"{folder}: its nodes did not live elsewhere, so there is nothing of it but the folder")
+        raise RunFolderError(f"{folder}: was not deployed: nothing of it exists but the folder")
     return engines.load(record["deployment"]["engine"]), record
 
 
-def _made(kind: Any, told: dict[str, Any]) -> Any:
-    """An engine with the options that were given; one that it does not have is a wrong word."""
-    takes = inspect.signature(kind).parameters
-    for name in told:
-        if name not in takes:
+def _engine(kind: Any, options: dict[str, Any]) -> Any:
+    """An engine with these options; raises BadParameter for an option that it does not have."""
+    accepted = inspect.signature(kind).parameters
+    for name in options:
+        if name not in accepted:
             raise typer.BadParameter(
                 f"engine {kind.name} has no such option", param_hint=f"--{name.removesuffix('_s')}"
             )
-    return kind(**told)
+    return kind(**options)
 
 
 def _placed(words: list[str] | None) -> dict[str, str] | None:

@@ -1,4 +1,4 @@
-"""`mast intercept` and `mast release`: commands that change the wiring of a run while it goes on."""
+"""`mast intercept` and `mast release`: commands that change the wiring of a running run."""
 
 from __future__ import annotations
 
@@ -9,43 +9,45 @@ import typer
 
 from mast_zenoh.cli.options import out as _out
 
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run that goes on.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a running run.")]
 
 
 def intercept(
     run_folder: RunFolder,
-    wire: Annotated[str, typer.Option(help="The wire to sit on: agent/infra_2/tracks.")],
-    node: Annotated[str, typer.Option("--with", metavar="NODE.py", help="A node's file, or the name of one of ours.")],
-    name: Annotated[str | None, typer.Option(help="Of the new node. Default: its file's, with a number.")] = None,
-    input: Annotated[str | None, typer.Option(metavar="PORT", help="Where it takes the wire's messages.")] = None,
-    output: Annotated[str | None, typer.Option(metavar="PORT", help="Where it passes them on.")] = None,
+    wire: Annotated[str, typer.Option(help="The wire to intercept: agent/infra_2/tracks.")],
+    node: Annotated[
+        str, typer.Option("--with", metavar="NODE.py", help="A node's file, or the name of a shipped one.")
+    ],
+    name: Annotated[str | None, typer.Option(help="Name of the new node. Default: its file's, with a number.")] = None,
+    input: Annotated[str | None, typer.Option(metavar="PORT", help="Its input port for the wire's messages.")] = None,
+    output: Annotated[str | None, typer.Option(metavar="PORT", help="Its output port for the wire's messages.")] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the node, or a dotted path.")
     ] = None,
 ) -> None:
-    """Put a node on a wire of a run that goes on: no message is lost, doubled or out of order."""
+    """Insert a node into a wire of a running run: no message is lost, duplicated or reordered."""
     from mast_zenoh.launch.interception import client
 
-    done = client.intercept(run_folder, wire, node, name=name, input=input, output=output, settings=settings or ())
-    _say_done(f"{done['node']} is on", done)
+    result = client.intercept(run_folder, wire, node, name=name, input=input, output=output, settings=settings or ())
+    _show_result(f"{result['node']} is on", result)
 
 
 def release(
     run_folder: RunFolder,
-    name: Annotated[str | None, typer.Option(help="The node to take off its wires.")] = None,
-    wire: Annotated[str | None, typer.Option(help="Or the wire whose only node is meant.")] = None,
+    name: Annotated[str | None, typer.Option(help="The node to release.")] = None,
+    wire: Annotated[str | None, typer.Option(help="Or the wire whose only node is released.")] = None,
 ) -> None:
-    """Take a node off its wires while the run goes on, when it has passed on what it got."""
+    """Release a node from its wires in a running run, after it has forwarded all that it received."""
     from mast_zenoh.launch.interception import client
 
     if (name is None) == (wire is None):
-        raise typer.BadParameter("say --name or --wire", param_hint="--name / --wire")
-    done = client.release(run_folder, name=name, wire=wire)
-    _say_done(f"{done['node']} is off", done)
+        raise typer.BadParameter("expected either --name or --wire", param_hint="--name / --wire")
+    result = client.release(run_folder, name=name, wire=wire)
+    _show_result(f"{result['node']} is off", result)
 
 
-def _say_done(what: str, done: dict[str, Any]) -> None:
-    where = ", ".join(done["wires"])
+def _show_result(subject: str, result: dict[str, Any]) -> None:
+    wires = ", ".join(result["wires"])
     _out.print(
-        f"{what} {where} from frame {done['frame']} on ({done['took_ms']:.1f} ms)", markup=False, highlight=False
+        f"{subject} {wires} from frame {result['frame']} on ({result['took_ms']:.1f} ms)", markup=False, highlight=False
     )

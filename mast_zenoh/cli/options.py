@@ -1,4 +1,4 @@
-"""What several commands of the command line share: options, the two consoles, how a run is concluded."""
+"""Code shared by several commands: options, the two consoles, showing the results of a run."""
 
 from __future__ import annotations
 
@@ -25,16 +25,15 @@ if TYPE_CHECKING:
     from mast_zenoh.report.runfolder import RunFolder
 
 
-#: All but tab and line feed, and what turns the direction of writing.
+#: Control characters except tab and line feed, and those that change the direction of text.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 class PlainConsole(Console):
-    """A console on which a text is only text: control characters, which a node's words may hold, become �."""
+    """A console that replaces control characters, which a node's output may contain, by �."""
 
-    def print(self, *objects: Any, **how: Any) -> None:
-        """See Console."""
-        super().print(*(_CONTROL.sub("�", each) if isinstance(each, str) else each for each in objects), **how)
+    def print(self, *objects: Any, **options: Any) -> None:
+        super().print(*(_CONTROL.sub("�", text) if isinstance(text, str) else text for text in objects), **options)
 
 
 out = PlainConsole(soft_wrap=True)
@@ -44,48 +43,48 @@ Settings = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A launch-time parameter, or a dotted path.")
 ]
 Scenario = Annotated[
-    str, typer.Argument(help="A scenario file, or the name of one of ours: baseline, uncoordinated, …")
+    str, typer.Argument(help="A scenario file, or the name of a shipped one: baseline, uncoordinated, …")
 ]
 Out = Annotated[Path | None, typer.Option(help="Folder for the results; new or empty. Default: runs/NAME-TIME.")]
 Frames = Annotated[int | None, typer.Option(min=1, help="How many frames to play.")]
-Seed = Annotated[int | None, typer.Option(min=0, help="Of all random draws.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed of all random draws.")]
 Secure = Annotated[
     Literal["open", "tls", "mtls", "acl"],
-    typer.Option("--secure", metavar="[LEVEL]", help="Secure the mesh: tls, mtls, or acl, which is meant without one."),
+    typer.Option("--secure", metavar="[LEVEL]", help="Secure the mesh: tls, mtls, or acl (the default level)."),
 ]
 Mode = Annotated[Literal["lockstep", "realtime"] | None, typer.Option(help="Exact, or paced by the clock.")]
-Rate = Annotated[float | None, typer.Option(help="Real time: how many times faster than the wall clock.")]
+Rate = Annotated[float | None, typer.Option(help="Real time: speed relative to the wall clock.")]
 Against = Annotated[
     str | None,
     typer.Option(metavar="RUN|twin", help="Compare with another run, or with the same run without its adversaries."),
 ]
 Report = Annotated[bool, typer.Option(help="Whether to write report.html and the figures.")]
 AllowChurn = Annotated[
-    bool, typer.Option("--allow-churn", help="Only warn when a node was lost in lock-step that was to be there.")
+    bool, typer.Option("--allow-churn", help="Only warn when a node is lost unexpectedly in lock-step.")
 ]
-AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn when a handler of a node has failed.")]
+AllowFailures = Annotated[bool, typer.Option("--allow-failures", help="Only warn when a handler of a node fails.")]
 Record = Annotated[bool, typer.Option(help="Whether to write every message to messages.mcap.")]
 
 
 class SecureCommand(TyperCommand):
-    """A command whose option `--secure` may stand alone."""
+    """A command whose option `--secure` may have no value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put in the level that was left out."""
-        spelt = list(args)
+        """Insert the default level after `--secure` without a value."""
+        completed = list(args)
         for index, (word, following) in enumerate(pairwise([*args, ""])):
             if word == "--secure" and following.isalpha() and get_close_matches(following.lower(), levels.LEVELS):
                 levels.check(following)
             if word == "--secure" and following not in levels.LEVELS:
-                spelt[index] = f"--secure={levels.SECURE}"
-        return super().parse_args(ctx, spelt)
+                completed[index] = f"--secure={levels.SECURE}"
+        return super().parse_args(ctx, completed)
 
 
 def conclude(ended: Run, *, report: bool, against: str | None = None, allow_failures: bool = False) -> None:
-    """Show the results of a run, compared with another if one is named, and raise what it failed by.
+    """Show the results of a run, compared with another if one is named, and raise the run's error.
 
-    A comparison that is not possible costs neither the results nor the run's own failure, which is raised first. A twin
-    whose handlers failed counts as a failure of the run unless that is allowed.
+    If the comparison is not possible, results are still shown, and the run's own error is raised first. Failed handlers
+    of a twin count as a failure of the run unless that is allowed.
     """
     try:
         with reporting(ended.folder):
@@ -107,22 +106,22 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
 
 @contextmanager
 def reporting(folder: Path, command: str = "report") -> Iterator[None]:
-    """What ends the drawing of a report costs the report: the error says so, and how to write it.
+    """Turn an exception while a report is written into an error that says how to write it again.
 
-    Raises RunFolderError for results that no report can be made of: an evaluator hands in what it likes.
+    Raises RunFolderError for results that cannot be reported: a user's evaluator may return anything.
     """
-    again = f"the results in {folder} are complete but for the report: `mast {command} {folder}` writes it"
+    hint = f"the results in {folder} are complete but for the report: `mast {command} {folder}` writes it"
     try:
         yield
-    except (KeyboardInterrupt, OSError) as caught:
-        raise ending.explained(caught, again) from None
-    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as caught:
-        what = failures.described(caught)
-        raise RunFolderError(f"{folder}: no report can be made of what the evaluator has handed in: {what}") from caught
+    except (KeyboardInterrupt, OSError) as exception:
+        raise ending.explained(exception, hint) from None
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as exception:
+        description = failures.described(exception)
+        raise RunFolderError(f"{folder}: the evaluator's results cannot be reported: {description}") from exception
 
 
 def _show(ended: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
-    """Show the results of a run; why it could not be compared, and what it was compared with."""
+    """Show the results of a run; returns (why it could not be compared, the run it was compared with)."""
     from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
     from mast_zenoh.report.runfolder import RunFolder
 
@@ -142,11 +141,11 @@ def _show(ended: Run, *, report: bool, against: str | None) -> tuple[RunFolderEr
 
 
 def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
-    """What a run is compared with, or why it cannot be."""
+    """The run to compare with, or why that is not possible."""
     from mast_zenoh.report import comparison
 
     if interrupted:
-        return None, NotComparable(f"{run.path}: was interrupted: expected a run that came to its end")
+        return None, NotComparable(f"{run.path}: was interrupted: expected a finished run")
     try:
         return comparison.reference(run, reference_folder(run.path, against)), None
     except RunFolderError as error:
@@ -154,27 +153,27 @@ def _reference(run: RunFolder, against: str, *, interrupted: bool) -> tuple[Refe
 
 
 def _raise_failure(reference: Reference) -> None:
-    """Raise HandlerFailed if handlers of the run that another one is compared with have failed."""
+    """Raise HandlerFailed if handlers of the reference run have failed."""
     record = reference.run.run
     if record.get("status") == "handler_failures":
         raise HandlerFailed(f"{reference.name} ({reference.run.path}): {record.get('message')}")
 
 
 def check_run_folder(folder: Path) -> None:
-    """Raise NotComparable unless a folder holds the results of a run: before another one is played for a comparison."""
+    """Raise NotComparable unless a folder has the results of a run; called before a run that is compared with it."""
     if not (folder / "metrics.json").is_file():
         raise NotComparable(f"{folder}: has no metrics.json: expected the folder of a run with results, or twin")
 
 
 def reference_folder(run_folder: Path, against: str) -> Path:
-    """The folder of the run that another one is compared with: `twin` is its own unattacked twin, played if need be."""
+    """The folder of the reference run; for `twin` that of its unattacked twin, which is played if needed."""
     from mast_zenoh.launch import twin
 
     return twin.of(run_folder, out) if against == twin.FOLDER else Path(against)
 
 
 def show_notices(ended: Run, label: str = "") -> None:
-    """Print what deserves attention in a run, and the failures of handlers that its error does not name."""
+    """Print the notices of a run, and failures of handlers that its error does not name."""
     notices = [f"{notice['kind']}: {notice['text']}" for notice in ended.record.get("notices", ())]
     if ended.record["message"] and not ended.error:
         notices.append(f"note: {ended.record['message']}")

@@ -1,4 +1,4 @@
-"""Standard output and error of the command line: a reader that goes away, or a full disk, costs the text and no run."""
+"""Standard output and error that never fail: a closed pipe or a full disk loses text, but does not end a run."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from typing import Any, TextIO
 
 
 class _Lossy(io.FileIO):
-    """A file descriptor that takes everything; from the first failure on, what is written is lost.
+    """A file descriptor that accepts all writes; after the first failure, output is discarded.
 
-    failure: why; None as long as nothing is lost
+    failure: the first error; None if nothing was lost
     """
 
     failure: OSError | None = None
 
     def write(self, data: Any, /) -> int:
-        """See FileIO."""
         if self.failure is None:
             try:
                 return super().write(data)
@@ -28,10 +27,10 @@ class _Lossy(io.FileIO):
 
 
 def replace() -> None:
-    """Replace sys.stdout and sys.stderr by streams whose writers never fail.
+    """Replace sys.stdout and sys.stderr by streams that never fail to write.
 
-    What the terminal's encoding cannot show is escaped. A standard stream that is closed becomes /dev/null, so that no
-    file of a run gets its number.
+    Characters that the terminal's encoding lacks are escaped. A closed standard stream becomes /dev/null, so that no
+    file of a run gets its descriptor.
     """
     for _ in range(3):
         descriptor = os.open(os.devnull, os.O_RDWR)
@@ -43,7 +42,7 @@ def replace() -> None:
 
 
 def failed_output() -> OSError | None:
-    """Flush both streams; why standard output is incomplete, unless its reader did not want more."""
+    """Flush both streams; returns why standard output is incomplete, None also if its reader closed the pipe."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
@@ -51,8 +50,10 @@ def failed_output() -> OSError | None:
     return None if failure is None or failure.errno == errno.EPIPE else failure
 
 
-def _stream(descriptor: int, before: TextIO | None) -> TextIO:
+def _stream(descriptor: int, former: TextIO | None) -> TextIO:
     raw = _Lossy(descriptor, "w", closefd=False)
-    encoding = before.encoding if before is not None else None
-    lines = descriptor == 2 or raw.isatty()
-    return io.TextIOWrapper(io.BufferedWriter(raw), encoding=encoding, errors="backslashreplace", line_buffering=lines)
+    encoding = former.encoding if former is not None else None
+    line_buffered = descriptor == 2 or raw.isatty()
+    return io.TextIOWrapper(
+        io.BufferedWriter(raw), encoding=encoding, errors="backslashreplace", line_buffering=line_buffered
+    )

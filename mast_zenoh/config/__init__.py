@@ -1,1 +1,1 @@
-"""What users write becomes objects: files are found and loaded, classes are looked up by name, settings are applied."""
+"""Turns what users write into objects: loads files, looks classes up by name, applies settings."""

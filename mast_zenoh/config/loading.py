@@ -47,10 +47,10 @@ def module(path: Path) -> ModuleType:
     finally:
         sys.path.remove(str(path.parent))
         files = [path]
-        for beside in set(sys.modules) - before - {name}:
-            if _folder(sys.modules[beside]) == path.parent:
-                files.append(Path(sys.modules[beside].__file__ or path))
-                del sys.modules[beside]
+        for sibling in set(sys.modules) - before - {name}:
+            if _folder(sys.modules[sibling]) == path.parent:
+                files.append(Path(sys.modules[sibling].__file__ or path))
+                del sys.modules[sibling]
         _SOURCES[loaded] = {file: _changed_at(file) for file in files}
     return loaded
 
@@ -72,24 +72,24 @@ def _changed_at(file: Path) -> tuple[int, int] | None:
     return stat.st_mtime_ns, stat.st_size
 
 
-def function(kind: str, name: str, what: str) -> tuple[Path, Callable[..., Any]]:
-    """(file, function) `what` in a file of a kind: a path, or the name of one of ours with or without .py."""
+def function(kind: str, name: str, function_name: str) -> tuple[Path, Callable[..., Any]]:
+    """(file, function) in a file of a kind; `name` is a path, or the name of a shipped file with or without .py."""
     path = Path(name)
     if not path.is_file():
         short = path.name if path.suffix == ".py" else f"{path.name}.py"
-        ours = bundle.find(kind, short) if path.parent.name in ("", kind) else None
-        if ours is None:
+        shipped = bundle.find(kind, short) if path.parent.name in ("", kind) else None
+        if shipped is None:
             if name and path.is_dir():
-                raise ConfigurationError(f"{name}: is a folder, expected a Python file or the name of one of ours")
+                raise ConfigurationError(f"{name}: is a folder, expected a Python file or the name of a shipped one")
             known = bundle.names(kind, path.parent if path.parent.is_dir() else None)
             hint = f"; did you mean {near[0]!r}?" if (near := difflib.get_close_matches(short, known, n=1)) else ""
-            listed = ", ".join(each.removesuffix(".py") for each in bundle.names(kind))
-            raise ConfigurationError(f"{name}: no such file{hint}; {kind} that come with mast: {listed}")
-        path = ours
-    found = getattr(module(path), what, None)
-    if not callable(found):
-        raise ConfigurationError(f"{path}: defines no function `{what}`")
-    return path.resolve(), found
+            available = ", ".join(file_name.removesuffix(".py") for file_name in bundle.names(kind))
+            raise ConfigurationError(f"{name}: no such file{hint}; {kind} that come with mast: {available}")
+        path = shipped
+    target = getattr(module(path), function_name, None)
+    if not callable(target):
+        raise ConfigurationError(f"{path}: defines no function `{function_name}`")
+    return path.resolve(), target
 
 
 def place_of(function: Callable[..., Any]) -> Path:
@@ -120,16 +120,16 @@ def _ours(cls: type) -> bool:
 
 
 def defines_algorithms(loaded: ModuleType) -> bool:
-    """Whether a user's module, or one beside it that it has imported, adds classes that `type=…` can name."""
-    own = [value for value in vars(loaded).values() if isinstance(value, type)]
+    """Whether a user's module, or one beside it that it imports, adds classes that `type=…` can name."""
+    classes = [value for value in vars(loaded).values() if isinstance(value, type)]
     for value in vars(loaded).values():
         if isinstance(value, ModuleType) and _folder(value) == _folder(loaded):
-            own += [found for found in vars(value).values() if isinstance(found, type)]
-    return any(not cls.__module__.startswith("mast_zenoh.") and _ours(cls) for cls in own)
+            classes += [item for item in vars(value).values() if isinstance(item, type)]
+    return any(not cls.__module__.startswith("mast_zenoh.") and _ours(cls) for cls in classes)
 
 
 def _folder(loaded: ModuleType) -> Path | None:
-    """The folder of a module's file; None without one: built-in modules have none, nor have namespace packages."""
+    """The folder of a module's file; None for built-in modules and namespace packages, which have no file."""
     file = getattr(loaded, "__file__", None)
     return Path(file).parent if file else None
 
@@ -177,9 +177,9 @@ def node_class(file: Path, name: str | None = None) -> type[Node]:
         raise NodeFileError(f"{file}: defines no node {name!r}{nearest(name, classes)}")
     if name is None and len(classes) != 1:
         raise NodeFileError(f"{file}: defines {len(classes)} nodes ({', '.join(sorted(classes))}): say which by type=…")
-    found = classes[name] if name else next(iter(classes.values()))
-    _nodes[str(file), name] = _sound(found, file)
-    return found
+    cls = classes[name] if name else next(iter(classes.values()))
+    _nodes[str(file), name] = _sound(cls, file)
+    return cls
 
 
 def _sound(cls: type[Node], file: Path) -> type[Node]:

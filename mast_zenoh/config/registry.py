@@ -1,7 +1,7 @@
 """Builds objects from plain dicts: `dict(type="ClassName", parameter=…)`, or with the class itself as `type`.
 
-Whatever subclasses a base can be named where that base is expected; there is nothing to register. A package imports
-all its modules that define algorithms, so these are there with their base. Parameters are checked
+Any subclass of a base can be named where that base is expected; there is nothing to register. A package imports
+all its modules that define algorithms, so that they exist as soon as their base does. Parameters are checked
 against the class's `__init__`: unknown names, missing ones and wrong types are refused with the path to them.
 """
 
@@ -51,32 +51,32 @@ def type_names(value: Any) -> Iterator[str]:
 
 def known_types(base: type) -> dict[str, type]:
     """The concrete classes that can be named where `base` is expected, by name."""
-    found: dict[str, type] = {} if inspect.isabstract(base) else {base.__name__: base}
-    children: list[type] = base.__subclasses__()
-    for subclass in children:
-        found |= known_types(subclass)
-    return found
+    classes: dict[str, type] = {} if inspect.isabstract(base) else {base.__name__: base}
+    subclasses: list[type] = base.__subclasses__()
+    for subclass in subclasses:
+        classes |= known_types(subclass)
+    return classes
 
 
 def build(spec: object, base: type, path: str) -> Any:
     """The object that `spec` describes, of a subclass of `base`.
 
-    `path` is where the spec stands in its scenario. Raises ConfigurationError naming the path.
+    `path` is the spec's place in its scenario. Raises ConfigurationError naming the path.
     """
     if not isinstance(spec, Mapping):
         raise ConfigurationError(f"{path}: found {spec!r}, expected a dict(type=…) naming a {base.__name__}")
-    types_ = known_types(base)
+    classes = known_types(base)
     if "type" not in spec:
-        if len(types_) == 1:
-            spec = {"type": next(iter(types_)), **spec}
+        if len(classes) == 1:
+            spec = {"type": next(iter(classes)), **spec}
         else:
-            raise ConfigurationError(f"{path}: no type given{nearest('', types_)}")
+            raise ConfigurationError(f"{path}: no type given{nearest('', classes)}")
     name = ClassName(spec["type"]) if isinstance(spec["type"], type) else spec["type"]
     if isinstance(name, ClassName) and issubclass(name.cls, base):
-        types_ = {name: name.cls}  # of two classes of one name, the one that is meant
-    if not isinstance(name, str) or name not in types_:
-        raise ConfigurationError(f"{path}.type: no {base.__name__} named {name!r}{nearest(str(name), types_)}")
-    return construct(types_[name], {key: value for key, value in spec.items() if key != "type"}, path)
+        classes = {name: name.cls}  # of two classes of one name, the one that is meant
+    if not isinstance(name, str) or name not in classes:
+        raise ConfigurationError(f"{path}.type: no {base.__name__} named {name!r}{nearest(str(name), classes)}")
+    return construct(classes[name], {key: value for key, value in spec.items() if key != "type"}, path)
 
 
 def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
@@ -98,7 +98,7 @@ def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
         raise ConfigurationError(f"{path}: {cls.__name__}: {error}") from None
 
 
-#: What `_signature` has found out. A class that nobody else holds any more is forgotten: it cannot be named either.
+#: Cache of `_signature`. Weak keys: a class that is deleted can no longer be named either.
 _SIGNATURES: WeakKeyDictionary[type, _Signature] = WeakKeyDictionary()
 
 
@@ -112,7 +112,7 @@ def _signature(cls: type) -> _Signature:
 
 
 def _value(value: object, hint: Any, path: str) -> Any:
-    """`value` as the annotation `hint` wants it."""
+    """`value`, converted as the annotation `hint` demands."""
     if hint is Any or (isinstance(hint, type) and hint not in (float, int) and isinstance(value, hint)):
         return value
     origin = typing.get_origin(hint)
@@ -157,11 +157,14 @@ def _sequence(value: object, hint: Any, path: str) -> Any:
         arguments = (arguments[0],) * len(items)
     if len(arguments) != len(items):
         raise ConfigurationError(f"{path}: found {len(items)} values, expected {len(arguments)}")
-    built = [_value(item, hint_, f"{path}[{i}]") for i, (item, hint_) in enumerate(zip(items, arguments, strict=True))]
+    built = [
+        _value(item, item_hint, f"{path}[{i}]")
+        for i, (item, item_hint) in enumerate(zip(items, arguments, strict=True))
+    ]
     return built if typing.get_origin(hint) is list else tuple(built)
 
 
-def _expect(value: object, kind: Any, words: str, path: str) -> Any:
+def _expect(value: object, kind: Any, expected: str, path: str) -> Any:
     if not isinstance(value, kind):
-        raise ConfigurationError(f"{path}: found {value!r}, expected {words}")
+        raise ConfigurationError(f"{path}: found {value!r}, expected {expected}")
     return value

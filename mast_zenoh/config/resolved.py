@@ -1,4 +1,4 @@
-"""A scenario with nothing left to decide: what a run folder holds, and what the processes of a run are given."""
+"""A scenario with nothing left to decide, as run folders hold it and the processes of a run receive it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages.timespan import Timespan
 from mast_zenoh.node import Node
 
-if TYPE_CHECKING:  # most nodes never see a scene
+if TYPE_CHECKING:  # most nodes never load a scene
     from mast_zenoh.scenes.recording import Recording
 
 RECORDING = "scene.npz"
@@ -22,7 +22,7 @@ RECORDING = "scene.npz"
 
 @dataclass(frozen=True, slots=True)
 class NodeSpec:
-    """One node of a run: its role, file, class, parameters, and what its end means for the run."""
+    """One node of a run: its role, file, class, parameters, and what the run does when it exits."""
 
     role: str
     file: str
@@ -35,9 +35,9 @@ class NodeSpec:
 class Resolved:
     """A scenario with nothing left to decide.
 
-    modules: the user's Python files that define algorithms named in it; whoever builds its nodes runs them first
+    modules: the user's Python files that define algorithms named in it; to be loaded before its nodes are built
     steps: what happens to processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
-    leeway_ns: by how much the times of messages may be wrong, see `Timespan`; None, as in earlier versions: any
+    leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
     """
 
     name: str
@@ -58,25 +58,25 @@ class Resolved:
 
     @property
     def timespan(self) -> Timespan | None:
-        """The frames and times that messages can have; None where it is unknown."""
+        """The frames and times that messages can have; None if unknown."""
         return None if self.leeway_ns is None else Timespan(self.frames, self.period_ns, self.leeway_ns)
 
     @property
     def patient(self) -> bool:
-        """Whether a node that says nothing for long is waited for: in lock-step, unless the scenario cuts networks."""
+        """Whether the run waits for a silent node: in lock-step, unless the scenario cuts networks."""
         return self.mode == "lockstep" and not self.network
 
     def to_json(self) -> dict[str, Any]:
-        """The form of scenario.json, without the wiring, which has a file of its own."""
+        """The content of scenario.json; the wiring has its own file."""
         nodes = {
             name: {
-                "role": s.role,
-                "file": s.file,
-                "type": s.type,
-                "on_exit": s.on_exit,
-                "config": self._plain(s.config),
+                "role": spec.role,
+                "file": spec.file,
+                "type": spec.type,
+                "on_exit": spec.on_exit,
+                "config": self._plain(spec.config),
             }
-            for name, s in self.nodes.items()
+            for name, spec in self.nodes.items()
         }
         names = ["name", "seed", "mode", "rate", "frames", "period_ns", "leeway_ns"]
         names += ["scene", "modules", "timeline", "network"]
@@ -84,7 +84,7 @@ class Resolved:
         return {**{name: getattr(self, name) for name in names}, "steps": steps, "nodes": nodes}
 
     def _plain(self, value: Any) -> Any:
-        """A configuration as JSON: the recorded scene and the log are named by their files."""
+        """A configuration as JSON values; the recorded scene and the log become their file names."""
         if value is self.recording is not None:
             return RECORDING
         if isinstance(value, MessageLog):
@@ -97,7 +97,7 @@ class Resolved:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], wiring: dict[str, Any]) -> Resolved:
-        """What `to_json` wrote."""
+        """The scenario that `to_json` wrote."""
         nodes = {name: NodeSpec(**spec) for name, spec in data["nodes"].items()}
         steps = tuple(ProcessStep(**step) for step in data["steps"])
         lists = {name: tuple(data[name]) for name in ("modules", "timeline")}
@@ -110,21 +110,21 @@ class Resolved:
         return cls.from_json(scenario, json.loads((run_folder / "wiring.json").read_text(encoding="utf-8")))
 
     def in_folder(self, run_folder: Path) -> Resolved:
-        """The same, with what its nodes write placed in a run folder: for those that are built in another directory."""
+        """A copy whose nodes write into a run folder, for nodes that are built in another directory."""
 
-        def placed(value: Any) -> Any:
+        def in_run_folder(value: Any) -> Any:
             return MessageLog(run_folder / value.path) if isinstance(value, MessageLog) else value
 
         return replace(
             self,
             nodes={
-                name: replace(spec, config={key: placed(value) for key, value in spec.config.items()})
+                name: replace(spec, config={key: in_run_folder(value) for key, value in spec.config.items()})
                 for name, spec in self.nodes.items()
             },
         )
 
     def write(self, run_folder: Path) -> None:
-        """scenario.json, wiring.json and scene.npz: all that the nodes of the run need."""
+        """Write scenario.json, wiring.json and scene.npz: all that the nodes of the run need."""
         if self.recording is not None:
             self.recording.save(run_folder / RECORDING)
         for name, content in (("scenario.json", self.to_json()), ("wiring.json", self.wiring)):
@@ -132,7 +132,7 @@ class Resolved:
 
 
 def build_node(spec: NodeSpec, name: str, place: str = "scenario.json") -> Node:
-    """The node of a spec, newly made."""
+    """Build the node of a spec."""
     cls = loading.node_class(Path(spec.file), spec.type)
     node = registry.construct(cls, spec.config, f"{place}: {name}")
     assert isinstance(node, Node)

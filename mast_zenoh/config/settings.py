@@ -1,4 +1,4 @@
-"""Launch-time settings, `--set KEY=VALUE`: split by what they reach, typed, and put where they belong."""
+"""Launch-time settings, `--set KEY=VALUE`: parsed, typed, and applied to a scenario."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, nearest
 
-#: The keys of a scenario; docs/scenarios.md says what they hold.
+#: The keys of a scenario, described in docs/scenarios.md.
 KEYS = (
     *("name", "scene", "agents", "broker", "command_center", "evaluator", "adversaries", "coordinator", "nodes"),
     *("links", "faults", "hosts", "keyexpr", "run"),
 )
-#: Keys as they are also spelt: in the paper's configuration listing.
+#: Alternative spellings of keys, from the paper's configuration listing.
 ALIASES = {"commandcenter": "command_center"}
 
 
 def split(settings: Sequence[str], function: Callable[..., Any], place: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(parameters of the function, dotted settings), typed."""
+    """Split settings into (parameters of the function, dotted settings), typed."""
     known = inspect.signature(function).parameters
     parameters: dict[str, Any] = {}
     dotted: dict[str, Any] = {}
@@ -57,24 +57,24 @@ def from_values(
 
 
 def nested(settings: Sequence[str]) -> dict[str, Any]:
-    """A dict of settings; a dotted key reaches into a dict within it, which is made where there is none."""
-    made: dict[str, Any] = {}
+    """Settings as nested dicts: `a.b=1` becomes {"a": {"b": 1}}."""
+    result: dict[str, Any] = {}
     for setting in settings:
         key, equals, value = setting.partition("=")
         if not equals:
             raise ConfigurationError(f"--set {setting}: expected KEY=VALUE")
         *steps, last = key.split(".")
-        level = made
+        level = result
         for step in steps:
             level = level.setdefault(step, {})
             if not isinstance(level, dict):
                 raise ConfigurationError(f"--set {setting}: {step} is {level!r}, not a dict")
         level[last] = _literal(value)
-    return made
+    return result
 
 
-def reach(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> None:
-    """Set what a dotted key names; every step must exist, and the last one is refused later if nobody takes it."""
+def set_dotted(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> None:
+    """Set the value that a dotted key names. Every step but the last must exist; the last one is checked later."""
     *steps, last = dotted.split(".")
     steps[0] = ALIASES.get(steps[0], steps[0])
     scenario |= {key: {} for key in steps[:1] if key in KEYS and key not in scenario}

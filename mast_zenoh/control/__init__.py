@@ -28,8 +28,8 @@ NODE, USER = "node", "user"
 class Control(NamedTuple):
     """One kind of control message.
 
-    senders:   who may send it; with `own`, each on a key that ends with its own name
-    receivers: which of them take it
+    senders:   kinds of processes that may send it; with `own`, each on a key that ends with its own name
+    receivers: kinds of processes that receive it
     """
 
     name: str
@@ -40,7 +40,7 @@ class Control(NamedTuple):
 
     @property
     def signed(self) -> bool:
-        """Whether it is signed above the level "open": if only the driver or the launcher may send it."""
+        """Whether it is signed above the level "open": true if only the driver or the launcher may send it."""
         return {*self.senders} <= {DRIVER, LAUNCHER}
 
 

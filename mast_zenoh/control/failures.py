@@ -1,6 +1,6 @@
-"""Failures of handlers: counted by the host where they happen, merged and put into words where the run is judged.
+"""Failures of handlers: counted in the node's process, merged and formatted by the launcher.
 
-An entry is a failure as plain values, as it travels and as run.json holds it:
+An entry is a failure as plain values, as in messages and in run.json:
 
     {"handler": "on_detections", "count": 19, "frames": 19, "first_frame": 11, "last_frame": 29,
      "exception": "ZeroDivisionError: division by zero", "where": "/home/me/shover.py:31"}
@@ -22,14 +22,14 @@ _MAX_TEXT = 300
 _PACKAGE = Path(__file__).parents[1]
 _PYTHON = sysconfig.get_path("stdlib")
 _INSTALLED = {"site-packages", "dist-packages"}
-#: Parts of the package that only carry a node's calls: an error raised there is the caller's.
+#: Parts of the package that a node calls: an error raised there is attributed to the caller.
 _PLUMBING = {"runtime", "control", "kernels", "node.py", "wiring", "messages"}
 
 
 class Failure:
-    """The failures of one handler; the first exception stands for all of them.
+    """The failures of one handler, with the exception of the first.
 
-    frames: those in which it failed
+    frames: the frames in which it failed
     """
 
     def __init__(self, handler: str, error: BaseException, call: Callable[..., Any]) -> None:
@@ -68,26 +68,26 @@ def described(error: BaseException) -> str:
 
 
 def location(error: BaseException, call: Callable[..., Any]) -> str:
-    """`file:line` of the innermost frame in the code of a node or an algorithm; else where `call` is defined.
+    """`file:line` of the innermost frame in the code of a node or an algorithm; else the definition of `call`.
 
-    call: the handler that raised the error. Frames in Python's library, installed packages and the runtime are skipped.
-    An error about what a function returned was raised elsewhere: it names the function in `about`.
+    call: the handler that raised the error. Frames in the standard library, installed packages and the runtime are
+    skipped. An error about the return value of a function has the function in `about`.
     """
     if (about := getattr(error, "about", None)) is not None:
         return _definition(about)
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if _is_of_a_node(frame.filename):
+        if _is_node_code(frame.filename):
             return f"{frame.filename}:{frame.lineno}"
     return _definition(call)
 
 
 def _definition(call: Callable[..., Any]) -> str:
-    """`file:line` of where a function is defined."""
+    """`file:line` of a function's definition."""
     code = getattr(call, "__code__", None)
     return f"{code.co_filename}:{code.co_firstlineno}" if code else "unknown"
 
 
-def _is_of_a_node(file: str) -> bool:
+def _is_node_code(file: str) -> bool:
     path = Path(file)
     if path.is_relative_to(_PACKAGE):
         return path.relative_to(_PACKAGE).parts[0] not in _PLUMBING
@@ -95,18 +95,18 @@ def _is_of_a_node(file: str) -> bool:
 
 
 def merged(parts: Iterable[Sequence[Entry]]) -> list[Entry]:
-    """One entry for each handler, from all processes that have been the same node one after the other."""
-    total: dict[str, Entry] = {}
+    """One entry for each handler, from the successive processes of one node."""
+    by_handler: dict[str, Entry] = {}
     for entry in (entry for part in parts for entry in part):
-        known = total.get(entry["handler"])
+        known = by_handler.get(entry["handler"])
         if known is None:
-            total[entry["handler"]] = dict(entry)
+            by_handler[entry["handler"]] = dict(entry)
             continue
         known["count"] += entry["count"]
         known["frames"] += entry["frames"]
         known["first_frame"] = min(known["first_frame"], entry["first_frame"])
         known["last_frame"] = max(known["last_frame"], entry["last_frame"])
-    return [total[handler] for handler in sorted(total)]
+    return [by_handler[handler] for handler in sorted(by_handler)]
 
 
 def lines(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | None = None) -> list[str]:
@@ -120,7 +120,7 @@ def lines(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | Non
 
 
 def summary(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | None = None) -> str:
-    """What failed in a run, and what that means, on several lines."""
+    """The failures of a run and their consequence, on several lines."""
     return "\n  ".join(["handlers failed, so the numbers may be wrong:", *lines(failures, logs)])
 
 
@@ -131,7 +131,7 @@ def error(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | Non
 
 
 def how_often(entry: Entry) -> str:
-    """How often a handler failed and in which frames, in words; an entry of an older run has no frames."""
+    """How often a handler failed and in which frames, as text; an entry of an older run has no frames."""
     times = "once" if entry["count"] == 1 else f"{entry['count']} times"
     if "first_frame" not in entry:
         return times

@@ -1,4 +1,4 @@
-"""Strict readers of the parts of a control message: each returns a value of one type, or raises MessageError."""
+"""Strict readers for parts of a control message: each returns a value of one type, or raises MessageError."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ONE_STR, _ONE_INT = {str}, {int}
 
 
 def unpack(payload: bytes, what: str, max_bytes: int = 0) -> Any:
-    """The value in a control message of the kind `what`; max_bytes: 0 for those of CONTROLS."""
+    """Unpack a control message of the kind `what`; max_bytes: 0 for the limit in CONTROLS."""
     fits(payload, what, max_bytes)
     count = at_most(MAX_VALUES, what)
     limits = {"max_ext_len": 0, "max_map_len": MAX_ENTRIES, "max_array_len": MAX_ENTRIES}
@@ -37,16 +37,16 @@ def unpack(payload: bytes, what: str, max_bytes: int = 0) -> Any:
 
 
 def at_most(values: int, what: str) -> Callable[[Any], Any]:
-    """A hook for msgpack that raises MessageError at the list or map with which there are more values than that.
+    """A hook for msgpack that raises MessageError when lists and maps hold more than `values` values in all.
 
-    An empty list takes a byte on the way and eighty in memory, so a limit of bytes is not enough.
+    An empty list takes one byte in a message and eighty in memory, so a limit of bytes is not enough.
     """
-    left = values
+    remaining = values
 
     def counted(container: Any) -> Any:
-        nonlocal left
-        left -= 1 + len(container)
-        if left < 0:
+        nonlocal remaining
+        remaining -= 1 + len(container)
+        if remaining < 0:
             raise MessageError(f"{what}: found more than {values} values")
         return container
 
@@ -54,14 +54,14 @@ def at_most(values: int, what: str) -> Callable[[Any], Any]:
 
 
 def fits(payload: bytes, what: str, max_bytes: int = 0) -> None:
-    """Raises MessageError for a message that is too long for its kind."""
-    most = max_bytes or CONTROLS[what].max_bytes
-    if len(payload) > most:
-        raise MessageError(f"{what}: found {len(payload)} bytes, expected at most {most}")
+    """Raise MessageError for a message that is too long for its kind."""
+    limit = max_bytes or CONTROLS[what].max_bytes
+    if len(payload) > limit:
+        raise MessageError(f"{what}: found {len(payload)} bytes, expected at most {limit}")
 
 
 def plain_text(payload: bytes, what: str) -> str:
-    """A message that is bare UTF-8 text."""
+    """Decode a message that is plain UTF-8 text."""
     fits(payload, what)
     try:
         return payload.decode()
@@ -70,69 +70,69 @@ def plain_text(payload: bytes, what: str) -> str:
 
 
 def items(value: object, count: int, what: str) -> list[Any]:
-    """A list of exactly so many items."""
+    """A list of exactly `count` items."""
     if type(value) is not list or len(value) != count:
-        raise MessageError(f"{what}: found {shown(value)}, expected a list of {count}")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a list of {count}")
     return value
 
 
 def listed(value: object, what: str) -> list[Any]:
     """A list of any length."""
     if type(value) is not list:
-        raise MessageError(f"{what}: found {shown(value)}, expected a list")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a list")
     return value
 
 
 def fields(value: object, names: Collection[str], what: str, optional: Collection[str] = ()) -> dict[str, Any]:
-    """A map of exactly these names, of which the optional ones may be missing."""
+    """A map with exactly these names; optional ones may be missing."""
     if type(value) is not dict:
-        raise MessageError(f"{what}: found {shown(value)}, expected a map")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a map")
     for name in names:
         if name not in value and name not in optional:
             raise MessageError(f"{what}: {name} is missing")
     for name in value:
         if name not in names:
-            raise MessageError(f"{what}: found {shown(name)}, expected only {', '.join(names)}")
+            raise MessageError(f"{what}: found {abbreviated(name)}, expected only {', '.join(names)}")
     return value
 
 
 def mapping(value: object, what: str) -> dict[str, Any]:
     """A map whose keys are texts."""
     if type(value) is not dict or not {*map(type, value)} <= _ONE_STR:
-        raise MessageError(f"{what}: found {shown(value)}, expected a map of texts")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a map of texts")
     return value
 
 
 def whole(value: object, what: str, least: int = 0, below: int = MAX_NUMBER) -> int:
-    """A whole number, `least` <= it < `below`."""
+    """A whole number, `least` <= value < `below`."""
     if type(value) is not int or not least <= value < below:
-        raise MessageError(f"{what}: found {shown(value)}, expected a whole number from {least} to below {below}")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a whole number from {least} to below {below}")
     return value
 
 
 def finite(value: object, what: str, most: float = 1e15) -> float:
     """A finite number of at most this magnitude."""
     if type(value) not in (int, float) or not math.isfinite(value) or abs(value) > most:  # type: ignore[arg-type]
-        raise MessageError(f"{what}: found {shown(value)}, expected a finite number")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a finite number")
     return float(value)  # type: ignore[arg-type]
 
 
 def flag(value: object, what: str) -> bool:
     """True or false."""
     if type(value) is not bool:
-        raise MessageError(f"{what}: found {shown(value)}, expected true or false")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected true or false")
     return value
 
 
 def text(value: object, what: str, most: int = 4096) -> str:
-    """A text of at most so many characters."""
+    """A text of at most `most` characters."""
     if type(value) is not str or len(value) > most:
-        raise MessageError(f"{what}: found {shown(value)}, expected a text of at most {most} characters")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a text of at most {most} characters")
     return value
 
 
 def line(value: object, what: str, most: int = 4096) -> str:
-    """A text of one line, of at most so many characters."""
+    """A text of one line, of at most `most` characters."""
     if len(text(value, what, most).splitlines()) > 1:
         raise MessageError(f"{what}: found text of several lines, expected one")
     return value  # type: ignore[return-value]
@@ -141,47 +141,47 @@ def line(value: object, what: str, most: int = 4096) -> str:
 def name(value: object, what: str) -> str:
     """The name of a node, or of a role."""
     if type(value) is not str or len(value) > MAX_NAME or not _NAME.fullmatch(value):
-        raise MessageError(f"{what}: found {shown(value)}, expected a name of letters, digits, '_', '.', '-'")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a name of letters, digits, '_', '.', '-'")
     return value
 
 
 def names(value: object, what: str) -> tuple[str, ...]:
-    """A list of names, each once."""
-    found = tuple(name(item, what) for item in listed(value, what))
-    if len({*found}) != len(found):
+    """A list of unique names."""
+    result = tuple(name(item, what) for item in listed(value, what))
+    if len({*result}) != len(result):
         raise MessageError(f"{what}: found a name twice")
-    return found
+    return result
 
 
 def roles(value: object, what: str) -> dict[str, str]:
-    """A map of the names of nodes to their roles."""
+    """A map from names of nodes to their roles."""
     return {name(node, what): name(role, what) for node, role in mapping(value, what).items()}
 
 
 def key(value: object, what: str) -> str:
     """A key below the run's prefix: chunks without wildcards, joined by slashes."""
     if type(value) is not str or len(value) > MAX_KEY or not _KEY.fullmatch(value):
-        raise MessageError(f"{what}: found {shown(value)}, expected a key without wildcards")
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a key without wildcards")
     return value
 
 
 def counters(value: object, what: str) -> dict[str, int]:
-    """A map of texts to whole numbers from 0. On the path of every frame."""
+    """A map from texts to whole numbers from 0. Called for every frame, so optimised."""
     try:
-        "".join(value)  # type: ignore[arg-type]  # the quickest way to see that all are texts
+        "".join(value)  # type: ignore[arg-type]  # the fastest check that all are texts
         if type(value) is dict and _are_counts(value.values()):
             return value
     except TypeError:
         pass
-    raise MessageError(f"{what}: found {shown(value)}, expected counters by key: whole numbers from 0")
+    raise MessageError(f"{what}: found {abbreviated(value)}, expected counters by key: whole numbers from 0")
 
 
 def _are_counts(values: Collection[Any]) -> bool:
     return not values or ({*map(type, values)} == _ONE_INT and min(values) >= 0 and max(values) < MAX_NUMBER)
 
 
-def shown(value: object) -> str:
-    """A value for an error, cut off; never all of a large one."""
+def abbreviated(value: object) -> str:
+    """A value for an error message, shortened."""
     if type(value) in (dict, list):
         return f"a {type(value).__name__} of {len(value)}"  # type: ignore[arg-type]
     return repr(value[:40])[:60] if isinstance(value, (str, bytes)) else repr(value)[:60]

@@ -1,4 +1,4 @@
-"""Control messages by which a node on another host gets its files from the launcher, and gives it what it writes."""
+"""Control messages for files between a node on another host and the launcher, in both directions."""
 
 from __future__ import annotations
 
@@ -11,40 +11,43 @@ from mast_zenoh import errors
 from mast_zenoh.control import fields
 from mast_zenoh.errors import MastError, MessageError, RunError
 
-#: Below which no query or reply of a file becomes too large.
+#: Largest part of a file in one query or reply.
 PIECE_BYTES = 4 << 20
 
 _MAX_ANSWER = PIECE_BYTES + (1 << 20)
 
 
 class Join(NamedTuple):
-    """A node asks for its files, and says which version it runs, and which of everything."""
+    """A node's request for its files, with the version of mast and of all packages that it runs."""
 
     version: str
     versions: dict[str, str]
 
 
 class Clock(NamedTuple):
-    """A node asks what time it is."""
+    """A node's request for the launcher's time."""
 
 
 class Piece(NamedTuple):
-    """A node asks for a piece of one of its files."""
+    """A node's request for a piece of one of its files."""
 
     path: str
     offset: int
 
 
 class Written(NamedTuple):
-    """A node gives a piece of a file that it writes."""
+    """A piece of a file that a node has written."""
 
     path: str
     offset: int
     piece: bytes
 
 
-class Belongings(NamedTuple):
-    """files: bytes by path; without: nodes that are not up; written: files that the node has written before."""
+class NodeFiles(NamedTuple):
+    """The files for a node.
+
+    files: sizes in bytes by path; without: nodes that are not running; written: files that the node wrote before
+    """
 
     files: dict[str, int]
     without: list[str]
@@ -52,53 +55,53 @@ class Belongings(NamedTuple):
 
 
 def encode(request: Mapping[str, Any]) -> bytes:
-    """A request, or an answer."""
+    """Encode a request or an answer."""
     packed: bytes = msgpack.packb(dict(request))
     return packed
 
 
 def decode_fetch(payload: bytes) -> Join | Clock | Piece:
-    """What a node asks the launcher for; raises MessageError."""
-    found = fields.mapping(fields.unpack(payload, "fetch"), "fetch")
-    do = found.get("do")
+    """A node's request to the launcher; raises MessageError."""
+    request = fields.mapping(fields.unpack(payload, "fetch"), "fetch")
+    do = request.get("do")
     if do == "join":
-        fields.fields(found, ("do", "version", "versions"), "fetch")
-        return Join(fields.text(found["version"], "fetch: version", 200), versions(found["versions"], "fetch"))
+        fields.fields(request, ("do", "version", "versions"), "fetch")
+        return Join(fields.text(request["version"], "fetch: version", 200), versions(request["versions"], "fetch"))
     if do == "clock":
-        fields.fields(found, ("do",), "fetch")
+        fields.fields(request, ("do",), "fetch")
         return Clock()
     if do == "piece":
-        fields.fields(found, ("do", "path", "offset"), "fetch")
-        return Piece(fields.text(found["path"], "fetch: path"), fields.whole(found["offset"], "fetch: offset"))
-    raise MessageError(f"fetch: found {fields.shown(do)}, expected join, clock or piece")
+        fields.fields(request, ("do", "path", "offset"), "fetch")
+        return Piece(fields.text(request["path"], "fetch: path"), fields.whole(request["offset"], "fetch: offset"))
+    raise MessageError(f"fetch: found {fields.abbreviated(do)}, expected join, clock or piece")
 
 
 def decode_file(payload: bytes) -> Written:
-    """What a node gives the launcher; raises MessageError."""
-    found = fields.fields(fields.unpack(payload, "file"), ("path", "offset", "piece"), "file")
-    path, offset = fields.text(found["path"], "file: path"), fields.whole(found["offset"], "file: offset")
-    return Written(path, offset, _piece(found["piece"], "file"))
+    """A piece of a file from a node; raises MessageError."""
+    request = fields.fields(fields.unpack(payload, "file"), ("path", "offset", "piece"), "file")
+    path, offset = fields.text(request["path"], "file: path"), fields.whole(request["offset"], "file: offset")
+    return Written(path, offset, _piece(request["piece"], "file"))
 
 
-def decode_belongings(payload: bytes) -> Belongings:
+def decode_node_files(payload: bytes) -> NodeFiles:
     """The answer to Join; raises MessageError."""
-    found = fields.unpack(payload, "fetch", _MAX_ANSWER)
-    fields.fields(found, ("files", "without", "written"), "fetch: answer")
-    files = fields.counters(found["files"], "fetch: files")
-    written = [fields.text(path, "fetch: written") for path in fields.listed(found["written"], "fetch: written")]
-    return Belongings(files, list(fields.names(found["without"], "fetch: without")), written)
+    answer = fields.unpack(payload, "fetch", _MAX_ANSWER)
+    fields.fields(answer, ("files", "without", "written"), "fetch: answer")
+    files = fields.counters(answer["files"], "fetch: files")
+    written = [fields.text(path, "fetch: written") for path in fields.listed(answer["written"], "fetch: written")]
+    return NodeFiles(files, list(fields.names(answer["without"], "fetch: without")), written)
 
 
 def decode_clock(payload: bytes) -> int:
     """The answer to Clock: the launcher's time, ns; raises MessageError."""
-    found = fields.fields(fields.unpack(payload, "fetch", _MAX_ANSWER), ("now_ns",), "fetch: answer")
-    return fields.whole(found["now_ns"], "fetch: now_ns")
+    answer = fields.fields(fields.unpack(payload, "fetch", _MAX_ANSWER), ("now_ns",), "fetch: answer")
+    return fields.whole(answer["now_ns"], "fetch: now_ns")
 
 
 def decode_piece(payload: bytes) -> bytes:
     """The answer to Piece; raises MessageError."""
-    found = fields.fields(fields.unpack(payload, "fetch", _MAX_ANSWER), ("piece",), "fetch: answer")
-    return _piece(found["piece"], "fetch")
+    answer = fields.fields(fields.unpack(payload, "fetch", _MAX_ANSWER), ("piece",), "fetch: answer")
+    return _piece(answer["piece"], "fetch")
 
 
 def decode_nothing(payload: bytes) -> None:
@@ -107,31 +110,35 @@ def decode_nothing(payload: bytes) -> None:
 
 
 def encode_refusal(error: BaseException) -> bytes:
-    """An error as the launcher answers it."""
+    """Encode an error as an answer of the launcher."""
     packed: bytes = msgpack.packb([type(error).__name__, str(error)[:4000]])
     return packed
 
 
 def decode_refusal(payload: bytes) -> MastError | None:
-    """The error in an answer; None for Zenoh's own, when nobody has answered in time."""
+    """The error in an answer; None for Zenoh's own, after a timeout."""
     try:
         kind, message = fields.items(fields.unpack(payload, "fetch"), 2, "refusal")
         kind, message = fields.text(kind, "refusal"), fields.text(message, "refusal")
     except MessageError:
         return None
-    known = getattr(errors, kind, None)
-    return known(message) if isinstance(known, type) and issubclass(known, MastError) else RunError(message)
+    error_class = getattr(errors, kind, None)
+    return (
+        error_class(message)
+        if isinstance(error_class, type) and issubclass(error_class, MastError)
+        else RunError(message)
+    )
 
 
 def versions(value: object, what: str) -> dict[str, str]:
-    """By package the version of it."""
-    found = fields.mapping(value, f"{what}: versions")
-    if len(found) > 100:
-        raise MessageError(f"{what}: found {len(found)} versions, expected at most 100")
-    return {fields.text(name, what, 100): fields.text(version, what, 300) for name, version in found.items()}
+    """The version of each package."""
+    by_package = fields.mapping(value, f"{what}: versions")
+    if len(by_package) > 100:
+        raise MessageError(f"{what}: found {len(by_package)} versions, expected at most 100")
+    return {fields.text(name, what, 100): fields.text(version, what, 300) for name, version in by_package.items()}
 
 
 def _piece(value: object, what: str) -> bytes:
     if type(value) is not bytes or len(value) > PIECE_BYTES:
-        raise MessageError(f"{what}: found {fields.shown(value)}, expected at most {PIECE_BYTES} bytes")
+        raise MessageError(f"{what}: found {fields.abbreviated(value)}, expected at most {PIECE_BYTES} bytes")
     return value

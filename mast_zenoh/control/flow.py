@@ -1,4 +1,4 @@
-"""Control messages that lead a run: who takes part, what has been handled, how the wiring changes, when it ends."""
+"""Control messages that drive a run: members, handled messages, changes of the wiring, and its end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MAX_COUNTS = CONTROLS["counts"].max_bytes
 
 
 class Counts(NamedTuple):
-    """What a node has sent and handled in an epoch: messages by key."""
+    """Numbers of messages that a node has sent and handled in an epoch, by key."""
 
     epoch: int
     sent: Mapping[str, int]
@@ -34,7 +34,7 @@ class WiringUpdate(NamedTuple):
 
 
 class Epoch(NamedTuple):
-    """Who takes part from now on, name to role; update: None as long as the wiring is that of the start."""
+    """The members from now on, name to role; update: None as long as the wiring is that of the start."""
 
     number: int
     members: dict[str, str]
@@ -42,14 +42,14 @@ class Epoch(NamedTuple):
 
 
 class Act(NamedTuple):
-    """What is to be done to processes before a frame: (action, node) of each."""
+    """Actions on processes before a frame: (action, node) of each."""
 
     frame: int
     steps: tuple[tuple[str, str], ...]
 
 
 class Rewire(NamedTuple):
-    """A change of the wiring: join are the nodes that come with it, name to role, leave those that go."""
+    """A change of the wiring; join: the nodes that it adds, name to role; leave: those that it removes."""
 
     wiring: Wiring
     join: dict[str, str]
@@ -57,13 +57,13 @@ class Rewire(NamedTuple):
 
 
 def encode_counts(epoch: int, sent: Mapping[str, int], handled: Mapping[str, int]) -> bytes:
-    """See Counts."""
+    """Encode Counts."""
     packed: bytes = msgpack.packb([epoch, dict(sent), dict(handled)])
     return packed
 
 
 def decode_counts(payload: bytes) -> Counts:
-    """See Counts; raises MessageError."""
+    """Decode Counts; raises MessageError."""
     epoch, sent, handled = fields.items(fields.unpack(payload, "counts", _MAX_COUNTS), 3, "counts")
     fields.whole(epoch, "counts: epoch", 1, MAX_EPOCH)
     return Counts(epoch, fields.counters(sent, "counts: sent"), fields.counters(handled, "counts: handled"))
@@ -92,21 +92,21 @@ def decode_epoch(payload: bytes) -> Epoch:
 
 
 def encode_act(frame: int, steps: list[tuple[str, str]]) -> bytes:
-    """See Act."""
+    """Encode an Act."""
     packed: bytes = msgpack.packb([frame, [list(step) for step in steps]])
     return packed
 
 
 def decode_act(payload: bytes) -> Act:
-    """See Act; raises MessageError."""
+    """Decode an Act; raises MessageError."""
     frame, steps = fields.items(fields.unpack(payload, "act"), 2, "act")
-    found = []
+    checked_steps = []
     for step in fields.listed(steps, "act: steps"):
         action, node = fields.items(step, 2, "act: step")
         if action not in ACTIONS:
-            raise MessageError(f"act: found {fields.shown(action)}, expected one of {', '.join(ACTIONS)}")
-        found.append((action, fields.name(node, "act: node")))
-    return Act(fields.whole(frame, "act: frame"), tuple(found))
+            raise MessageError(f"act: found {fields.abbreviated(action)}, expected one of {', '.join(ACTIONS)}")
+        checked_steps.append((action, fields.name(node, "act: node")))
+    return Act(fields.whole(frame, "act: frame"), tuple(checked_steps))
 
 
 def decode_stop(payload: bytes) -> str:
@@ -115,34 +115,34 @@ def decode_stop(payload: bytes) -> str:
 
 
 def decode_drain(payload: bytes) -> str:
-    """The key whose messages are to be passed on; raises MessageError."""
+    """The key whose pending messages a node must forward; raises MessageError."""
     return fields.key(fields.plain_text(payload, "drain"), "drain")
 
 
 def encode_rewire(wiring: Wiring, join: Mapping[str, str], leave: list[str]) -> bytes:
-    """See Rewire."""
+    """Encode a Rewire."""
     packed: bytes = msgpack.packb({"wiring": wiring.to_json(), "join": dict(join), "leave": leave})
     return packed
 
 
 def decode_rewire(payload: bytes) -> Rewire:
-    """See Rewire; raises MessageError."""
-    found = fields.fields(fields.unpack(payload, "rewire"), ("wiring", "join", "leave"), "rewire")
+    """Decode a Rewire; raises MessageError."""
+    change = fields.fields(fields.unpack(payload, "rewire"), ("wiring", "join", "leave"), "rewire")
     return Rewire(
-        wiring_of(found["wiring"], "rewire: wiring"),
-        fields.roles(found["join"], "rewire: join"),
-        fields.names(found["leave"], "rewire: leave"),
+        wiring_of(change["wiring"], "rewire: wiring"),
+        fields.roles(change["join"], "rewire: join"),
+        fields.names(change["leave"], "rewire: leave"),
     )
 
 
 def encode_rewired(**answer: Any) -> bytes:
-    """What has become of a change: `frame` and `took_ms`, or `error`."""
+    """Encode the outcome of a change: `frame` and `took_ms`, or `error`."""
     packed: bytes = msgpack.packb(answer)
     return packed
 
 
 def decode_rewired(payload: bytes) -> dict[str, Any]:
-    """What has become of a change: frame and took_ms, or error; raises MessageError."""
+    """Decode the outcome of a change: frame and took_ms, or error; raises MessageError."""
     answer = fields.mapping(fields.unpack(payload, "rewire"), "rewire: answer")
     if "error" in answer:
         return {"error": fields.text(fields.fields(answer, ("error",), "rewire: answer")["error"], "rewire: error")}
@@ -154,13 +154,13 @@ def decode_rewired(payload: bytes) -> dict[str, Any]:
 
 
 def wiring_of(value: object, what: str) -> Wiring:
-    """The wiring that `Wiring.to_json` gave; raises MessageError for anything that it cannot have given."""
+    """The wiring from its `Wiring.to_json` form; raises MessageError for anything else."""
     try:
         wiring = Wiring.from_json(fields.mapping(value, what))
-        same = wiring.to_json() == value
+        consistent = wiring.to_json() == value
     except (KeyError, TypeError, IndexError, AttributeError, ValueError, RecursionError) as error:
         raise MessageError(f"{what}: not a wiring: {type(error).__name__}: {str(error)[:100]}") from None
-    if not same:
+    if not consistent:
         raise MessageError(f"{what}: found a wiring that contradicts itself")
     for wire in wiring.wires:
         fields.key(wire.key, what)
@@ -169,7 +169,7 @@ def wiring_of(value: object, what: str) -> Wiring:
         else:
             fields.text(wire.subject, what)
         if not isinstance(wire.message, str) or wire.message not in SCHEMAS:
-            raise MessageError(f"{what}: found the message type {fields.shown(wire.message)}, expected one of ours")
+            raise MessageError(f"{what}: message type {fields.abbreviated(wire.message)}, not a known one")
         for listener in wire.listeners:
             fields.flag(listener.source, what)
     for wire, leg in wiring.legs():

@@ -1,4 +1,4 @@
-"""What a user asks of a running run: to put a node on a wire, or to take one off; and what is answered."""
+"""A user's requests to a running run, to insert a node into a wire or release one, and the answers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ANSWER = ("action", "node", "wires", "frame", "took_ms")
 
 
 class Intercept(NamedTuple):
-    """Put a node at a place."""
+    """Insert a node at a place."""
 
     name: str
     spec: NodeSpec
@@ -25,7 +25,7 @@ class Intercept(NamedTuple):
 
 
 class Release(NamedTuple):
-    """Take the node of this name off its wires, or the only one on this wire."""
+    """Release the node of this name, or the only one on this wire."""
 
     name: str | None
     wire: str | None
@@ -55,41 +55,41 @@ def request_of(value: dict[str, Any]) -> Intercept | Release:
             None if name is None else fields.text(name, "release: name"),
             None if wire is None else fields.text(wire, "release: wire"),
         )
-    raise MessageError(f"intercept: found {fields.shown(value.get('do'))}, expected intercept or release")
+    raise MessageError(f"intercept: found {fields.abbreviated(value.get('do'))}, expected intercept or release")
 
 
 def answer_of(payload: bytes) -> dict[str, Any]:
-    """What the launcher has done: action, node, wires, frame, took_ms; raises MessageError."""
-    found = fields.fields(fields.unpack(payload, "intercept"), _ANSWER, "intercept: answer")
-    fields.whole(found["frame"], "intercept: frame")
-    fields.finite(found["took_ms"], "intercept: took_ms")
-    for wire in fields.listed(found["wires"], "intercept: wires"):
+    """The launcher's answer: action, node, wires, frame, took_ms; raises MessageError."""
+    answer = fields.fields(fields.unpack(payload, "intercept"), _ANSWER, "intercept: answer")
+    fields.whole(answer["frame"], "intercept: frame")
+    fields.finite(answer["took_ms"], "intercept: took_ms")
+    for wire in fields.listed(answer["wires"], "intercept: wires"):
         fields.text(wire, "intercept: wires")
     for part in ("action", "node"):
-        fields.text(found[part], f"intercept: {part}")
-    return found
+        fields.text(answer[part], f"intercept: {part}")
+    return answer
 
 
 def place_of(value: object) -> Place:
-    """The place that `place_json` told of; raises MessageError."""
-    found = fields.fields(value, _PLACE, "place")
-    hears = fields.mapping(found["hears"], "place: hears")
+    """The place from its `place_json` form; raises MessageError."""
+    data = fields.fields(value, _PLACE, "place")
+    hears = fields.mapping(data["hears"], "place: hears")
     return Place(
-        fields.text(found["wire"], "place: wire"),
-        fields.text(found["input"], "place: input"),
-        fields.text(found["output"], "place: output"),
+        fields.text(data["wire"], "place: wire"),
+        fields.text(data["input"], "place: input"),
+        fields.text(data["output"], "place: output"),
         {key: fields.text(port, "place: hears") for key, port in hears.items()},
-        wiring_of({"wires": found["says"], "overhearers": []}, "place: says").wires,
+        wiring_of({"wires": data["says"], "overhearers": []}, "place: says").wires,
     )
 
 
 def place_json(place: Place) -> dict[str, Any]:
     """A place as plain values."""
-    told = {"wire": place.wire, "input": place.input, "output": place.output, "hears": dict(place.hears)}
-    return told | {"says": Wiring(place.says).to_json()["wires"]}
+    data = {"wire": place.wire, "input": place.input, "output": place.output, "hears": dict(place.hears)}
+    return data | {"says": Wiring(place.says).to_json()["wires"]}
 
 
 def _spec(value: object) -> NodeSpec:
-    found = fields.fields(value, _SPEC, "spec")
-    texts = {part: fields.text(found[part], f"spec: {part}") for part in _SPEC if part != "config"}
-    return NodeSpec(config=fields.mapping(found["config"], "spec: config"), **texts)
+    data = fields.fields(value, _SPEC, "spec")
+    texts = {part: fields.text(data[part], f"spec: {part}") for part in _SPEC if part != "config"}
+    return NodeSpec(config=fields.mapping(data["config"], "spec: config"), **texts)

@@ -1,4 +1,4 @@
-"""Counts control messages that were refused: each costs one message, and is said once for each key."""
+"""Counts refused control messages; the first on each key is logged."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 
-MAX_KEYS = 256  #: counted each by itself; all further ones together
+MAX_KEYS = 256  #: counted separately; all further ones together
 OTHERS = "(others)"
 _MAX_REASON = 200
 
@@ -14,29 +14,29 @@ _MAX_REASON = 200
 class InvalidMessages:
     """Counts by key, from any thread.
 
-    say: told of the first on each key, in a line
+    log: called with a line about the first on each key
     counts: by key; reasons: why the first of each was refused
     """
 
-    def __init__(self, say: Callable[[str], None]) -> None:
+    def __init__(self, log: Callable[[str], None]) -> None:
         self.counts: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
-        self._say = say
+        self._log = log
         self._lock = threading.Lock()
 
     def note(self, key: str, reason: object) -> None:
-        """A message on a control key was refused."""
-        why = " ".join(str(reason).split())[:_MAX_REASON]
+        """Count a refused message on a control key."""
+        line = " ".join(str(reason).split())[:_MAX_REASON]
         with self._lock:
             if key not in self.reasons and len(self.reasons) >= MAX_KEYS:
                 key = OTHERS
             first = key not in self.reasons
-            self.reasons.setdefault(key, why)
+            self.reasons.setdefault(key, line)
             self.counts[key] += 1
         if first:
-            self._say(f"refused a control message on {key}: {why} (further ones on this key are only counted)")
+            self._log(f"refused a control message on {key}: {line} (further ones on this key are only counted)")
 
     def entry(self) -> dict[str, list[int | str]]:
-        """By key how many were refused, and why the first was; for run.json."""
+        """[number of refused messages, reason of the first] by key, for run.json."""
         with self._lock:
             return {key: [count, self.reasons[key]] for key, count in self.counts.items()}

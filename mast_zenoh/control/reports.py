@@ -1,4 +1,4 @@
-"""Control messages by which a node tells the launcher of itself: handlers that fail, and at its end its results."""
+"""Control messages from a node to the launcher: failures of handlers, and at its end its results."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from mast_zenoh.control.invalid import OTHERS
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.churn import BACK, LOST
 
-#: Bytes that a node may hand in. The evaluator's tables have a row for each object, agent and frame.
+#: Limits of a node's result, bytes. The evaluator's tables have a row for each object, agent and frame.
 MAX_RESULT = 32 << 20
 MAX_EVALUATION = 512 << 20
 
-MAX_HANDLERS = 256  #: of which one process may report failures
+MAX_HANDLERS = 256  #: handlers of which one process may report failures
 _MAX_KEYS = 4096
 _ENTRY = ("handler", "count", "frames", "first_frame", "last_frame", "exception", "where")
 _COMMON = (
@@ -38,12 +38,12 @@ _OF_HOST = ("versions", "clock")
 
 
 def max_result(node: str) -> int:
-    """Bytes that a node may hand in."""
+    """The largest result that a node may hand in, bytes."""
     return MAX_EVALUATION if node == results.EVALUATOR else MAX_RESULT
 
 
 def encode_failure(process: str, entry: Entry) -> bytes:
-    """The failures of one handler in one process of a node."""
+    """Encode the failures of one handler in one process of a node."""
     packed: bytes = msgpack.packb([process, entry])
     return packed
 
@@ -55,7 +55,7 @@ def decode_failure(payload: bytes) -> tuple[str, Entry]:
 
 
 def failure(value: object) -> Entry:
-    """The failures of one handler, see runtime.failures; raises MessageError."""
+    """The failures of one handler, an entry as in control.failures; raises MessageError."""
     entry = fields.fields(value, _ENTRY, "a handler failure")
     for name in ("handler", "exception"):
         fields.line(entry[name], f"a handler failure: {name}", 300)
@@ -66,81 +66,81 @@ def failure(value: object) -> Entry:
 
 
 def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
-    """What a node hands in, as `MeshNode.hand_in` makes it; raises MessageError.
+    """Decode a node's result, as `MeshNode.hand_in` makes it; raises MessageError.
 
-    drives: whether it is the node that drives the scene: only that has stop_reason, frames, wall_s, sent_ns, churn
+    drives: whether the node drives the scene: only that one has stop_reason, frames, wall_s, sent_ns, churn
     """
     fields.fits(payload, "result", max_result(node))
     expected = (*_COMMON, *_OF_HOST, *(_OF_DRIVER if drives else ()))
-    found = fields.fields(results.unpack(payload), expected, "result", optional=_OF_HOST)
+    result = fields.fields(results.unpack(payload), expected, "result", optional=_OF_HOST)
     try:
-        results.checked(found["results"])
+        results.checked(result["results"])
     except TypeError as error:
         raise MessageError(f"result: {error}") from None
     for part in ("rejected", "foreign"):
-        for key in fields.counters(_few(found[part], f"result: {part}"), f"result: {part}"):
+        for key in fields.counters(_bounded_map(result[part], f"result: {part}"), f"result: {part}"):
             fields.line(key, f"result: {part}")
     for part, first, most in (("first_rejected", -1, 200), ("invalid", 1, 200)):
-        for key, pair in _few(found[part], f"result: {part}").items():
+        for key, pair in _bounded_map(result[part], f"result: {part}").items():
             number, reason = fields.items(pair, 2, f"result: {part}")
             fields.line(key, f"result: {part}")
             fields.whole(number, f"result: {part}", first)
             fields.line(reason, f"result: {part}", most)
-    fields.whole(found["unsigned"], "result: unsigned")
-    if not drives and (of_others := found["invalid"].keys() - _refused_by(node)):
-        raise MessageError(f"result: invalid: found {fields.shown(min(of_others))}, which {node} does not hear")
-    fields.text(found["process"], "result: process", 64)
-    entries = fields.listed(found["failures"], "result: failures")
+    fields.whole(result["unsigned"], "result: unsigned")
+    if not drives and (unexpected := result["invalid"].keys() - _refused_by(node)):
+        raise MessageError(f"result: invalid: found {fields.abbreviated(min(unexpected))}, which {node} does not hear")
+    fields.text(result["process"], "result: process", 64)
+    entries = fields.listed(result["failures"], "result: failures")
     if len(entries) > MAX_HANDLERS:
         raise MessageError(f"result: found failures of {len(entries)} handlers, expected at most {MAX_HANDLERS}")
     for entry in entries:
         failure(entry)
-    fields.whole(found["last_frame"], "result: last_frame", -1)
-    fields.finite(found["cpu_s"], "result: cpu_s")
-    for times in _few(found["arrived_ns"], "result: arrived_ns").values():
+    fields.whole(result["last_frame"], "result: last_frame", -1)
+    fields.finite(result["cpu_s"], "result: cpu_s")
+    for times in _bounded_map(result["arrived_ns"], "result: arrived_ns").values():
         _times(times, "result: arrived_ns")
-    if "versions" in found:
-        versions(found["versions"], "result")
-    if "clock" in found:
-        clock = fields.fields(found["clock"], ("offset_ms", "round_trip_ms"), "result: clock")
+    if "versions" in result:
+        versions(result["versions"], "result")
+    if "clock" in result:
+        clock = fields.fields(result["clock"], ("offset_ms", "round_trip_ms"), "result: clock")
         for value in clock.values():
             fields.finite(value, "result: clock", 1e12)
     if drives:
-        fields.whole(found["frames"], "result: frames")
-        fields.finite(found["wall_s"], "result: wall_s")
-        fields.text(found["stop_reason"], "result: stop_reason")
-        _times(found["sent_ns"], "result: sent_ns")
-        _churn(found["churn"])
-    return found
+        fields.whole(result["frames"], "result: frames")
+        fields.finite(result["wall_s"], "result: wall_s")
+        fields.text(result["stop_reason"], "result: stop_reason")
+        _times(result["sent_ns"], "result: sent_ns")
+        _churn(result["churn"])
+    return result
 
 
 def _refused_by(node: str) -> set[str]:
-    """Control keys on which a node that does not drive the scene can have refused messages."""
+    """Control keys on which a node that does not drive the scene can refuse messages."""
     return {"epoch", "stop", f"leave/{node}", f"drain/{node}", OTHERS}
 
 
 def _churn(value: object) -> None:
-    """Who was lost and who came back, see messagelog.churn."""
-    for event in fields.listed(value, "result: churn"):
-        found = fields.fields(event, ("frame", "node", "what"), "result: churn")
-        fields.whole(found["frame"], "result: churn: frame")
-        fields.text(found["node"], "result: churn: node", fields.MAX_NAME)
-        if found["what"] not in (LOST, BACK):
-            raise MessageError(f"result: churn: found {fields.shown(found['what'])}, expected {LOST} or {BACK}")
+    """Check a list of nodes that were lost or came back, as in messagelog.churn."""
+    for item in fields.listed(value, "result: churn"):
+        event = fields.fields(item, ("frame", "node", "what"), "result: churn")
+        fields.whole(event["frame"], "result: churn: frame")
+        fields.text(event["node"], "result: churn: node", fields.MAX_NAME)
+        if event["what"] not in (LOST, BACK):
+            raise MessageError(f"result: churn: found {fields.abbreviated(event['what'])}, expected {LOST} or {BACK}")
 
 
-def _few(value: object, what: str) -> dict[str, Any]:
-    """A map of at most as many keys as a run may have."""
-    found = fields.mapping(value, what)
-    if len(found) > _MAX_KEYS:
-        raise MessageError(f"{what}: found {len(found)} keys, expected at most {_MAX_KEYS}")
-    return found
+def _bounded_map(value: object, what: str) -> dict[str, Any]:
+    """A map with at most as many keys as a run may have."""
+    entries = fields.mapping(value, what)
+    if len(entries) > _MAX_KEYS:
+        raise MessageError(f"{what}: found {len(entries)} keys, expected at most {_MAX_KEYS}")
+    return entries
 
 
 def _times(value: object, what: str) -> None:
-    """A map of frames to times in ns."""
+    """Check a map from frames to times in ns."""
     if type(value) is not dict:
-        raise MessageError(f"{what}: found {fields.shown(value)}, expected times by frame")
-    for frame, at in value.items():
+        raise MessageError(f"{what}: found {fields.abbreviated(value)}, expected times by frame")
+    for frame, time_ns in value.items():
         fields.whole(frame, f"{what}: frame")
-        fields.whole(at, what)
+        fields.whole(time_ns, what)

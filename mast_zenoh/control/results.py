@@ -1,4 +1,4 @@
-"""Results of nodes: on their way to the launcher, nested plain values and arrays as MessagePack; and what they say."""
+"""Results of nodes: nested plain values and arrays, as MessagePack on the way to the launcher."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control import fields
 from mast_zenoh.errors import MessageError
 
-#: The node whose metrics and tables are those of the run: every scenario has one of this name.
+#: The node whose metrics and tables become those of the run; every scenario has one of this name.
 EVALUATOR = "evaluator"
 
-#: Of those that are returned under `tables`, the ones that the evaluator alone writes, to the top of the run folder.
+#: Tables that only the evaluator may return; they are written to the top of the run folder.
 TABLES = ("metrics", "objects", "attacks", "targets", "driving")
 
 MAX_VALUES = 1 << 20  #: lists, maps and their items in a result; arrays count as one
-MAX_TEXTS = 1 << 23  #: items of columns of text in a result of up to 32 MiB; of a longer one as many more
-MAX_DEPTH = 32  #: of lists and maps in each other
+MAX_TEXTS = 1 << 23  #: items of columns of text in a result of up to 32 MiB; proportionally more in a longer one
+MAX_DEPTH = 32  #: levels of nested lists and maps
 _MAX_EMPTY = 1 << 24  # rows and columns of an array without elements
 _MAX_DIMENSIONS = 8
 
-_DTYPE = re.compile(r"[<>|][biuf](1|2|4|8|12|16)")  # as NumPy spells those of numbers, and nothing else that it reads
+_DTYPE = re.compile(r"[<>|][biuf](1|2|4|8|12|16)")  # NumPy's names of numeric dtypes, and nothing else that it accepts
 
 _ARRAY = 1
 _TEXTS = 2
@@ -36,19 +36,19 @@ _PLAIN = (str, int, float, type(None), np.bool_, np.integer, np.floating, np.nda
 
 
 def pack(value: Any) -> bytes:
-    """The bytes of nested dicts, lists, numbers, strings and arrays (of numbers or of strings)."""
+    """Pack nested dicts, lists, numbers, strings and arrays (of numbers or of strings)."""
     packed: bytes = msgpack.packb(value, default=_encode)
     return packed
 
 
 def unpack(payload: bytes) -> Any:
-    """What `pack` packed; raises MessageError for anything else, and for more values than a result may have."""
+    """Unpack what `pack` packed; raises MessageError for anything else, and for too many values."""
     count = fields.at_most(MAX_VALUES, "a result, arrays and columns of text apart")
-    texts = [max(MAX_TEXTS, len(payload) // 4)]
+    remaining_texts = [max(MAX_TEXTS, len(payload) // 4)]
     try:
         return msgpack.unpackb(
             payload,
-            ext_hook=lambda code, data: _decode(code, data, texts),
+            ext_hook=lambda code, data: _decode(code, data, remaining_texts),
             object_hook=count,
             list_hook=count,
             strict_map_key=False,
@@ -62,22 +62,22 @@ def unpack(payload: bytes) -> Any:
 
 
 def checked(value: Any) -> dict[str, Any]:
-    """What a node's `finish` has returned, None being nothing; raises TypeError for what cannot be handed in."""
+    """The return value of a node's `finish`, {} for None; raises TypeError if it cannot be packed."""
     if value is None:
         return {}
     if not isinstance(value, dict):
         raise TypeError(f"finish returned a {type(value).__name__}, expected a dict")
     _check(value, None)
-    count = sum(_listed(part) for name, part in value.items() if name != "tables")
+    count = sum(_json_size(part) for name, part in value.items() if name != "tables")
     if count > MAX_VALUES:
         raise TypeError(f"results: found arrays of {count} items, expected at most {MAX_VALUES} beside those of tables")
     return value
 
 
 def collations(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
-    """What the brokers have counted, as they returned it in `collation`: batches, messages left out, `late` by agent.
+    """The counts that brokers returned as `collation`: batches, messages left out, `late` by agent.
 
-    Anything else in it is left out: a user's own broker may return what it likes.
+    Other values are dropped: a user's own broker may return anything.
     """
     brokers = [result for name, result in results.items() if name in nodes and nodes[name].role == "broker"]
     returned = [result["collation"] for result in brokers if isinstance(result.get("collation"), Mapping)]
@@ -85,45 +85,45 @@ def collations(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, Nod
 
 
 def late(collations: Sequence[Mapping[str, Any]]) -> dict[str, int]:
-    """How many messages of each agent came after their batch had been emitted, from what the brokers have counted."""
+    """Number of messages of each agent that came after their batch was emitted, from the brokers' counts."""
     counts = [collation["late"] for collation in collations]
     return {agent: sum(count.get(agent, 0) for count in counts) for agent in sorted(set().union(*counts))}
 
 
 def counts_of(value: object) -> dict[str, int]:
-    """The counts in what a node has returned, by name: whole numbers from 0, and names of one line. Nothing else."""
+    """The counts in a node's return value, by name: whole numbers from 0 with printable names; the rest is dropped."""
     if not isinstance(value, Mapping):
         return {}
     return {str(name): n for name, n in value.items() if type(n) is int and n >= 0 and str(name).isprintable()}
 
 
-#: Where a value stands: the place that holds it, and its name or number in it; None at the top.
+#: The place of a value: the place of its container, and its key or index in that; None at the top.
 _Place = tuple[Any, Any] | None
 
 
 def _check(value: Any, place: _Place, depth: int = 0) -> None:
     if depth > MAX_DEPTH:
-        raise TypeError(f"{_words(place)}: found more than {MAX_DEPTH} dicts and lists in each other")
+        raise TypeError(f"{_path_text(place)}: found more than {MAX_DEPTH} nested dicts and lists")
     if isinstance(value, dict):
         for key, item in value.items():
             if not isinstance(key, (str, int, float)) or (isinstance(key, float) and not math.isfinite(key)):
-                raise TypeError(f"{_words(place)}: found the key {key!r:.80}, expected a string or a finite number")
+                raise TypeError(f"{_path_text(place)}: found the key {key!r:.80}, expected a string or a finite number")
             _check(item, (place, key), depth + 1)
     elif isinstance(value, (list, tuple)):
         for index, item in enumerate(value):
             _check(item, (place, index), depth + 1)
     elif not isinstance(value, _PLAIN):
-        raise TypeError(f"{_words(place)}: found a {type(value).__name__}, expected plain values and arrays")
+        raise TypeError(f"{_path_text(place)}: found a {type(value).__name__}, expected plain values and arrays")
     elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 64:
-        raise TypeError(f"{_words(place)}: found {value}, expected a number of at most 64 bits")
+        raise TypeError(f"{_path_text(place)}: found {value}, expected a number of at most 64 bits")
     elif isinstance(value, np.ndarray) and value.dtype.kind not in "biufOU":
-        raise TypeError(f"{_words(place)}: found an array of {value.dtype}, expected numbers or text")
+        raise TypeError(f"{_path_text(place)}: found an array of {value.dtype}, expected numbers or text")
     elif isinstance(value, np.ndarray) and value.dtype.kind in "OU" and value.ndim != 1:
-        raise TypeError(f"{_words(place)}: found {value.ndim}-dimensional text, expected one column")
+        raise TypeError(f"{_path_text(place)}: found {value.ndim}-dimensional text, expected one column")
 
 
-def _words(place: _Place) -> str:
-    """Where a value stands, cut off: results.metrics.mean."""
+def _path_text(place: _Place) -> str:
+    """The place of a value as text, shortened: results.metrics.mean."""
     parts: list[str] = []
     while place is not None:
         place, part = place
@@ -131,12 +131,12 @@ def _words(place: _Place) -> str:
     return ".".join(["results", *reversed(parts)])[:200]
 
 
-def _listed(value: Any) -> int:
-    """How many lists and items the arrays in a value have as plain JSON."""
+def _json_size(value: Any) -> int:
+    """Number of lists and items that the arrays in a value would have as plain JSON."""
     if isinstance(value, dict):
-        return sum(map(_listed, value.values()))
+        return sum(map(_json_size, value.values()))
     if isinstance(value, (list, tuple)):
-        return sum(map(_listed, value))
+        return sum(map(_json_size, value))
     return sum(itertools.accumulate(value.shape, operator.mul)) if isinstance(value, np.ndarray) else 0
 
 
@@ -152,14 +152,14 @@ def _encode(value: Any) -> Any:
 
 
 def _decode(code: int, data: bytes, texts: list[int]) -> Any:
-    """A column of text, or an array. texts: how many more texts there may be."""
+    """Decode a column of text, or an array; texts: the number of further texts allowed."""
     if code == _TEXTS:
-        found = _flat(data, texts[0])
-        if not {*map(type, found)} <= {str}:
+        items = _flat(data, texts[0])
+        if not {*map(type, items)} <= {str}:
             raise MessageError("a result: found a column of text that holds something else")
-        texts[0] -= len(found)
-        column = np.empty(len(found), dtype=object)
-        column[:] = found
+        texts[0] -= len(items)
+        column = np.empty(len(items), dtype=object)
+        column[:] = items
         return column
     if code != _ARRAY:
         raise MessageError(f"a result: found extension {code}, expected an array")
@@ -174,20 +174,20 @@ def _decode(code: int, data: bytes, texts: list[int]) -> Any:
 
 
 def _flat(data: bytes, most: int, inner: int = 0) -> list[Any]:
-    """A list of at most so many values, of which so many may be lists, and none another container."""
-    left = 1 + inner
+    """A list of at most `most` values, of which at most `inner` are lists, and none another container."""
+    remaining = 1 + inner
 
     def counted(container: Any) -> Any:
-        nonlocal left
-        left -= 1
-        if left < 0 or type(container) is not list:
+        nonlocal remaining
+        remaining -= 1
+        if remaining < 0 or type(container) is not list:
             raise MessageError("a result: found an array or a column of text that holds something else")
         return container
 
-    longest = max(most, _MAX_DIMENSIONS)
-    found = msgpack.unpackb(
-        data, list_hook=counted, object_hook=counted, max_array_len=longest, max_map_len=0, max_ext_len=0
+    max_length = max(most, _MAX_DIMENSIONS)
+    values = msgpack.unpackb(
+        data, list_hook=counted, object_hook=counted, max_array_len=max_length, max_map_len=0, max_ext_len=0
     )
-    if type(found) is not list:
-        raise MessageError("a result: found an array or a column of text that is none")
-    return found
+    if type(values) is not list:
+        raise MessageError("a result: found an array or a column of text that is not a list")
+    return values

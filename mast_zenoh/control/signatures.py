@@ -1,9 +1,8 @@
-"""Who a control message is from. Above the level "open", what only the driver or the launcher may say is signed.
+"""Signs and verifies control messages of the driver and the launcher, above the level "open".
 
 A signed message is MessagePack [body, signature]. The Ed25519 signature (RFC 8032) covers the run's id, the key below
-@control/ and the body, so it is worth nothing in another run, on another key or for another node. Nothing in it says
-that it is new: repeated to the same process, these messages do nothing more. Epochs count up, a step is carried out
-once, a stop is a stop.
+@control/ and the body, so it is not valid in another run, on another key or for another node. It does not prevent
+replays, which have no effect: epochs count up, a step is carried out once, and a second stop changes nothing.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ from mast_zenoh.security.control_keys import ControlKeys
 
 T = TypeVar("T")
 
-_ENVELOPE = 256  #: bytes that a signature and its wrapping take, at most
+_ENVELOPE = 256  #: most bytes that a signature and its wrapping take
 
 
 class Signatures:
     """Signs and checks the control messages of one run.
 
-    keys:   None on an open mesh, where nothing is signed and everything is obeyed
-    obeyed: how many messages have been taken without a signature
+    keys:   None on an open mesh, where nothing is signed and everything is accepted
+    obeyed: number of messages accepted without a signature
     """
 
     def __init__(self, run: str, keys: ControlKeys | None = None) -> None:
@@ -35,7 +34,7 @@ class Signatures:
         self._keys = keys
 
     def sign(self, what: str, body: bytes) -> bytes:
-        """A message as it is sent. what: its key below @control/, such as "stop" or "leave/infra_1"."""
+        """Sign a message. what: its key below @control/, such as "stop" or "leave/infra_1"."""
         if self._keys is None:
             return body
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # slow to load
@@ -44,9 +43,9 @@ class Signatures:
         return bytes(msgpack.packb([body, key.sign(self._covered(what, body))]))
 
     def open(self, what: str, payload: bytes, decode: Callable[[bytes], T]) -> T:
-        """The message in what was sent.
+        """Verify and decode a message.
 
-        Raises MessageError for one that whoever may send it has not signed, and what `decode` raises.
+        Raises MessageError if no permitted sender has signed it, and whatever `decode` raises.
         """
         if self._keys is None:
             message = decode(payload)
@@ -59,10 +58,10 @@ class Signatures:
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
         kind = what.partition("/")[0]
-        senders, most = CONTROLS[kind].senders, CONTROLS[kind].max_bytes + _ENVELOPE
-        fields.fits(payload, kind, most)
+        senders, max_bytes = CONTROLS[kind].senders, CONTROLS[kind].max_bytes + _ENVELOPE
+        fields.fits(payload, kind, max_bytes)
         try:
-            body, signature = fields.items(fields.unpack(payload, kind, most), 2, kind)
+            body, signature = fields.items(fields.unpack(payload, kind, max_bytes), 2, kind)
             signed = type(body) is bytes is type(signature)
         except MessageError:
             signed = False

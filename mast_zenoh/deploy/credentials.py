@@ -1,4 +1,4 @@
-"""What secures a run whose router is in a container: certificates for its names, and its settings as a file."""
+"""Credentials of a run whose router is in a container: certificates for its names, and its settings as a file."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from mast_zenoh.security.deployment import Deployment
 
 
 def deployment(context: RunContext) -> Deployment:
-    """Certificates for all nodes of a run, in its folder; nodes reach the router by its name, the launcher here."""
+    """Certificates for all nodes of a run, in its folder. Nodes reach the router by name, the launcher by 127.0.0.1."""
     return context.make_deployment([ROUTER, "127.0.0.1"], context.folder / CREDENTIALS)
 
 
 def write_settings(folder: Path, router: dict[str, Any]) -> Path:
-    """The router's settings, its key in them, in a folder of its own beside those of the nodes: 0700 and 0600."""
-    own = folder / ROUTER
-    own.mkdir(mode=0o700)
-    handle = os.open(own / ROUTER_SETTINGS, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    """Write the router's settings, which hold its key, to a folder beside those of the nodes: 0700 and 0600."""
+    router_folder = folder / ROUTER
+    router_folder.mkdir(mode=0o700)
+    handle = os.open(router_folder / ROUTER_SETTINGS, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(handle, "w", encoding="utf-8") as file:
         json.dump(router, file, separators=(",", ":"))
-    return own / ROUTER_SETTINGS
+    return router_folder / ROUTER_SETTINGS

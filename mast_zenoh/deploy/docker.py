@@ -1,4 +1,4 @@
-"""The `docker` command, and what to say when it is not there or fails."""
+"""The `docker` command, with errors that say what to do when it is missing or fails."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _TIMEOUT_S = 120.0
 
 
 def docker(*words: str, timeout: float = _TIMEOUT_S, check: bool = True) -> str:
-    """What `docker WORDS` says on standard output; raises EngineError when it fails."""
+    """The standard output of `docker WORDS`; raises EngineError when it fails."""
     return run(["docker", *words], timeout=timeout, check=check)
 
 
 def run(command: Sequence[str], *, timeout: float = _TIMEOUT_S, check: bool = True) -> str:
-    """Run a command in a session of its own: Ctrl-C is for us, and what is begun is finished."""
+    """Run a command in its own session, so that Ctrl-C does not interrupt it."""
     try:
         done = subprocess.run(
             command,
@@ -33,17 +33,19 @@ def run(command: Sequence[str], *, timeout: float = _TIMEOUT_S, check: bool = Tr
     except subprocess.TimeoutExpired:
         raise EngineError(f"`{' '.join(command[:3])}` has not ended within {timeout:.0f} s") from None
     if done.returncode and check:
-        # Of several things that it could not do, Docker names each, and says "exit status 1" at the end.
+        # Docker names each failure on a line, followed by "exit status 1".
         lines = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("exit status")]
         raise EngineError(f"`{' '.join(command[:3])}` failed: {lines[-1] if lines else f'exit code {done.returncode}'}")
     return done.stdout
 
 
 def check() -> str:
-    """The version of the engine; raises EngineError where none can be reached."""
+    """The version of the Docker engine; raises EngineError if none can be reached."""
     if shutil.which("docker") is None:
         raise EngineError("there is no `docker` on this machine: install docker.io")
     try:
         return docker("version", "--format", "{{.Server.Version}}", timeout=20.0).strip()
     except EngineError as error:
-        raise EngineError(f"the Docker engine cannot be reached ({error}): is it started, may you use it?") from None
+        raise EngineError(
+            f"the Docker engine cannot be reached ({error}): start it, or get the right to use it"
+        ) from None

@@ -1,4 +1,4 @@
-"""What this machine can do: each check looks at one thing and says what it found, and what to do about it."""
+"""Checks what this machine can do; each check reports a finding and a fix."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from mast_zenoh.security import explain
 
 
 class Finding(NamedTuple):
-    """ok: None for what is not there and need not be; fix: what to do, if anything."""
+    """The result of a check. ok: None for an optional part that is missing; fix: what to do, if anything."""
 
     name: str
     ok: bool | None
-    said: str
+    detail: str
     fix: str = ""
 
 
 def examine(credentials: Path | None = None, endpoint: str | None = None) -> Iterator[Finding]:
-    """All checks, and a look at a folder of credentials if one is named."""
+    """Run all checks, and check a folder of credentials if one is named."""
     for check in CHECKS:
         yield check()
     if credentials is not None:
         reasons = explain(credentials, endpoint)
         where = f"{credentials}{f' at {endpoint}' if endpoint else ''}"
-        yield Finding("certificates", not reasons, "; ".join(reasons) or f"{where}: nothing is wrong")
+        yield Finding("certificates", not reasons, "; ".join(reasons) or f"{where}: valid")
 
 
 def python() -> Finding:
-    """The interpreter, and this package."""
+    """The versions of Python and of this package."""
     return Finding(
         "python", sys.version_info >= (3, 11), f"{platform.python_version()}, mast-zenoh {release.version_string()}"
     )
@@ -60,7 +60,7 @@ def mesh() -> Finding:
 
 
 def docker() -> Finding:
-    """Whether there is an engine that we may use."""
+    """Whether this user can use a Docker engine."""
     try:
         return Finding("docker", True, f"engine {engine.check()}")
     except EngineError as error:
@@ -68,13 +68,13 @@ def docker() -> Finding:
 
 
 def compose() -> Finding:
-    """Whether there is a docker-compose."""
+    """Whether docker-compose is installed."""
     try:
         words = command()
-        said = engine.run([*words, "version", "--short"], timeout=30.0).strip()
+        version_text = engine.run([*words, "version", "--short"], timeout=30.0).strip()
     except EngineError as error:
         return Finding("compose", None, str(error), "apt install docker-compose")
-    return Finding("compose", True, f"{' '.join(words)} {said}")
+    return Finding("compose", True, f"{' '.join(words)} {version_text}")
 
 
 def swarm() -> Finding:
@@ -89,7 +89,7 @@ def swarm() -> Finding:
 
 
 def node_image() -> Finding:
-    """Whether the image is there, made from these sources."""
+    """Whether the image exists and was built from these sources."""
     try:
         image.check()
     except EngineError as error:
@@ -109,18 +109,18 @@ def namespaces() -> Finding:
     """Whether hosts of a scenario can be network namespaces of this machine."""
     try:
         wanted = {need: ["hosts"] for need in ("partition", "loss", "bandwidth", "delay")}
-        by = machine.delays_by(wanted, Owner.this_process())
+        means = machine.delays_by(wanted, Owner.this_process())
     except BackendError as error:
         return Finding("namespaces", None, str(error), "see docs/network.md")
-    return Finding("namespaces", True, f"yes, delays by {by}")
+    return Finding("namespaces", True, f"yes, delays by {means}")
 
 
-def room() -> Finding:
-    """How much room there is here."""
+def disk_space() -> Finding:
+    """The free disk space here."""
     free = shutil.disk_usage(Path.cwd()).free
     return Finding(
         "disk", free > 1 << 28, f"{free >> 30} GiB free in {Path.cwd()}", "" if free > 1 << 28 else "make room"
     )
 
 
-CHECKS: list[Callable[[], Finding]] = [python, mesh, docker, compose, swarm, node_image, ssh, namespaces, room]
+CHECKS: list[Callable[[], Finding]] = [python, mesh, docker, compose, swarm, node_image, ssh, namespaces, disk_space]

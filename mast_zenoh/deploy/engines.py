@@ -1,4 +1,4 @@
-"""Which engines there are. An engine is loaded when it is asked for: what it needs may not be installed."""
+"""The deployment engines by name. An engine is imported on demand, as its dependencies may not be installed."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ def load(name: str) -> type[Engine]:
     if name not in ENGINES:
         raise EngineError(f"there is no engine {name!r}{nearest(name, ENGINES)}")
     module, _, attribute = ENGINES[name].partition(":")
-    found: type[Engine] = getattr(import_module(module), attribute)
-    return found
+    engine: type[Engine] = getattr(import_module(module), attribute)
+    return engine

@@ -1,4 +1,4 @@
-"""The image that every node of a containerised run is made from: built from what is installed here, and checked."""
+"""The image of all nodes of a containerised run: built from the packages installed here, and checked."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mast_zenoh.errors import EngineError
 BASE = "python:3.12-slim"
 TAG = f"mast-zenoh:{version.__version__}"
 
-#: The user of its processes, unless a container is told another one.
+#: The default user of processes in its containers.
 USER = "10001:10001"
 
-#: Says which sources are in an image.
+#: The label with the fingerprint of the sources in an image.
 LABEL = "org.mast-zenoh.code"
 
 _BUILD_S = 1200.0
@@ -26,13 +26,13 @@ _BUILD_S = 1200.0
 
 def build(tag: str = TAG, base: str = BASE) -> str:
     """Build the image on a base that has Python 3.11 or newer with venv; returns its tag. Raises EngineError."""
-    asked = "import sys, platform; print(*sys.version_info[:2], platform.machine())"
-    said = docker("run", "--rm", "--network=none", "--entrypoint=python3", base, "-c", asked, timeout=_BUILD_S)
-    major, minor, machine = said.split()
+    program = "import sys, platform; print(*sys.version_info[:2], platform.machine())"
+    answer = docker("run", "--rm", "--network=none", "--entrypoint=python3", base, "-c", program, timeout=_BUILD_S)
+    major, minor, machine = answer.split()
     python = f"{major}.{minor}"
     wheels = wheel.third_party(wheel.cache(python, machine), python, machine)
-    with tempfile.TemporaryDirectory(prefix="mast-image-") as own:
-        context = Path(own)
+    with tempfile.TemporaryDirectory(prefix="mast-image-") as folder:
+        context = Path(folder)
         (context / "third_party").mkdir()
         for path in wheels:
             shutil.copyfile(path, context / "third_party" / path.name)
@@ -42,14 +42,14 @@ def build(tag: str = TAG, base: str = BASE) -> str:
         before = docker("image", "ls", "--quiet", tag).strip()
         docker("build", "--quiet", *words, "--file", str(dockerfile), str(context), timeout=_BUILD_S)
         if before and before != docker("image", "ls", "--quiet", tag).strip():
-            docker("image", "rm", before, check=False)  # nobody can name it any more; whoever runs it keeps it
+            docker("image", "rm", before, check=False)  # it has no name any more; running containers keep it
     return tag
 
 
 def check(tag: str = TAG) -> None:
-    """Raise EngineError when the image is missing, or made from other sources than these."""
-    said = docker("image", "ls", "--format", "{{.ID}}", tag)
-    if not said.strip():
+    """Raise EngineError if the image is missing, or was built from other sources than these."""
+    ids = docker("image", "ls", "--format", "{{.ID}}", tag)
+    if not ids.strip():
         raise EngineError(f"there is no image {tag}: build it by `mast deploy image`")
     code = docker("image", "inspect", "--format", f'{{{{index .Config.Labels "{LABEL}"}}}}', tag).strip()
     if code != _code():
@@ -60,11 +60,11 @@ def check(tag: str = TAG) -> None:
 
 
 def _code() -> str:
-    """What an image made here carries: these sources, and compiled kernels if there are any here."""
+    """The value of LABEL for an image built here: fingerprint of the sources, and whether kernels are compiled."""
     return version.fingerprint() + ("+kernels" if kernels.COMPILED else "")
 
 
 def size_over_base(tag: str = TAG, base: str = BASE) -> int:
-    """Bytes that the image has more than its base."""
-    sizes = [int(docker("image", "inspect", "--format", "{{.Size}}", each)) for each in (tag, base)]
+    """Size of the image minus that of its base, bytes."""
+    sizes = [int(docker("image", "inspect", "--format", "{{.Size}}", name)) for name in (tag, base)]
     return sizes[0] - sizes[1]

@@ -1,4 +1,4 @@
-"""The launcher's session on a mesh whose router is elsewhere, and comes up about now."""
+"""Opens the launcher's session on a mesh whose router runs elsewhere and may still be starting."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _TRY_MS = 2000
 def join(
     endpoint: str, credentials: Credentials | None, seconds: float, stopped: Callable[[], object] = lambda: False
 ) -> zenoh.Session:
-    """A client of the router at an endpoint, as soon as there is one.
+    """Connect to the router at an endpoint as soon as it answers.
 
-    stopped: whether somebody wants all of it to end
+    stopped: whether the run has been interrupted
 
-    Raises Interrupted, EngineError when it is not there in time, CredentialsError when it and we do not get along.
+    Raises Interrupted, EngineError if the router does not answer in time, CredentialsError if authentication fails.
     """
     deadline = time.monotonic() + seconds
     while True:
@@ -45,5 +45,5 @@ def join(
 
 
 def router_ended(router: str, code: int | None, name: str) -> EngineError:
-    """The error of a run whose router has ended; router: in words, code: its exit code, name: of its log."""
+    """The error of a run whose router has ended; router: description, code: exit code, name: name of its log."""
     return EngineError(f"{router} has ended: {how_ended(code)}; see logs/{name}.log")

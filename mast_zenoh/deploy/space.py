@@ -1,4 +1,4 @@
-"""Whether there is room for what a run writes."""
+"""Checks that the disk has room for the files of a run."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import DiskFull
 
-#: Logs, tables, figures, and what is not to be taken from everybody else.
+#: Bytes for logs, tables and figures, and a reserve for other programs.
 _ALWAYS = 64 << 20
 
-#: Of a recording, by frame and node, on the large side: tracks and detections of some fifty objects.
+#: Bytes of a recording per frame and node, generously: tracks and detections of some fifty objects.
 _RECORDED = 16 << 10
 
 
@@ -22,11 +22,11 @@ def needed(resolved: Resolved) -> int:
 
 
 def check(place: Path, needed: int) -> None:
-    """Raise DiskFull when the file system of a place, which may not be there yet, has less room."""
-    there = place.absolute()
-    while not there.exists():
-        there = there.parent
-    found = os.statvfs(there)
-    free = found.f_bavail * found.f_frsize
+    """Raise DiskFull if the file system of a path, which may not exist yet, has less space."""
+    folder = place.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    status = os.statvfs(folder)
+    free = status.f_bavail * status.f_frsize
     if free < needed:
         raise DiskFull(f"{place}: {free >> 20} MiB are free, {needed >> 20} MiB may be needed; name another with --out")

@@ -1,4 +1,4 @@
-"""Wheels for other hosts: this package as it is here, and what its nodes need, in the versions installed here."""
+"""Wheels for other hosts: this package as it is here, and its dependencies in the versions installed here."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from mast_zenoh.version import __version__
 REQUIREMENTS = "node-requirements.txt"
 _PACKAGE = Path(__file__).resolve().parents[1]
 _KINDS = ("nodes", "keyexpr_maps", "scenarios", "studies", "deploy")
-#: Compiled kernels go with their sources: an interpreter that they are not for passes them by.
+#: Compiled kernels are included with their sources; an interpreter that they do not fit ignores them.
 _SUFFIXES = (".py", ".j2", ".toml", ".txt", ".yml", ".json", ".pyx", ".pxd", ".so")
-_OLDEST = (1980, 1, 1, 0, 0, 0)  # that a zip file can say: the same content gives the same bytes
+_OLDEST = (1980, 1, 1, 0, 0, 0)  # earliest time in a zip file: equal content gives equal bytes
 
 
 def build(folder: Path) -> Path:
-    """This package as a wheel in a folder: from a checkout or an installation, without a build tool."""
+    """Build a wheel of this package in a folder, from a checkout or an installation, without a build tool."""
     name = f"mast_zenoh-{__version__}"
     target = folder / f"{name}-py3-none-any.whl"
     records = []
@@ -51,7 +51,7 @@ def build(folder: Path) -> Path:
 
 
 def requirements() -> list[str]:
-    """What a node needs besides, each as `name==version` of what is installed here."""
+    """The packages that a node needs, each as `name==version` as installed here."""
     lines = (bundle.ROOT / "deploy" / REQUIREMENTS).read_text(encoding="utf-8").splitlines()
     try:
         return [f"{line}=={version(line)}" for line in lines if line and not line.startswith("#")]
@@ -60,43 +60,43 @@ def requirements() -> list[str]:
 
 
 def third_party(folder: Path, python: str = "", machine: str = "") -> list[Path]:
-    """The wheels of `requirements` in a folder; those that are there already are not downloaded again.
+    """The wheels of `requirements` in a folder; missing ones are downloaded.
 
-    python: of the host that they are for, "3.12"; machine: its processor, as `uname -m` says; empty: as here
+    python: version on the target host, "3.12"; machine: its processor, as from `uname -m`; empty: as here
 
-    Raises EngineError when they cannot be had.
+    Raises EngineError if they cannot be downloaded.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [wanted for wanted in requirements() if not _there(folder, wanted)]
+    missing = [wanted for wanted in requirements() if not _wheels_of(folder, wanted)]
     if missing:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
-        command += ["--only-binary=:all:", "--dest", str(folder), *_for(python, machine), *missing]
+        command += ["--only-binary=:all:", "--dest", str(folder), *_platform_options(python, machine), *missing]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-            raise EngineError(f"wheels for nodes cannot be had: {lines[-1]}; put them into {folder}")
-    return [wheel for wanted in requirements() for wheel in _there(folder, wanted)[:1]]
+            raise EngineError(f"wheels for nodes cannot be downloaded: {lines[-1]}; put them into {folder}")
+    return [wheel for wanted in requirements() for wheel in _wheels_of(folder, wanted)[:1]]
 
 
 def cache(python: str = "", machine: str = "") -> Path:
-    """Where wheels are kept between builds, by what they are for."""
+    """The folder where wheels are kept between builds, by Python version and processor."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return home / "mast-zenoh" / "wheels" / f"{python or _here()}-{machine or platform.machine()}"
+    return home / "mast-zenoh" / "wheels" / f"{python or _python_version()}-{machine or platform.machine()}"
 
 
-def _there(folder: Path, wanted: str) -> list[Path]:
+def _wheels_of(folder: Path, wanted: str) -> list[Path]:
     name, _, release = wanted.partition("==")
     return sorted(folder.glob(f"{re.sub('[-_.]+', '_', name)}-{release}-*.whl"))
 
 
-def _here() -> str:
+def _python_version() -> str:
     return f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
-def _for(python: str, machine: str) -> Iterator[str]:
+def _platform_options(python: str, machine: str) -> Iterator[str]:
     """pip's options for wheels of another interpreter or processor than this one."""
-    python, machine = python or _here(), machine or platform.machine()
-    if (python, machine) == (_here(), platform.machine()):
+    python, machine = python or _python_version(), machine or platform.machine()
+    if (python, machine) == (_python_version(), platform.machine()):
         return
     tag = f"cp{python.replace('.', '')}"
     yield from ("--python-version", python, "--implementation", "cp", "--abi", tag, "--abi", "abi3", "--abi", "none")
@@ -117,18 +117,18 @@ def _content() -> Iterator[tuple[str, Path]]:
 
 
 def _metadata() -> dict[str, str]:
-    """The files of the dist-info but RECORD: from a checkout's pyproject.toml, else from what is installed."""
+    """The dist-info files except RECORD: from a checkout's pyproject.toml, else from the installation."""
     wheel = "Wheel-Version: 1.0\nGenerator: mast-zenoh\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
     project = bundle.ROOT / "pyproject.toml"
     if not project.is_file():
         installed = distribution("mast-zenoh")
         texts = {name: installed.read_text(name) or "" for name in ("METADATA", "entry_points.txt")}
         return texts | {"WHEEL": wheel}
-    told = tomllib.loads(project.read_text(encoding="utf-8"))["project"]
-    lines = ["Metadata-Version: 2.1", f"Name: {told['name']}", f"Version: {told['version']}"]
+    project_table = tomllib.loads(project.read_text(encoding="utf-8"))["project"]
+    lines = ["Metadata-Version: 2.1", f"Name: {project_table['name']}", f"Version: {project_table['version']}"]
     lines += [
-        f"Requires-Python: {told['requires-python']}",
-        *(f"Requires-Dist: {each}" for each in told["dependencies"]),
+        f"Requires-Python: {project_table['requires-python']}",
+        *(f"Requires-Dist: {requirement}" for requirement in project_table["dependencies"]),
     ]
-    scripts = "".join(f"{name} = {target}\n" for name, target in told["scripts"].items())
+    scripts = "".join(f"{name} = {target}\n" for name, target in project_table["scripts"].items())
     return {"METADATA": "\n".join(lines) + "\n", "entry_points.txt": f"[console_scripts]\n{scripts}", "WHEEL": wheel}

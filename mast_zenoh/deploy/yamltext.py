@@ -1,4 +1,4 @@
-"""Plain values as YAML that people like to read: what Compose and Swarm files need of it, and no more."""
+"""Writes plain values as readable YAML: the subset that Compose and Swarm files need."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _WORDS = frozenset({"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 
 
 class Anchored(dict[str, Any]):
-    """A mapping that others merge in: `KEY: &name`. name: by which they do."""
+    """A mapping with an anchor, `KEY: &name`, that others can merge in."""
 
     def __init__(self, name: str, content: Mapping[str, Any]) -> None:
         super().__init__(content)
@@ -20,11 +20,11 @@ class Anchored(dict[str, Any]):
 
 
 class Merged(str):
-    """As the value of the key `<<`: the name of what is merged in."""
+    """The value of the key `<<`: the name of the anchor to merge in."""
 
 
 def dump(content: Mapping[str, Any]) -> str:
-    """The text; strings must be printable. Lists of plain values stand on one line; `$` is doubled, for Compose."""
+    """The YAML text; strings must be printable. Lists of plain values are on one line; `$` is doubled, for Compose."""
     return "\n".join(_mapping(content, "")) + "\n"
 
 
@@ -59,7 +59,7 @@ def _inline(value: Any) -> str:
 def _scalar(value: Any) -> str:
     if isinstance(value, float):
         digits, exponent, power = json.dumps(value).partition("e")
-        return f"{digits if '.' in digits else f'{digits}.0'}{exponent}{power}"  # YAML 1.1 wants the point
+        return f"{digits if '.' in digits else f'{digits}.0'}{exponent}{power}"  # YAML 1.1 requires the point
     if not isinstance(value, str):
         return json.dumps(value)
     if _PLAIN.fullmatch(value) and value.lower() not in _WORDS:

@@ -1,4 +1,4 @@
-"""One channel per key: its name, its metadata, and a schema that tells other readers the fields of its messages."""
+"""Channels, one per key: name, metadata, and a schema that describes the fields of messages to other readers."""
 
 from __future__ import annotations
 
@@ -12,43 +12,43 @@ PROFILE = "mast-zenoh"
 ENCODING = "msgpack"
 SCHEMA_ENCODING = "jsonschema"
 
-#: Ends the topic of the channel that keeps what came on a key and has no sound header.
+#: Last part of the topic for messages of a key without a valid header.
 MALFORMED = "@malformed"
 
 _DTYPE = {"float64": "<f8", "int64": "<i8", "int32": "<i4", "uint8": "|u1", "str": "str"}
 
 
 def wire_of(key: str) -> str:
-    """The wire's own key of any of its legs' keys."""
+    """The wire's key, from the key of any of its legs."""
     return key.split(f"/{TAP}/", 1)[0]
 
 
 def wire_and_key(key: str) -> tuple[str, str]:
-    """Sorts keys by wire, each before its tap legs."""
+    """Sort key of keys: by wire, each before its tap legs."""
     return wire_of(key), key
 
 
 def metadata(key: str, message: str, publisher: str, *, malformed: bool) -> dict[str, str]:
-    """What a channel says of itself; MCAP metadata is text.
+    """The metadata of a channel; MCAP metadata is text.
 
-    publisher: who speaks on the wire; on the legs behind an interposer it is still the one that the header names
+    publisher: the wire's publisher, which headers name, also on legs behind an interposer
     """
     wire = wire_of(key)
     flags = {"tap": wire != key, "malformed": malformed}
-    told = {"wire": wire, "publisher": publisher, "message": message}
-    return told | {name: "true" if flag else "false" for name, flag in flags.items()}
+    values = {"wire": wire, "publisher": publisher, "message": message}
+    return values | {name: "true" if flag else "false" for name, flag in flags.items()}
 
 
 def json_schema(schema: Schema) -> str:
     """The fields of one message type as JSON Schema; `data` is bytes, which JSON Schema has no type for."""
-    whole = {"type": "integer", "minimum": 0}
+    integer = {"type": "integer", "minimum": 0}
     fields: dict[str, Any] = {
         "schema": {"const": schema.name},
         "version": {"const": schema.version},
         "source": {"type": "string", "description": "name of the node that made it"},
-        "frame": whole | {"description": "index of the scene's frame that the message is about"},
-        "time_ns": whole | {"description": "time of that frame in the scene", "unit": "ns"},
-        "seq": whole | {"description": "counts the messages of one publisher on one wire, from 0"},
+        "frame": integer | {"description": "index of the scene's frame that the message is about"},
+        "time_ns": integer | {"description": "time of that frame in the scene", "unit": "ns"},
+        "seq": integer | {"description": "counts the messages of one publisher on one wire, from 0"},
         "body": _object({column.name: _column(column) for column in schema.columns}),
     }
     return json.dumps({"title": schema.name, "description": schema.meaning} | _object(fields), ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""Nodes that were lost in a run, or came back, though the scenario did not say so: what that means for its record."""
+"""Nodes that were lost in a run or came back, unplanned by the scenario, and the consequences for its record."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 
 from mast_zenoh.errors import NodeLost, RunFolderError
 
-#: What can have happened to a node, and how a sentence says it.
+#: The events of a node, and their wording.
 LOST, BACK = "lost", "back"
 _WORDS = {LOST: "was lost", BACK: "came back"}
 
-#: As in run.json: {"frame": before which it happened, "node": its name, "what": LOST or BACK}.
+#: As in run.json: {"frame": the frame before which it happened, "node": its name, "what": LOST or BACK}.
 Churn = Sequence[Mapping[str, Any]]
 
 
 def sentence(churn: Churn) -> str:
-    """What happened, in the order in which it did: `infra_2 was lost before frame 40`."""
-    return "; ".join(f"{each['node']} {_WORDS[each['what']]} before frame {each['frame']}" for each in churn)
+    """The events in their order, as text: `infra_2 was lost before frame 40`."""
+    return "; ".join(f"{event['node']} {_WORDS[event['what']]} before frame {event['frame']}" for event in churn)
 
 
 def error(churn: Churn) -> NodeLost:
@@ -29,36 +29,36 @@ def error(churn: Churn) -> NodeLost:
 
 
 def first_frames(churn: Churn, node: str) -> list[int]:
-    """Of each time that something happened to a node, the first frame that it may have missed."""
-    return [_first_affected(each) for each in churn if each["node"] == node]
+    """For each event of a node, the first frame that it may have missed."""
+    return [_first_affected(event) for event in churn if event["node"] == node]
 
 
 def comparable(*paths: Path) -> tuple[int | None, str]:
-    """The first frame of which the recordings of some runs say nothing about each other, and why; None: there is none.
+    """The first frame from which recordings cannot be compared, and why; None if all can.
 
-    paths: of run folders, or of recordings, of which nothing more is known. Raises RunFolderError for a run.json that
-    cannot be read.
+    paths: run folders or recordings; nothing is known about the completeness of the latter. Raises RunFolderError for
+    an unreadable run.json.
     """
     return min((reason for path in paths for reason in _reasons(path)), default=(None, ""))
 
 
 def _first_affected(event: Mapping[str, Any]) -> int:
-    """The first frame that may lack something: a node may be lost while the frame before is still going on."""
+    """The first frame that may be incomplete: a node may be lost during the frame before."""
     frame: int = event["frame"]
     return max(0, frame - 1)
 
 
 def _reasons(path: Path) -> list[tuple[int, str]]:
-    """From which frames on a run cannot be compared, and why, as its run.json has it."""
+    """(first frame that cannot be compared, reason), from the run.json of a run."""
     file = path / "run.json"
     if not file.is_file():
         return []
     try:
         record = json.loads(file.read_text(encoding="utf-8")) or {}
         lost = [event for event in record.get("churn", ()) if event["what"] == LOST]
-        found = [(_first_affected(event), f"{event['node']} was lost in {path}") for event in lost]
+        reasons = [(_first_affected(event), f"{event['node']} was lost in {path}") for event in lost]
         if "from_frame" in record.get("recording", {}):
-            found.append((int(record["recording"]["from_frame"]), f"the recording of {path} is incomplete"))
+            reasons.append((int(record["recording"]["from_frame"]), f"the recording of {path} is incomplete"))
     except (ValueError, AttributeError, KeyError, TypeError) as error:
         raise RunFolderError(f"{file}: cannot be read: {error}") from error
-    return found
+    return reasons

@@ -1,4 +1,4 @@
-"""From which frame on a recording lacks messages, measured from the recording itself."""
+"""The first frame of which a recording lacks messages, measured from the recording itself."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mast_zenoh.messagelog.reader import file_of, read
 
 
 def first_gap(path: Path) -> int:
-    """The first frame of which a recording may lack something: the one before the first that it has no truth of.
+    """The first frame that may be incomplete in a recording: the one before the first without truth.
 
     0 for a recording that cannot be read.
     """
@@ -22,21 +22,21 @@ def first_gap(path: Path) -> int:
 
 
 def first_missing(path: Path, publisher: str) -> int | None:
-    """The first frame of which a message of `publisher` is missing; None where its sequence numbers have no gap.
+    """The first frame without a message of `publisher`; None if its sequence numbers have no gap.
 
-    A message counts as recorded if it was heard on any leg of its wire. Messages after the last one that was recorded
-    are not missed. 0 for a recording that cannot be read.
+    A message counts as recorded if it was recorded on any leg of its wire. Missing messages after the last recorded one
+    are not detected. 0 for a recording that cannot be read.
     """
-    heard: defaultdict[str, dict[int, int]] = defaultdict(dict)  # by wire: sequence number to frame
+    recorded: defaultdict[str, dict[int, int]] = defaultdict(dict)  # by wire: sequence number to frame
     try:
         for message in read(file_of(path)):
             if message.publisher == publisher and not message.malformed:
-                heard[message.wire][message.seq] = message.frame
+                recorded[message.wire][message.seq] = message.frame
     except RunFolderError:
         return 0
     missing = [
         frames.get(seq - 1, -1) + 1
-        for frames in heard.values()
+        for frames in recorded.values()
         if (seq := next(number for number in range(len(frames) + 1) if number not in frames)) < len(frames)
     ]
     return min(missing, default=None)

@@ -1,4 +1,4 @@
-"""Two recordings, message by message: where they differ first, and how often on each wire."""
+"""Compares two recordings message by message: the first difference, and the number of differences on each wire."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mast_zenoh.messagelog.reader import Recorded, read
 
 @dataclass
 class Difference:
-    """What comparing has found. Two recordings are equal if `first` is None.
+    """The result of a comparison. Two recordings are equal if `first` is None.
 
-    equal:          messages that are the same in both
-    first:          the first message that is not, as (that of A, that of B); None on a side where it is missing
-    differing:      messages that are in both and differ, by wire
-    only_a, only_b: messages that are missing on the other side, by wire
+    equal:          number of equal messages
+    first:          the first message that differs, as (that of A, that of B); None on a side where it is missing
+    differing:      number of messages that are in both and differ, by wire
+    only_a, only_b: number of messages that are missing in the other recording, by wire
     """
 
     equal: int = 0
@@ -36,27 +36,27 @@ def compare(
 
     ignore: globs of wires to leave out;  taps: compare tap legs too, which only runs of equal rewrites share
     before: only frames before this one
-    Raises RunFolderError where one cannot be read, and where there is nothing to compare.
+    Raises RunFolderError if one cannot be read, or if there is nothing to compare.
     """
-    found = Difference()
-    for left, right in _paired(*(_chosen(path, ignore, taps, before) for path in (a, b))):
+    difference = Difference()
+    for left, right in _paired(*(_selected(path, ignore, taps, before) for path in (a, b))):
         if left and right:
             if left.payload == right.payload:
-                found.equal += 1
+                difference.equal += 1
                 continue
-            found.differing[left.wire] += 1
+            difference.differing[left.wire] += 1
         elif left:
-            found.only_a[left.wire] += 1
+            difference.only_a[left.wire] += 1
         elif right:
-            found.only_b[right.wire] += 1
-        if found.first is None:
-            found.first = left, right
-    if found.first is None and not found.equal:
+            difference.only_b[right.wire] += 1
+        if difference.first is None:
+            difference.first = left, right
+    if difference.first is None and not difference.equal:
         raise RunFolderError(f"{a}, {b}: not one message to compare")
-    return found
+    return difference
 
 
-def _chosen(path: Path, ignore: Collection[str], taps: bool, before: int | None) -> Iterator[Recorded]:
+def _selected(path: Path, ignore: Collection[str], taps: bool, before: int | None) -> Iterator[Recorded]:
     for message in read(path):
         if before is not None and message.frame >= before:
             continue
@@ -65,7 +65,7 @@ def _chosen(path: Path, ignore: Collection[str], taps: bool, before: int | None)
 
 
 def _paired(a: Iterator[Recorded], b: Iterator[Recorded]) -> Iterator[tuple[Recorded | None, Recorded | None]]:
-    """Messages of equal place in the order; those that the other side has not, alone."""
+    """Pairs of messages with the same place in the order; None where a side has no such message."""
     left, right = next(a, None), next(b, None)
     while left or right:
         if right is None or (left and left.order < right.order):

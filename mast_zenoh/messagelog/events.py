@@ -1,4 +1,4 @@
-"""What a recording says beside its messages: how the run changed while it went on. Kept as MCAP metadata records."""
+"""Events of a recording besides its messages: changes of the run, as MCAP metadata records."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from typing import Any
 
 #: Name of the metadata record of an event.
 EVENT = "event"
-#: Name of the metadata record before a chunk: by place in the chunk, the steps of messages not sent in their own frame.
+#: Name of the metadata record before a chunk: the steps of messages not sent in their own frame, by place in the chunk.
 STEPS = "steps"
-#: The same for messages that share key and frame with another one: in which order they were sent.
+#: The same for the sending order of messages that share key and frame with another one.
 ORDER = "order"
 
-#: What may happen: a node comes or goes; messages take other ways (the first such event is of the beginning).
+#: Kinds of events: a node joins or leaves; the wiring changes (the first such event has the initial wiring).
 JOINED, LEFT, REWIRED = "joined", "left", "rewired"
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that changed after a frame.
+    """A change of the run after a frame.
 
     what:   JOINED, LEFT or REWIRED
-    frame:  the newest frame when it happened; -1: before the first
+    frame:  the latest frame when it happened; -1: before the first
     node, role: the node that joined or left
     wiring: the new wiring, as in wiring.json
     """
@@ -35,20 +35,20 @@ class Event:
     wiring: Mapping[str, Any] = field(default_factory=dict)
 
     def to_metadata(self) -> dict[str, str]:
-        """As MCAP metadata, which is text."""
-        told = {"what": self.what, "frame": str(self.frame)}
+        """The event as MCAP metadata, which is text."""
+        values = {"what": self.what, "frame": str(self.frame)}
         if self.what == REWIRED:
-            return told | {"wiring": json.dumps(self.wiring, separators=(",", ":"))}
-        return told | {"node": self.node, "role": self.role}
+            return values | {"wiring": json.dumps(self.wiring, separators=(",", ":"))}
+        return values | {"node": self.node, "role": self.role}
 
     @classmethod
-    def from_metadata(cls, told: Mapping[str, str]) -> Event:
-        """Of what `to_metadata` wrote; raises KeyError or ValueError for anything else."""
-        if told["what"] == REWIRED:
-            wiring = json.loads(told["wiring"])
+    def from_metadata(cls, values: Mapping[str, str]) -> Event:
+        """The event that `to_metadata` wrote; raises KeyError or ValueError for anything else."""
+        if values["what"] == REWIRED:
+            wiring = json.loads(values["wiring"])
             if not isinstance(wiring, dict):
                 raise ValueError("wiring: expected an object")
-            return cls(REWIRED, int(told["frame"]), wiring=wiring)
-        if told["what"] not in (JOINED, LEFT):
-            raise ValueError(f"what: found {told['what'][:20]!r}, expected {JOINED}, {LEFT} or {REWIRED}")
-        return cls(told["what"], int(told["frame"]), told["node"], told["role"])
+            return cls(REWIRED, int(values["frame"]), wiring=wiring)
+        if values["what"] not in (JOINED, LEFT):
+            raise ValueError(f"what: found {values['what'][:20]!r}, expected {JOINED}, {LEFT} or {REWIRED}")
+        return cls(values["what"], int(values["frame"]), values["node"], values["role"])

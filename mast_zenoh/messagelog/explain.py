@@ -1,4 +1,4 @@
-"""A difference between two recordings in words: the first message decoded, field by field, with units."""
+"""Describes the difference between two recordings: the first message decoded, field by field, with units."""
 
 from __future__ import annotations
 
@@ -19,20 +19,24 @@ _WIRES_SHOWN = 12
 _HEADER_UNITS = {"time_ns": " ns"}
 
 
-def explain(found: Difference) -> Iterator[str]:
-    """Lines that say how two recordings, A and B, differ, or that they are equal."""
-    if found.first is None:
-        yield f"equal: {found.equal} messages"
+def explain(difference: Difference) -> Iterator[str]:
+    """Lines that describe how two recordings, A and B, differ, or state that they are equal."""
+    if difference.first is None:
+        yield f"equal: {difference.equal} messages"
         return
-    left, right = found.first
+    left, right = difference.first
     yield f"first difference: {_place(left or right)}"
     if left and right:
         yield from (f"  {line}" for line in _fields(left, right))
     else:
         yield f"  only in {'A' if left else 'B'}: {_content(left or right)}"
-    for what, wires in (("differ", found.differing), ("are only in A", found.only_a), ("are only in B", found.only_b)):
-        yield from _totals(what, wires)
-    yield f"{found.equal} messages are equal"
+    for predicate, wires in (
+        ("differ", difference.differing),
+        ("are only in A", difference.only_a),
+        ("are only in B", difference.only_b),
+    ):
+        yield from _totals(predicate, wires)
+    yield f"{difference.equal} messages are equal"
 
 
 def _place(message: Recorded | None) -> str:
@@ -42,23 +46,23 @@ def _place(message: Recorded | None) -> str:
 
 
 def _content(message: Recorded | None) -> str:
-    """What is in a message, in a line."""
+    """The content of a message in one line."""
     decoded = _decoded(message) if message else None
     if message is None or decoded is None:
-        return f"{len(message.payload) if message else 0} bytes that are no sound message"
+        return f"{len(message.payload) if message else 0} bytes that are not a valid message"
     shapes = ", ".join(f"{name} {tuple(column.shape)}" for name, column in decoded.body.items())
     return f"{message.message} of {decoded.header.time_ns} ns: {shapes or 'no columns'}"
 
 
-def _totals(what: str, wires: Counter[str]) -> Iterator[str]:
+def _totals(predicate: str, wires: Counter[str]) -> Iterator[str]:
     if wires:
-        shown = [f"{wire} {count}" for wire, count in sorted(wires.items())[:_WIRES_SHOWN]]
+        counts = [f"{wire} {count}" for wire, count in sorted(wires.items())[:_WIRES_SHOWN]]
         more = f" and {len(wires) - _WIRES_SHOWN} more wires" if len(wires) > _WIRES_SHOWN else ""
-        yield f"{sum(wires.values())} messages {what}: {', '.join(shown)}{more}"
+        yield f"{sum(wires.values())} messages {predicate}: {', '.join(counts)}{more}"
 
 
 def _decoded(message: Recorded) -> Message | None:
-    """The message, or None where it is not sound."""
+    """The decoded message, or None if it is invalid."""
     try:
         return codec.decode(message.payload, message.message)
     except MessageError:
@@ -66,29 +70,29 @@ def _decoded(message: Recorded) -> Message | None:
 
 
 def _fields(left: Recorded, right: Recorded) -> Iterator[str]:
-    """What differs between two messages: header fields, columns; where one is not sound, bytes."""
+    """The differing header fields and columns of two messages; their bytes if nothing else differs."""
     a, b = _decoded(left), _decoded(right)
-    told = False
+    explained = False
     if a and b:
         for name in ("source", "frame", "time_ns", "seq"):
-            mine, other = getattr(a.header, name), getattr(b.header, name)
-            if mine != other:
-                told = True
-                yield f"{name}: A {mine}{_HEADER_UNITS.get(name, '')}, B {other}{_HEADER_UNITS.get(name, '')}"
+            in_a, in_b = getattr(a.header, name), getattr(b.header, name)
+            if in_a != in_b:
+                explained = True
+                yield f"{name}: A {in_a}{_HEADER_UNITS.get(name, '')}, B {in_b}{_HEADER_UNITS.get(name, '')}"
         for column in SCHEMAS[left.message].columns:
             for line in _column(column, a.body[column.name], b.body[column.name]):
-                told = True
+                explained = True
                 yield line
     else:
         for name, message in (("A", a), ("B", b)):
             if message is None:
-                yield f"{name} is not a sound message"
-    if not told:
+                yield f"{name} is not a valid message"
+    if not explained:
         yield _bytes(left.payload, right.payload)
 
 
 def _column(column: Column, a: NDArray[Any], b: NDArray[Any]) -> Iterator[str]:
-    """The first value of a column that differs, and how many do. Values are compared as bits: -0.0 is not 0.0."""
+    """The first differing value of a column, and their number. Values are compared as bits: -0.0 is not 0.0."""
     if a.shape != b.shape:
         yield f"{column.name}: A {_shape(a)}, B {_shape(b)}"
     rows = min(len(a), len(b))
@@ -99,11 +103,11 @@ def _column(column: Column, a: NDArray[Any], b: NDArray[Any]) -> Iterator[str]:
         return
     first = tuple(int(index) for index in places[0])
     unit = f" {column.unit}" if column.unit else ""
-    many = f"; {len(places)} of {a.size} values differ"
+    extent = f"; {len(places)} of {a.size} values differ"
     if column.dtype in ("float64", "int64", "int32") and len(places) > 1:
-        most = np.max(np.abs(a[differs].astype(float) - b[differs].astype(float)))
-        many += f", by at most {most:.3g}{unit}"
-    yield f"{column.name}{_where(column, first)}: A {a[first]}{unit}, B {b[first]}{unit}{many}"
+        largest = np.max(np.abs(a[differs].astype(float) - b[differs].astype(float)))
+        extent += f", by at most {largest:.3g}{unit}"
+    yield f"{column.name}{_where(column, first)}: A {a[first]}{unit}, B {b[first]}{unit}{extent}"
 
 
 def _shape(array: NDArray[Any]) -> str:
@@ -111,14 +115,14 @@ def _shape(array: NDArray[Any]) -> str:
 
 
 def _where(column: Column, index: tuple[int, ...]) -> str:
-    """A place in a column: its row where rows are objects, and the place in it."""
+    """A place in a column: its row if rows are objects, and its index in the row."""
     if isinstance(column.shape[0], str):
-        rest = f"[{', '.join(map(str, index[1:]))}]" if index[1:] else ""
-        return f" row {index[0]}{rest}"
+        suffix = f"[{', '.join(map(str, index[1:]))}]" if index[1:] else ""
+        return f" row {index[0]}{suffix}"
     return f"[{', '.join(map(str, index))}]"
 
 
 def _bytes(a: bytes, b: bytes) -> str:
-    at = next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
-    mine, other = (payload[at : at + 8].hex(" ") or "ends" for payload in (a, b))
-    return f"byte {at}: A {mine}, B {other}; lengths {len(a)}, {len(b)}"
+    offset = next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+    bytes_a, bytes_b = (payload[offset : offset + 8].hex(" ") or "ends" for payload in (a, b))
+    return f"byte {offset}: A {bytes_a}, B {bytes_b}; lengths {len(a)}, {len(b)}"

@@ -1,4 +1,4 @@
-"""Reads messages.mcap in the order (frame, wire, publisher, sequence), whole or cut off, a few chunks at a time."""
+"""Reads messages.mcap in the order (frame, wire, publisher, sequence), also if cut off, a few chunks at a time."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ from mast_zenoh.messages import codec
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
 
-#: A chunk holds little more than one message, and none is recorded that is longer than a node's inbox takes.
+#: A chunk holds at most little more than one message, and messages are limited by the inboxes of nodes.
 MAX_CHUNK_BYTES = 256 << 20
 
-#: No message's log time is so much later than the time in its header: it is later by the rank of its key.
+#: Limit of the difference between a message's log time and the time in its header, which is the rank of its key.
 _RANKS_NS = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A message of the file.
+    """A recorded message.
 
-    key:       on which it was sent;  wire: the same without the tap leg;  tap: whether it was on one
+    key:       on which it was sent;  wire: the key without the tap leg;  tap: whether it was on a tap leg
     message:   message type of the wire
     publisher: name of the node that made it
-    frame:     index of the frame that it is about; -1: malformed, so that nobody knows
-    time_ns:   time of that frame; of a malformed message, time of the newest clock when it came
+    frame:     index of the frame that it is about; -1: unknown, as it is malformed
+    time_ns:   time of that frame; of a malformed message, time of the latest clock when it arrived
     seq:       its number among those of its publisher on its wire; of malformed ones, among those of its key
     payload:   the bytes as they were sent
-    step:      the frame that the run was at when it was sent: later than `frame` if a link held it back; -1: unknown
-    rank:      orders the messages of one key and frame by when they were sent; -1: first, or the only one
+    step:      the run's frame when it was sent: later than `frame` if a link delayed it; -1: unknown
+    rank:      sending order among messages of one key and frame; -1: first, or the only one
     """
 
     key: str
@@ -65,12 +65,12 @@ class Recorded:
 
     @property
     def order(self) -> tuple[int, int, str, str, int, str]:
-        """Where it stands among all messages; the time goes with the frame."""
+        """Sort key among all messages; the time goes with the frame."""
         return self.time_ns, self.frame, self.wire, self.publisher, self.seq, self.key
 
 
 def file_of(path: Path) -> Path:
-    """The recording that a path means: a file, or that of a run folder. Raises RunFolderError where there is none."""
+    """The recording at a path: a file, or that of a run folder. Raises RunFolderError if there is none."""
     if path.is_file():
         return path
     if not path.is_dir():
@@ -81,11 +81,11 @@ def file_of(path: Path) -> Path:
 
 
 def _without_recording(folder: Path) -> str:
-    """Why a folder holds no recording: one that was written is gone, there was none, or it is no run's folder."""
+    """Why a folder has no recording: it was removed, the run had none, or the folder is not a run's."""
     try:
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return f"{folder} is no folder of a run"
+        return f"{folder} is not the folder of a run"
     except (OSError, ValueError):
         run = None
     recorded = run.get("recorded") if isinstance(run, dict) else None
@@ -95,9 +95,13 @@ def _without_recording(folder: Path) -> str:
     return f"{folder} is a run that was not recorded"
 
 
-class _Place(NamedTuple):
-    """A chunk of the file: its place, the earliest log time in it, and by place in the chunk the steps of messages that
-    were not sent in their own frame, and the ranks of those that are not alone in theirs."""
+class _ChunkIndex(NamedTuple):
+    """A chunk of the file.
+
+    byte:     its offset;  start_ns: the earliest log time in it
+    steps:    by place in the chunk, the steps of messages that were not sent in their own frame
+    ranks:    by place in the chunk, the ranks of messages that share key and frame with another one
+    """
 
     start_ns: int
     byte: int
@@ -106,47 +110,47 @@ class _Place(NamedTuple):
 
 
 class _End(NamedTuple):
-    """The end of the data: no message comes after it."""
+    """The end of the data, after the last message."""
 
 
 def read(path: Path) -> Iterator[Recorded]:
-    """All messages of a file or run folder, ordered. One that was cut off is read up to its last whole chunk.
+    """All messages of a file or run folder, ordered. A file that was cut off is read up to its last whole chunk.
 
-    Raises RunFolderError where there is no recording, or one that is damaged within.
+    Raises RunFolderError if there is no recording, or if it is damaged before its end.
     """
     path = file_of(path)
-    with _opened(path) as file:
-        places = [record for record in _records(file, path) if isinstance(record, _Place)]
-        #: by chunk, the earliest time in it and all behind it
-        floors = list(accumulate((place.start_ns for place in reversed(places)), min))[::-1]
+    with _open(path) as file:
+        chunks = [record for record in _records(file, path) if isinstance(record, _ChunkIndex)]
+        #: by chunk, the earliest time in it and in all later ones
+        floors = list(accumulate((chunk.start_ns for chunk in reversed(chunks)), min))[::-1]
         channels: dict[int, Channel] = {}
-        waiting: list[tuple[tuple[int, int, str, str, int, str], int, Recorded]] = []
+        queue: list[tuple[tuple[int, int, str, str, int, str], int, Recorded]] = []
         loaded = count = 0
-        while waiting or loaded < len(places):
-            while loaded < len(places) and (not waiting or floors[loaded] <= waiting[0][0][0] + _RANKS_NS):
-                for message in _messages(file, path, places[loaded], channels):
-                    heapq.heappush(waiting, (message.order, count, message))
+        while queue or loaded < len(chunks):
+            while loaded < len(chunks) and (not queue or floors[loaded] <= queue[0][0][0] + _RANKS_NS):
+                for message in _messages(file, path, chunks[loaded], channels):
+                    heapq.heappush(queue, (message.order, count, message))
                     count += 1
                 loaded += 1
-            if waiting:
-                yield heapq.heappop(waiting)[2]
+            if queue:
+                yield heapq.heappop(queue)[2]
 
 
 def events(path: Path) -> list[Event]:
-    """How the run changed while it was recorded, in order; empty for a recording of an earlier version.
+    """The changes of a run in their order; empty for a recording of an earlier version.
 
-    Raises RunFolderError where there is no recording, or one that is damaged within.
+    Raises RunFolderError if there is no recording, or if it is damaged before its end.
     """
     path = file_of(path)
-    with _opened(path) as file:
+    with _open(path) as file:
         return [record for record in _records(file, path) if isinstance(record, Event)]
 
 
 class Extent(NamedTuple):
-    """How far a recording goes.
+    """The extent of a recording.
 
-    last_frame: last frame of which it holds the truth; -1: none
-    whole:      whether it was ended as recordings are, rather than cut off
+    last_frame: last frame with truth; -1: none
+    whole:      whether it was closed properly rather than cut off
     """
 
     last_frame: int
@@ -154,26 +158,26 @@ class Extent(NamedTuple):
 
 
 def extent(path: Path) -> Extent:
-    """How far a recording goes, by all its messages; raises RunFolderError as `read` does."""
+    """The extent of a recording, from all its messages; raises RunFolderError as `read` does."""
     path = file_of(path)
     last = max((message.frame for message in read(path) if message.message == "truth"), default=-1)
-    with _opened(path) as file:
+    with _open(path) as file:
         return Extent(last, any(isinstance(record, _End) for record in _records(file, path)))
 
 
-def _opened(path: Path) -> IO[bytes]:
+def _open(path: Path) -> IO[bytes]:
     try:
         return path.open("rb")
     except OSError as error:
         raise RunFolderError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def _records(file: IO[bytes], path: Path) -> Iterator[_Place | Event | _End]:
-    """Every whole chunk of the file and every event, in the order of the file, and its end if it was not cut off."""
+def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End]:
+    """Every whole chunk and every event in the order of the file, and its end if it was not cut off."""
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise RunFolderError(f"{path}: does not begin as an MCAP file")
     size = path.stat().st_size
-    told: dict[str, Mapping[int, int]] = {}
+    chunk_metadata: dict[str, Mapping[int, int]] = {}
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
         opcode, length = _RECORD.unpack(head)
         byte = file.tell()
@@ -184,14 +188,14 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_Place | Event | _End]:
             break
         if opcode == Opcode.CHUNK and length >= _TIMES.size:
             start_ns, _ = _TIMES.unpack(file.read(_TIMES.size))
-            yield _Place(start_ns, byte, told.pop(STEPS, {}), told.pop(ORDER, {}))
+            yield _ChunkIndex(start_ns, byte, chunk_metadata.pop(STEPS, {}), chunk_metadata.pop(ORDER, {}))
         elif opcode == Opcode.CHUNK:
             raise RunFolderError(f"{path}: byte {byte}: a damaged chunk: found {length} bytes")
         elif opcode == Opcode.METADATA:
             try:
                 record = Metadata.read(ReadDataStream(file))
                 if record.name in (STEPS, ORDER):
-                    told[record.name] = {int(place): int(number) for place, number in record.metadata.items()}
+                    chunk_metadata[record.name] = {int(place): int(number) for place, number in record.metadata.items()}
                 elif record.name == EVENT:
                     yield Event.from_metadata(record.metadata)
             except (McapError, ValueError, KeyError, struct.error) as error:
@@ -199,17 +203,17 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_Place | Event | _End]:
         file.seek(byte + length)
 
 
-def _messages(file: IO[bytes], path: Path, place: _Place, channels: dict[int, Channel]) -> Iterator[Recorded]:
-    """The messages of the chunk at a place; channels that it introduces are added to `channels`."""
-    file.seek(place.byte)
+def _messages(file: IO[bytes], path: Path, index: _ChunkIndex, channels: dict[int, Channel]) -> Iterator[Recorded]:
+    """The messages of a chunk; channels that it introduces are added to `channels`."""
+    file.seek(index.byte)
     try:
         chunk = Chunk.read(ReadDataStream(file))
-        if chunk.uncompressed_size > MAX_CHUNK_BYTES:  # zeros take no room in a file
-            found = f"{chunk.uncompressed_size} bytes in one chunk, expected at most {MAX_CHUNK_BYTES}"
-            raise RunFolderError(f"{path}: byte {place.byte}: found {found}")
+        if chunk.uncompressed_size > MAX_CHUNK_BYTES:  # zeros compress to almost nothing
+            problem = f"{chunk.uncompressed_size} bytes in one chunk, expected at most {MAX_CHUNK_BYTES}"
+            raise RunFolderError(f"{path}: byte {index.byte}: found {problem}")
         records = breakup_chunk(chunk, validate_crc=True)
     except (McapError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
-        raise RunFolderError(f"{path}: byte {place.byte}: a damaged chunk: {error}") from None
+        raise RunFolderError(f"{path}: byte {index.byte}: a damaged chunk: {error}") from None
     count = 0
     for record in records:
         if isinstance(record, Channel):
@@ -217,19 +221,19 @@ def _messages(file: IO[bytes], path: Path, place: _Place, channels: dict[int, Ch
         elif isinstance(record, Message):
             if record.channel_id not in channels:
                 raise RunFolderError(
-                    f"{path}: byte {place.byte}: a message of channel {record.channel_id}, which is unknown"
+                    f"{path}: byte {index.byte}: a message of channel {record.channel_id}, which is unknown"
                 )
-            rank = place.ranks.get(count, -1)
-            yield _recorded(channels[record.channel_id], record, path, place.steps.get(count), rank)
+            rank = index.ranks.get(count, -1)
+            yield _recorded(channels[record.channel_id], record, path, index.steps.get(count), rank)
             count += 1
 
 
 def _recorded(channel: Channel, record: Message, path: Path, step: int | None, rank: int) -> Recorded:
-    """A message with what its channel and its header say of it; step: None: that of its frame."""
-    told = channel.metadata
+    """A message with the data of its channel and header; step: None: that of its frame."""
+    metadata = channel.metadata
     try:
-        wire, message, publisher = told["wire"], told["message"], told["publisher"]
-        tap, malformed = told["tap"] == "true", told["malformed"] == "true"
+        wire, message, publisher = metadata["wire"], metadata["message"], metadata["publisher"]
+        tap, malformed = metadata["tap"] == "true", metadata["malformed"] == "true"
     except KeyError as error:
         raise RunFolderError(f"{path}: channel {channel.topic!r} has no {error} in its metadata") from None
     frame, seq = -1, record.sequence

@@ -1,4 +1,4 @@
-"""Writes messages.mcap. What is not yet a whole chunk is lost with the process; whole chunks are not."""
+"""Writes messages.mcap. If the process dies, whole chunks are kept and the chunk being built is lost."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FILE = "messages.mcap"
 
-#: A chunk is written when the messages in it have so many bytes, or when it has lasted for so many frames.
+#: A chunk is written when its messages have this many bytes, or when it spans this many frames.
 CHUNK_BYTES = 1 << 20
 CHUNK_FRAMES = 25
 
@@ -28,7 +28,7 @@ _SEQUENCES = 1 << 32  # MCAP has 32 bits for a sequence number
 
 
 class _Entry(NamedTuple):
-    """A message of the chunk in the making; they are written in ascending order."""
+    """A message of the chunk being built; entries are written in ascending order."""
 
     log_time: int
     frame: int
@@ -42,14 +42,14 @@ class _Entry(NamedTuple):
 
 
 class MessageLog:
-    """The file, which is made when it begins.
+    """The log file, created by `begin`.
 
-    path: where it will be; relative to the run folder in a scenario
-    messages:  how many have been written
-    malformed: how many have come that have no sound header
-    lost:      how many could not be written, or are in the chunk that is being made
-    problem:   why nothing more can be written; "" if nothing is wrong
-    disk_full: whether that is for want of room
+    path:      in a scenario, relative to the run folder
+    messages:  number of messages written
+    malformed: number of messages without a valid header
+    lost:      number of messages that could not be written, or are in the chunk being built
+    problem:   why nothing more can be written; "" if there is no problem
+    disk_full: whether the reason is a full disk
     """
 
     def __init__(self, path: Path = Path(FILE)) -> None:
@@ -60,10 +60,10 @@ class MessageLog:
         self._file: IO[bytes] | None = None
         self._chunk: list[_Entry] = []
         self._bytes = 0
-        self._frame = 0  # in which the chunk began
+        self._frame = 0  # the first of the chunk
         self._added = 0
         self._flaws: Counter[str] = Counter()  # malformed messages by key
-        #: The newest frames of each channel that have been written.
+        #: The latest written frames of each channel.
         self._frames: defaultdict[int, deque[int]] = defaultdict(partial(deque, maxlen=256))
 
     @classmethod
@@ -73,32 +73,32 @@ class MessageLog:
 
     @property
     def malformed(self) -> int:
-        """See the class."""
+        """Number of messages without a valid header."""
         return self._flaws.total()
 
     @property
     def lost(self) -> int:
-        """See the class."""
+        """Number of messages that could not be written, or are in the chunk being built."""
         return self._added - self.messages
 
     def begin(self, hears: Mapping[str, Input]) -> None:
-        """Open the file, with a channel for every key; those that are heard later get theirs with their first message.
+        """Open the file, with a channel for every key; later keys get one with their first message.
 
-        Raises RunFolderError where there is a file or cannot be one, and DiskFull.
+        Raises RunFolderError if the file exists or cannot be created, and DiskFull.
         """
         try:
             self._open(hears)
         except OSError as error:
-            if self._file is not None:  # what it holds cannot be read
+            if self._file is not None:  # its content is unreadable
                 with suppress(OSError):
                     self._file.close()
                 self.path.unlink()
                 self._file = None
-            what = f"{self.path}: cannot be made a recording: {error.strerror or error}"
-            raise DiskFull(what) if is_disk_full(error) else RunFolderError(what) from None
+            problem = f"{self.path}: cannot create the recording: {error.strerror or error}"
+            raise DiskFull(problem) if is_disk_full(error) else RunFolderError(problem) from None
 
     def add(self, key: str, payload: bytes, header: Header, step: int) -> None:
-        """A message on a key; lost if there is a problem. step: the frame in which it was sent; -1: unknown"""
+        """Add a message; it is lost if there is a problem. step: the run's frame when it was sent; -1: unknown."""
         if key not in self._channels:
             self._channels[key] = self._channel(key)
         self._add(
@@ -106,9 +106,9 @@ class MessageLog:
         )
 
     def add_malformed(self, key: str, payload: bytes, frame: int, time_ns: int, step: int) -> None:
-        """What came on a key and is no message of its wire, as it is; lost if there is a problem.
+        """Add a malformed message unchanged; it is lost if there is a problem.
 
-        frame, time_ns: of the newest clock when it came;  step: see `add`
+        frame, time_ns: of the latest clock when it arrived;  step: as in `add`
         """
         name = f"{key}/{channels.MALFORMED}"
         if name not in self._channels:
@@ -118,12 +118,12 @@ class MessageLog:
         self._add(key, _Entry(0, frame, number, 0, time_ns, self._channels[name], payload, step, True))
 
     def add_event(self, event: Event) -> None:
-        """What changed about the run; lost if there is a problem."""
+        """Add a change of the run; it is lost if there is a problem."""
         if not self.problem:
             self._write(lambda: self._writer.add_metadata(EVENT, event.to_metadata()))
 
     def close(self) -> None:
-        """Write what is left, and the index."""
+        """Write the remaining messages and the index."""
         if self._file is None:
             return
         self._flush()
@@ -133,37 +133,37 @@ class MessageLog:
         self._write(file.close)
 
     def _open(self, hears: Mapping[str, Input]) -> None:
-        from mcap.writer import CompressionType, Writer  # every node knows this module, one writes
+        from mcap.writer import CompressionType, Writer  # every node imports this module, one writes
 
         self._file = self.path.open("xb")
         self._writer: Writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
         self._writer.start(channels.PROFILE)
-        self._schemas = {name: self._schema(name) for name in sorted({heard.message for heard in hears.values()})}
+        self._schemas = {name: self._schema(name) for name in sorted({input_.message for input_ in hears.values()})}
         self._hears = hears
-        #: The rank of a key among all, by wire and leg: it keeps their order among messages of one time.
+        #: The rank of a key among all, by wire and leg, which orders messages of the same time.
         self._ranks = {key: rank for rank, key in enumerate(sorted(hears, key=channels.wire_and_key))}
         self._channels = {key: self._channel(key) for key in self._ranks}
-        self._file.flush()  # a run that is killed at once leaves a recording of no messages
+        self._file.flush()  # a run that is killed at once leaves a valid recording without messages
 
     def _schema(self, name: str) -> int:
-        told = channels.json_schema(SCHEMAS[name]).encode()
-        return int(self._writer.register_schema(f"{name}.{SCHEMAS[name].version}", channels.SCHEMA_ENCODING, told))
+        content = channels.json_schema(SCHEMAS[name]).encode()
+        return int(self._writer.register_schema(f"{name}.{SCHEMAS[name].version}", channels.SCHEMA_ENCODING, content))
 
     def _channel(self, key: str, *, malformed: bool = False) -> int:
-        heard = self._hears[key]
-        if heard.message not in self._schemas:
-            self._schemas[heard.message] = self._schema(heard.message)
+        input_ = self._hears[key]
+        if input_.message not in self._schemas:
+            self._schemas[input_.message] = self._schema(input_.message)
         return int(
             self._writer.register_channel(
                 f"{key}/{channels.MALFORMED}" if malformed else key,
                 "" if malformed else channels.ENCODING,
-                0 if malformed else self._schemas[heard.message],
-                channels.metadata(key, heard.message, heard.source, malformed=malformed),
+                0 if malformed else self._schemas[input_.message],
+                channels.metadata(key, input_.message, input_.source, malformed=malformed),
             )
         )
 
     def _add(self, key: str, entry: _Entry) -> None:
-        """Put a message into the chunk, with its place among all."""
+        """Add a message to the chunk, with its rank."""
         self._added += 1
         if self.problem:
             return
@@ -176,13 +176,13 @@ class MessageLog:
             self._flush()
 
     def _flush(self) -> None:
-        """Write the chunk, sorted. Where that fails nothing more is written, and what is there can be read."""
+        """Write the sorted chunk. If that fails, nothing more is written, and the file stays readable."""
         chunk, self._chunk, self._bytes = sorted(self._chunk), [], 0
         if self.problem:
             return
 
         def write() -> None:
-            # Before the chunk, so that no chunk is read without the steps of its messages.
+            # Written before the chunk, so that no chunk is read without the steps of its messages.
             late = (i for i, entry in enumerate(chunk) if entry.malformed or entry.step != entry.frame)
             if steps := {str(i): str(chunk[i].step) for i in late}:
                 self._writer.add_metadata(STEPS, steps)
@@ -198,7 +198,7 @@ class MessageLog:
             self.messages += len(chunk)
 
     def _sharing(self, chunk: list[_Entry]) -> Iterator[int]:
-        """The places of messages that share key and frame with another one, of this chunk or of one before it."""
+        """The places of messages that share key and frame with another one, in this chunk or an earlier one."""
         frames = Counter((entry.channel, entry.frame) for entry in chunk)
         for place, entry in enumerate(chunk):
             if frames[entry.channel, entry.frame] > 1 or entry.frame in self._frames[entry.channel]:
@@ -207,7 +207,7 @@ class MessageLog:
             self._frames[channel].append(frame)
 
     def _write(self, write: Callable[[], None]) -> bool:
-        """Whether what is to be written was; if not, `problem` says why, and nothing more is written."""
+        """Run `write`; returns False after an error, which `problem` keeps, and nothing more is written."""
         try:
             write()
         except OSError as error:

@@ -1,9 +1,9 @@
-"""Messages to bytes and back: MessagePack, columnar, versioned, strictly checked.
+"""Encodes and decodes messages: MessagePack, columnar, versioned, strictly checked.
 
     {"schema": "tracks", "version": 1, "source": "ego", "frame": 3, "time_ns": 300000000, "seq": 3,
      "body": {"position": ["<f8", [12, 3], b"..."], "agents": ["str", [2], ["ego", "infra_1"]], ...}}
 
-Arrays are raw little-endian bytes in C order; decoding makes read-only views of them and copies nothing.
+Arrays are raw little-endian bytes in C order; decoding returns read-only views and copies nothing.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ def conform(header: Header, body: Body) -> Message:
     layout = LAYOUTS[schema.name]
     sizes: dict[str, int] = {}
     try:
-        found = layout.sizes(body)
-        plan = layout.plan(found)
+        size_key = layout.sizes(body)
+        plan = layout.plan(size_key)
         exact = exact_columns(body, plan.names, plan.dtypes, plan.shapes)
         if exact is not None:
             return Message(header, exact)
-        shapes, sizes = plan.shapes, layout.named(found)
+        shapes, sizes = plan.shapes, layout.named(size_key)
     except (KeyError, IndexError, ValueError):
         shapes = ()  # what is wrong is explained below
     columns: dict[str, NDArray[Any]] = {}
@@ -65,10 +65,10 @@ def conform(header: Header, body: Body) -> Message:
 
 
 def check_values(message: Message) -> None:
-    """Raises MessageError where `decode` would, had the message that `conform` made been sent as bytes."""
+    """Raise MessageError if `decode` would refuse a message that `conform` made, after it was sent as bytes."""
     header = message.header
     _check_header(header)
-    if LAYOUTS[header.schema].sound(message.body):
+    if LAYOUTS[header.schema].is_valid(message.body):
         validation.check_references(message)
         return
     if sum(column.nbytes for column in message.body.values()) > MAX_BYTES:
@@ -82,7 +82,7 @@ def check_values(message: Message) -> None:
 
 
 def encode(message: Message) -> bytes:
-    """The bytes of a message that `conform` made."""
+    """Encode a message that `conform` made."""
     header, columns = message
     layout = LAYOUTS[header.schema]
     body: dict[str, list[Any]] = {}
@@ -97,12 +97,12 @@ def encode(message: Message) -> bytes:
 
 
 def decode(payload: bytes, expected: str) -> Message:
-    """The message in `payload`, which must be of the schema `expected` in this package's version.
+    """Decode a message, which must have the schema `expected` in this package's version.
 
-    Raises MessageError for anything else: truncated, oversized, of another version, with a missing or
-    further column, a forged shape, a value that is not finite.
+    Raises MessageError for anything else: truncated, oversized, another version, a missing or unknown
+    column, a forged shape, a value that is not finite.
     """
-    header, body = _opened(payload, expected)
+    header, body = _unpack(payload, expected)
     schema = SCHEMAS[expected]
     if not isinstance(body, dict) or len(body) != len(schema.columns):
         raise MessageError(validation.names_differ(expected, body, schema.columns))
@@ -111,10 +111,10 @@ def decode(payload: bytes, expected: str) -> Message:
     return message
 
 
-class Unopened(Mapping[str, NDArray[Any]]):
-    """The columns of a message whose body nobody has looked at: whoever does so first decodes them.
+class LazyBody(Mapping[str, NDArray[Any]]):
+    """The columns of a message, decoded on first access.
 
-    Then raises MessageError where `decode` would have, as often as somebody looks.
+    Every access raises MessageError if `decode` would have.
     """
 
     __slots__ = ("_columns", "_expected", "_payload")
@@ -123,43 +123,43 @@ class Unopened(Mapping[str, NDArray[Any]]):
         self._payload, self._expected = payload, expected
         self._columns: Body | None = None
 
-    def _open(self) -> Body:
+    def _decoded(self) -> Body:
         if self._columns is None:
             self._columns = decode(self._payload, self._expected).body
         return self._columns
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._open()[name]
+        return self._decoded()[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._open())
+        return iter(self._decoded())
 
     def __len__(self) -> int:
-        return len(self._open())
+        return len(self._decoded())
 
 
-def decode_unopened(payload: bytes, expected: str) -> Message:
-    """As `decode`, but only the header is checked now, and the body when somebody looks at it."""
-    return Message(decode_header_only(payload, expected), Unopened(payload, expected))
+def decode_lazily(payload: bytes, expected: str) -> Message:
+    """Decode the header now, and the body on first access."""
+    return Message(decode_header_only(payload, expected), LazyBody(payload, expected))
 
 
 def decode_header_only(payload: bytes, expected: str) -> Header:
-    """The header of a message; of its body nothing is checked, not even, where the header is sound, that it is one.
+    """Decode the header of a message without checking its body.
 
-    Raises MessageError where `decode` would because of the header.
+    Raises MessageError if `decode` would because of the header.
     """
     return _quick_header(payload, expected) or decode_header(payload, expected)
 
 
 def _quick_header(payload: bytes, expected: str) -> Header | None:
-    """The header of a message with nothing odd about it, without touching its body; None where there is."""
+    """The header of a valid message, read without its body; None if anything is unusual."""
     end = payload.find(_BODY_KEY, 0, _LONGEST_HEADER)
     if payload[:1] != _MAP_OF_7 or end < 0 or len(payload) > MAX_BYTES:
         return None
     try:
         fields = msgpack.unpackb(_MAP_OF_6 + payload[1:end], strict_map_key=True, max_ext_len=0, max_map_len=6)
         schema, version, source, frame, time_ns, seq = [fields[name] for name in _HEADER_KEYS[:-1]]
-    except Exception:  # whatever it is, the slow way finds out
+    except Exception:  # the full check names the error
         return None
     if schema != expected or type(version) is not int or version != SCHEMAS[expected].version:
         return None
@@ -169,15 +169,15 @@ def _quick_header(payload: bytes, expected: str) -> Header | None:
 
 
 def decode_header(payload: bytes, expected: str) -> Header:
-    """The header of the message in `payload`; its body may be anything.
+    """Decode the header of a message, whose body may be anything.
 
-    Raises MessageError where `decode` would for all but the body.
+    Raises MessageError if `decode` would for any reason but the body's columns.
     """
-    return _opened(payload, expected)[0]
+    return _unpack(payload, expected)[0]
 
 
-def _opened(payload: bytes, expected: str) -> tuple[Header, Any]:
-    """The header, checked, and the body as it is packed."""
+def _unpack(payload: bytes, expected: str) -> tuple[Header, Any]:
+    """(header, packed body) of a message; the header is checked."""
     if len(payload) > MAX_BYTES:
         raise MessageError(f"{expected}: {len(payload)} bytes, at most {MAX_BYTES} allowed")
     try:
@@ -187,21 +187,21 @@ def _opened(payload: bytes, expected: str) -> tuple[Header, Any]:
     if not isinstance(fields, dict) or fields.keys() != _HEADER_NAMES:
         raise MessageError(f"{expected}: not a map of {', '.join(_HEADER_KEYS)}")
     schema, version, source, frame, time_ns, seq, body = [fields[name] for name in _HEADER_KEYS]
-    wanted = SCHEMAS[expected].version
-    if schema != expected or type(version) is not int or version != wanted:
-        found = f"{str(schema)[:40]} version {str(version)[:10]}"
-        raise MessageError(f"{expected}: found {found}, expected {expected} version {wanted}")
+    expected_version = SCHEMAS[expected].version
+    if schema != expected or type(version) is not int or version != expected_version:
+        actual = f"{str(schema)[:40]} version {str(version)[:10]}"
+        raise MessageError(f"{expected}: found {actual}, expected {expected} version {expected_version}")
     header = Header(expected, source, frame, time_ns, seq)
     _check_header(header)
     return header, body
 
 
 def _columns(schema: Schema, body: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """The columns of a body, checked."""
-    columns = LAYOUTS[schema.name].quick(body)
+    """The checked columns of a packed body."""
+    columns = LAYOUTS[schema.name].unpack(body)
     if columns is not None:
         return columns
-    # Something is odd: the slow way finds out what, and says it.
+    # Invalid: checking each column names the error.
     columns = {}
     sizes: dict[str, int] = {}
     for column in schema.columns:

@@ -21,7 +21,7 @@ MAX_ROWS = 100_000  #: no column has more rows
 MAX_TEXT = 256  #: characters in one string
 MAX_MAGNITUDE = 1e9  #: no quantity of a scene in SI units comes near it; more would overflow the filters
 
-#: By dtype of a column: what it is in memory, little-endian, and what it is called in a message.
+#: By dtype of a column: its NumPy dtype in memory (little-endian), and its name in a message.
 WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")}
 DTYPE_NAME = {name: dtype.str for name, dtype in WIRE_DTYPE.items()} | {"str": "str"}
 _TEXT = np.dtype(object)
@@ -53,7 +53,7 @@ def limit_of(column: Column) -> float:
 
 
 class Layout:
-    """The shapes that the columns of one schema must have, for given sizes of its letters; remembered."""
+    """The shapes of one schema's columns for given sizes of its letters, cached."""
 
     def __init__(self, schema: Schema) -> None:
         # for each letter, the column and the axis that give its size
@@ -65,16 +65,16 @@ class Layout:
         self._sources = tuple(self._letters.values())
         self._schema = schema
         self._plans: dict[tuple[int, ...], Plan] = {}
-        self._fit: set[tuple[int, ...]] = set()  # sizes with which a message is not too long
+        self._fitting: set[tuple[int, ...]] = set()  # sizes of messages within MAX_BYTES
 
     def named(self, sizes: tuple[int, ...]) -> dict[str, int]:
         """The sizes by letter."""
         return dict(zip(self._letters, sizes, strict=True))
 
     def plan(self, sizes: tuple[int, ...]) -> Plan:
-        """For every column what a body must hold; `sizes` are those of the letters, in their order.
+        """What every column of a body must hold; `sizes` are those of the letters, in their order.
 
-        Raises ValueError if one is no size.
+        Raises ValueError for an invalid size.
         """
         plan = self._plans.get(sizes)
         if plan is None:
@@ -102,11 +102,11 @@ class Layout:
         )
 
     def sizes(self, body: Body) -> tuple[int, ...]:
-        """The sizes of the letters, from arrays; raises KeyError or IndexError where a column or an axis is missing."""
+        """The sizes of the letters, from arrays; raises KeyError or IndexError if a column or an axis is missing."""
         return tuple([body[name].shape[axis] for name, axis in self._sources])
 
-    def quick(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
-        """The columns of a packed body with nothing odd about it; None where there is, whatever it may be."""
+    def unpack(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """The columns of a packed body; None if it is invalid in any way."""
         try:
             plan = self.plan(tuple([body[name][1][axis] for name, axis in self._sources]))
         except (KeyError, IndexError, TypeError, ValueError):
@@ -116,20 +116,20 @@ class Layout:
             return None
         return columns
 
-    def sound(self, body: Body) -> bool:
-        """Whether there is nothing odd about the values of a body that `conform` made; what it is, others find out."""
+    def is_valid(self, body: Body) -> bool:
+        """Whether the values of a body that `conform` made are valid."""
         sizes = self.sizes(body)
         plan = self.plan(sizes)
-        if sizes not in self._fit:
+        if sizes not in self._fitting:
             if sum([n_bytes for _, _, n_bytes in plan.packed]) > MAX_BYTES:
                 return False
-            if len(self._fit) < _MAX_PLANS:
-                self._fit.add(sizes)
+            if len(self._fitting) < _MAX_PLANS:
+                self._fitting.add(sizes)
         return sound_values(body, plan.names, plan.limits) <= MAX_SQUARES
 
 
 def packed_columns(body: Mapping[str, Any], plan: Plan) -> dict[str, NDArray[Any]] | None:
-    """The columns of a packed body, if all are as planned; their values may be anything."""
+    """The columns of a packed body if all match the plan, else None; values are not checked."""
     columns: dict[str, NDArray[Any]] = {}
     for name, dtype, shape, (dtype_name, dims, n_bytes) in zip(
         plan.names, plan.dtypes, plan.shapes, plan.packed, strict=True

@@ -1,4 +1,4 @@
-"""Message types: one table per type says column, dtype, shape and unit. docs/messages.md is generated from it.
+"""Message types: one table per type with column, dtype, shape and unit. docs/messages.md is generated from it.
 
 A message is a header and a body of columns. In a shape, letters are sizes that must agree within one message
 (`n` rows are n objects, `a` rows are a agents); numbers are fixed.
@@ -20,13 +20,13 @@ Body = Mapping[str, NDArray[Any]]
 
 
 class Header(NamedTuple):
-    """What every message says of itself.
+    """The header of every message.
 
     schema:  name of the message type
-    source:  name of the node that made it (an interposer leaves it as it is)
+    source:  name of the node that made it (an interposer leaves it unchanged)
     frame:   index of the scene's frame that the message is about
     time_ns: int, ns, time of that frame in the scene
-    seq:     counts the messages of one publisher on one wire, from 0
+    seq:     number of the message among those of one publisher on one wire, from 0
     """
 
     schema: str
@@ -37,14 +37,14 @@ class Header(NamedTuple):
 
 
 class Message(NamedTuple):
-    """One message: header and columns. Arrays are read-only for whoever receives it."""
+    """One message: header and columns. The arrays that a node receives are read-only."""
 
     header: Header
     body: Body
 
 
 def same_columns(one: Body, other: Body) -> bool:
-    """Whether two bodies of one message type are the same to the last bit."""
+    """Whether two bodies of one message type are bit-identical."""
     return all(
         column.shape == other[name].shape and column.tobytes() == other[name].tobytes() for name, column in one.items()
     )

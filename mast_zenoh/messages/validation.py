@@ -23,7 +23,7 @@ from mast_zenoh.messages.schemas import Column, Message
 
 
 def array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) -> NDArray[Any]:
-    """The array that is packed as [dtype, shape, data]; sizes: see `check_shape`."""
+    """The array of a column packed as [dtype, shape, data]; sizes: as in `check_shape`."""
     if not isinstance(packed, list) or len(packed) != 3:
         raise MessageError(f"{schema}.{column.name}: not [dtype, shape, data]")
     dtype, shape, data = packed
@@ -46,12 +46,12 @@ def array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) ->
 
 
 def check_shape(schema: str, column: Column, shape: tuple[int, ...], sizes: dict[str, int]) -> None:
-    """sizes: of the letters of the schema, as far as they are known; those that this shape says are added."""
+    """Check a shape against the schema; `sizes` holds the known sizes of letters, and gets those of this shape."""
     if len(shape) == len(column.shape):
-        for size, wanted in zip(shape, column.shape, strict=True):
+        for size, expected_size in zip(shape, column.shape, strict=True):
             if not 0 <= size <= MAX_ROWS:
                 break
-            if size != (sizes.setdefault(wanted, size) if isinstance(wanted, str) else wanted):
+            if size != (sizes.setdefault(expected_size, size) if isinstance(expected_size, str) else expected_size):
                 break
         else:
             return
@@ -61,28 +61,28 @@ def check_shape(schema: str, column: Column, shape: tuple[int, ...], sizes: dict
 
 
 def check_texts(schema: str, column: Column, texts: Sequence[object] | NDArray[Any]) -> None:
-    """All must be text, and short."""
+    """Check that all items are text of at most MAX_TEXT characters."""
     if not all(isinstance(item, str) and len(item) <= MAX_TEXT for item in texts):
         raise MessageError(f"{schema}.{column.name}: not a list of {len(texts)} short strings")
 
 
 def check_values(schema: str, column: Column, array: NDArray[Any]) -> None:
-    """Numbers must be finite and sensible, indices must be of something."""
+    """Check that numbers are finite and plausible, quaternions not zero, and indices within their limit."""
     if column.dtype == "float64":
-        # The sum of squares is not finite as soon as one value is, and too large where one is absurd: one pass, no
-        # temporary. The mean, not the sum, is limited, so that what is made of many sound messages is sound.
+        # The sum of squares is not finite if one value is not, and too large if one is absurd: one pass, no temporary.
+        # The mean is limited, not the sum, so that a message collated from many valid ones is valid.
         flat = array.reshape(-1)
         squares = np.vdot(flat, flat)
         if not squares <= MAX_SQUARES * max(len(flat), 1):
             raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")
         if squares < limit_of(column):
-            raise MessageError(f"{schema}.{column.name}: a quaternion of no length, which is no rotation")
+            raise MessageError(f"{schema}.{column.name}: a quaternion of length 0 is no rotation")
     elif column.dtype == "uint8" and array.size and int(array.max()) >= column.below:
         raise MessageError(f"{schema}.{column.name}: index {int(array.max())}, expected below {column.below}")
 
 
 def check_references(message: Message) -> None:
-    """What must hold between columns: row numbers exist, ids are unique."""
+    """Check relations between columns: row numbers exist, ids are unique."""
     schema, body = message.header.schema, message.body
     if schema == "collated":
         agent, rows = body["agent"], len(body["agents"])
@@ -93,7 +93,7 @@ def check_references(message: Message) -> None:
 
 
 def names_differ(schema: str, body: Any, columns: tuple[Column, ...]) -> str:
-    """In words: which of the columns a body lacks, and which it has that are none."""
-    wanted = {column.name for column in columns}
-    found = set(map(str, body)) if isinstance(body, Mapping) else set()
-    return f"{schema}: columns missing: {sorted(wanted - found)}, unknown: {sorted(found - wanted)[:8]}"
+    """An error message that lists the missing and the unknown columns of a body."""
+    expected = {column.name for column in columns}
+    actual = set(map(str, body)) if isinstance(body, Mapping) else set()
+    return f"{schema}: columns missing: {sorted(expected - actual)}, unknown: {sorted(actual - expected)[:8]}"

@@ -53,7 +53,7 @@ class FileClient:
     def fetch(self, folder: Path, patience_s: float) -> list[str]:
         """All files of this node into a folder; returns who is not up now. Raises what the launcher refuses it for."""
         asked = {"do": "join", "version": version.version_string(), "versions": version.versions()}
-        told = self.ask("fetch", asked, patience_s, files.decode_belongings)
+        told = self.ask("fetch", asked, patience_s, files.decode_node_files)
         for path, size in told.files.items():
             target = _below(folder, path)
             target.parent.mkdir(parents=True, exist_ok=True)

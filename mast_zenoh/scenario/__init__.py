@@ -1,13 +1,13 @@
-"""Scenarios: a Python file of plain dicts in, everything that a run needs out, checked before any process starts.
+"""Scenarios: reads a Python file of plain dicts and resolves all that a run needs, before any process starts.
 
     mast_zenoh.config.loading     runs the user's file
     reading     load: calls its `scenario(...)` with the launch-time parameters, and applies dotted settings
-    shape       which keys there are
-    nodes       which nodes there are
+    shape       the valid keys
+    nodes       the nodes of the run
     timeline    links, faults and attacks over time
     resolution  resolve: prepares the scene, builds every node once, and resolves the key of every port
 
-What comes of it is in `mast_zenoh.config.resolved`: processes get that as JSON, never the Python file.
+The result is a `mast_zenoh.config.resolved.Resolved`: processes get that as JSON, never the Python file.
 """
 
 from mast_zenoh.scenario.reading import agents_of, choose_scene, load, load_values, victims_of

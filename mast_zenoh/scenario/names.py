@@ -1,4 +1,4 @@
-"""Names of runs and studies: a part of folders' names and of every key expression of a run."""
+"""Names of runs and studies, which become parts of folder names and of a run's key expressions."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import re
 from mast_zenoh.errors import ConfigurationError
 
 _MAX = 100
-#: Separators of paths, what has a meaning in key expressions, control characters, and bytes that are no text.
+#: Path separators, special characters of key expressions, control characters, and surrogates (bytes that are no text).
 _REFUSED = re.compile(r"[/\\*#?$\x00-\x1f\x7f\ud800-\udfff]")
 
 
 def checked_name(name: object, place: str) -> str:
-    """A name as it was given; raises ConfigurationError for one that would leave its folder or its key."""
+    """The name itself; raises ConfigurationError for one that would escape its folder or its key."""
     if not isinstance(name, str) or not 0 < len(name) <= _MAX or _REFUSED.search(name) or name[0] in ".@-":
         raise ConfigurationError(
             f"{place}: found {name!r:.120}, expected at most {_MAX} characters, none of / \\ * # ? $, "
@@ -22,5 +22,5 @@ def checked_name(name: object, place: str) -> str:
 
 
 def name_of_file(stem: str) -> str:
-    """The name of what has none, made of its file's."""
+    """A valid name made from a file's stem, for a scenario or study without one."""
     return _REFUSED.sub("_", stem).lstrip(".@-")[:_MAX] or "unnamed"

@@ -1,4 +1,4 @@
-"""The nodes of a scenario: which there are, from which files, with which parameters."""
+"""The nodes of a scenario: their names, files and parameters."""
 
 from __future__ import annotations
 
@@ -25,14 +25,16 @@ _CONTROLS = ("type", "file", "on_exit", "role")
 def nodes_of(
     path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int, record: bool
 ) -> dict[str, NodeSpec]:
-    """All nodes but the links, the simulator first."""
+    """The specs of all nodes except the links, the simulator first."""
     specs: dict[str, NodeSpec] = {}
 
     def add(name: str, role: str, config: Mapping[str, Any]) -> None:
         if name == ALL:
-            raise ConfigurationError(f"{path}: {name}: the name means all adversaries together: choose another one")
+            raise ConfigurationError(
+                f"{path}: {name}: this name stands for all adversaries together: choose another one"
+            )
         if name in specs:
-            raise ConfigurationError(f"{path}: {name}: there is a node of this name already")
+            raise ConfigurationError(f"{path}: {name}: another node has this name already")
         specs[name] = node_spec(path, name, role, config)
 
     add("simulator", "simulator", {"recording": recording, "frames": frames})
@@ -43,16 +45,16 @@ def nodes_of(
             raise ConfigurationError(f"{path}: agents: no entry for {agent.name!r}{nearest(agent.name, patterns)}")
         if not isinstance(config := patterns[pattern], Mapping):
             raise ConfigurationError(f"{path}: agents: {agent.name}: found {config!r}, expected a dict")
-        add(agent.name, "agent", {**_of_scene(agent), **config})
+        add(agent.name, "agent", {**_scene_parameters(agent), **config})
     for role in ("broker", "command_center"):
         add(role, role, scenario.get(role, {}))
     agents = [agent.name for agent in recording.agents]
     adversaries = scenario.get("adversaries", {})
     for name, config in _named(adversaries, f"{path}: adversaries"):
         if config.get("agent") not in agents:
-            found = str(config.get("agent"))
+            agent_name = str(config.get("agent"))
             raise ConfigurationError(
-                f"{path}: adversaries.{name}.agent: no agent {found!r} in this scene{nearest(found, agents)}"
+                f"{path}: adversaries.{name}.agent: no agent {agent_name!r} in this scene{nearest(agent_name, agents)}"
             )
         add(name, "adversary", config)
     if scenario.get("coordinator") is not None:
@@ -60,8 +62,8 @@ def nodes_of(
     inform(specs, recording)
     ages = {name: specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config}
     evaluator = scenario.get("evaluator", {})
-    held = {"picture_ages_s": ages} if ages and "picture_age_s" not in evaluator else {}
-    add("evaluator", "evaluator", {"agents": agents, **held, **evaluator})
+    ages_option = {"picture_ages_s": ages} if ages and "picture_age_s" not in evaluator else {}
+    add("evaluator", "evaluator", {"agents": agents, **ages_option, **evaluator})
     _share_max_age(specs["broker"], specs["evaluator"])
     for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
@@ -79,7 +81,7 @@ def _share_max_age(broker: NodeSpec, evaluator: NodeSpec) -> None:
 
 
 def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """The (name, configuration) of nodes, checked to be that."""
+    """Yield (name, configuration) of each node, with checked types."""
     for name, config in configs.items():
         if not isinstance(name, str):
             raise ConfigurationError(f"{place}: found the name {name!r}, expected a string")
@@ -89,26 +91,26 @@ def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mappin
 
 
 def inform(specs: Mapping[str, NodeSpec], recording: Recording) -> None:
-    """Tell adversaries and coordinators what attackers know of the scene, as far as they want to know."""
+    """Add the `surroundings` parameter to adversaries and coordinators whose class takes it."""
     attackers = {name: spec for name, spec in specs.items() if spec.role in ("adversary", "coordinator")}
     victims = list(dict.fromkeys(str(spec.config["agent"]) for spec in attackers.values() if "agent" in spec.config))
     for spec in attackers.values():
         cls = loading.node_class(Path(spec.file), spec.type)
         if "surroundings" in inspect.signature(cls).parameters:
             own = [str(spec.config["agent"])] if "agent" in spec.config else []
-            mine = victims if spec.role == "coordinator" else own
-            spec.config.setdefault("surroundings", surroundings_of(recording, mine))
+            known_victims = victims if spec.role == "coordinator" else own
+            spec.config.setdefault("surroundings", surroundings_of(recording, known_victims))
 
 
-def _of_scene(agent: SceneAgent) -> dict[str, Any]:
-    """What an agent is told of itself by the scene."""
+def _scene_parameters(agent: SceneAgent) -> dict[str, Any]:
+    """The parameters of an agent's node that the scene provides."""
     sensor = agent.sensor
     names = ("azimuth_min_deg", "azimuth_max_deg", "elevation_min_deg", "elevation_max_deg", "max_range_m")
     return {"lidar": {name: getattr(sensor, name) for name in names}, "mobile": agent.kind == "mobile"}
 
 
 def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> NodeSpec:
-    """A node's spec; its file is the one named, else that of its role."""
+    """A node's spec; without `file`, its file is named after its role."""
     place = f"{path}: {name}"
     if not isinstance(config, Mapping):
         raise ConfigurationError(f"{place}: found {config!r}, expected a dict")
@@ -126,11 +128,11 @@ def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> No
         raise ConfigurationError(f"{place}.on_exit: found {on_exit!r}{nearest(str(on_exit), ON_EXIT)}")
     parameters = {key: value for key, value in config.items() if key not in _CONTROLS}
     if "agent" in parameters and "agent" not in inspect.signature(cls).parameters:
-        raise NodeFileError(f"{place}: {cls.__name__} takes no parameter `agent`, by which it is put on a wire")
+        raise NodeFileError(f"{place}: {cls.__name__} has no parameter `agent`, which selects its wire")
     return NodeSpec(role, str(file), cls.__name__, parameters, on_exit)
 
 
 def matching(patterns: Mapping[str, Any], name: str) -> str | None:
-    """The longest pattern that matches, so that a name wins over a wildcard; None if there is none."""
-    found = [pattern for pattern in patterns if fnmatchcase(name, pattern)]
-    return max(found, key=lambda pattern: (pattern == name, len(pattern))) if found else None
+    """The longest pattern that matches, so that a name wins over a wildcard; None if none matches."""
+    matches = [pattern for pattern in patterns if fnmatchcase(name, pattern)]
+    return max(matches, key=lambda pattern: (pattern == name, len(pattern))) if matches else None

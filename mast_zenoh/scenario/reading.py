@@ -1,4 +1,4 @@
-"""Reads a user's scenario file: runs it, and puts the launch-time settings where they belong."""
+"""Reads a user's scenario file: runs it and applies the launch-time settings."""
 
 from __future__ import annotations
 
@@ -10,59 +10,60 @@ from typing import Any
 
 from mast_zenoh import scenes
 from mast_zenoh.config import loading, registry
-from mast_zenoh.config.settings import from_values, reach, split
+from mast_zenoh.config.settings import from_values, set_dotted, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
-from mast_zenoh.scenario.shape import spelt
+from mast_zenoh.scenario.shape import normalise_keys
 
 
 def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, Any]:
-    """The scene of a short name ("intersection", "avstack:PATH", …), with those options that are not None.
+    """The spec of a scene, from a short name ("intersection", "avstack:PATH", …) or a dict, with the options set.
 
-    Raises ConfigurationError for an option that the scene's type does not take, or that contradicts the scene.
+    Options that are None are ignored. Raises ConfigurationError for an option that the scene's type does not take, or
+    that contradicts the scene.
     """
     if not isinstance(scene, (str, Mapping)):
         raise ConfigurationError(f"scene: found {scene!r}, expected a short name or a dict(type=…)")
     spec = registry.own_copy(dict(scene)) if isinstance(scene, Mapping) else scenes.parse_scene(scene)
     type_ = registry.known_types(scenes.Scene).get(str(spec.get("type")))
-    takes = inspect.signature(type_).parameters if type_ else options  # an unknown type is refused when it is built
+    accepted = inspect.signature(type_).parameters if type_ else options  # an unknown type is refused when it is built
     for name, value in options.items():
         if value is None:
             continue
-        if name not in takes:
-            raise ConfigurationError(f"scene: {spec['type']} has no parameter {name!r}{nearest(name, takes)}")
+        if name not in accepted:
+            raise ConfigurationError(f"scene: {spec['type']} has no parameter {name!r}{nearest(name, accepted)}")
         if spec.setdefault(name, value) != value:
             raise ConfigurationError(f"scene: {name} is {value!r}, but {spec[name]!r} in {scene!r}: expected one value")
     return spec
 
 
 def agents_of(scene: str | Mapping[str, Any]) -> tuple[str, ...]:
-    """The names of the agents that a scene plays, the ego first: for scenarios that place nodes or faults by name.
+    """The names of a scene's agents, the ego first, for scenarios that refer to agents by name.
 
-    Raises ConfigurationError (of the scene's parameters), SceneError (of its data).
+    Raises ConfigurationError (scene parameters), SceneError (scene data).
     """
     spec = choose_scene(scene)
-    built = registry.build(spec, scenes.Scene, "scene")
-    return scenes.prepare(built, 0, 1, json.dumps(spec, sort_keys=True)).agent_names
+    prepared = registry.build(spec, scenes.Scene, "scene")
+    return scenes.prepare(prepared, 0, 1, json.dumps(spec, sort_keys=True)).agent_names
 
 
 def victims_of(scene: str | Mapping[str, Any], count: int) -> tuple[str, ...]:
-    """The names of `count` agents for adversaries: those that stand still first, never the ego.
+    """The names of `count` agents for adversaries to compromise: static ones first, never the ego.
 
     Raises ConfigurationError if the scene has fewer.
     """
     others = agents_of(scene)[1:]
-    standing = [name for name in others if name.startswith("infra")]
-    victims = (*standing, *(name for name in others if name not in standing))
+    static = [name for name in others if name.startswith("infra")]
+    victims = (*static, *(name for name in others if name not in static))
     if not 0 <= count <= len(victims):
         raise ConfigurationError(f"n_adversaries: found {count}, expected 0 to {len(victims)}: {', '.join(victims)}")
     return victims[:count]
 
 
 def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]:
-    """(file, scenario dict) of a scenario file, under settings `key=value` as given to `--set`.
+    """(file, scenario dict) of a scenario file, with settings `key=value` as given to `--set`.
 
-    A key without a dot is a parameter of the file's `scenario` function, typed from its default; one with dots
-    reaches into the dict that it returns.
+    A key without a dot is a parameter of the file's `scenario` function, typed like its default; a dotted key
+    names a value in the dict that it returns.
     """
     path, function = loading.function("scenarios", name, "scenario")
     parameters, dotted = split(settings, function, str(path))
@@ -110,7 +111,7 @@ def _called(
 
 def _set(path: Path, scenario: Mapping[str, Any], dotted: Mapping[str, Any]) -> dict[str, Any]:
     """A copy of a scenario under dotted settings: what is set in one dict of it must not change another."""
-    result: dict[str, Any] = registry.own_copy(spelt(scenario, str(path)))
+    result: dict[str, Any] = registry.own_copy(normalise_keys(scenario, str(path)))
     for key, value in dotted.items():
-        reach(result, key, value, str(path))
+        set_dotted(result, key, value, str(path))
     return result

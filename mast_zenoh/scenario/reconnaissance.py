@@ -1,4 +1,4 @@
-"""What an attacker can find out about a scene before a run: the `surroundings` of adversaries and coordinators."""
+"""What an attacker can know about a scene before a run: the `surroundings` of adversaries and coordinators."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ ROUTE_STEP_S = 0.5
 
 
 def surroundings_of(recording: Recording, victims: Iterable[str]) -> dict[str, Any]:
-    """The parameters of `attacks.Surroundings` for the attackers of these agents: buildings, sensors and routes.
+    """The parameters of `attacks.Surroundings` for attackers of the agents `victims`: buildings, sensors and routes.
 
-    Buildings that no sensor reaches are left out.
+    Buildings out of every sensor's range are left out.
     """
     times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
-    every = max(1, round(ROUTE_STEP_S * 1e9 / recording.period_ns))
-    rows = np.unique([*range(0, len(times_s), every), len(times_s) - 1])
+    stride = max(1, round(ROUTE_STEP_S * 1e9 / recording.period_ns))
+    rows = np.unique([*range(0, len(times_s), stride), len(times_s) - 1])
     agents: dict[str, Any] = {}
     for index, agent in enumerate(recording.agents):
         sensor = agent.sensor
@@ -36,7 +36,7 @@ def surroundings_of(recording: Recording, victims: Iterable[str]) -> dict[str, A
             "mount_rotation": np.asarray(sensor.mount_rotation).tolist(),
             "route": _route(recording, index, times_s, rows if agent.kind == "mobile" else rows[:1]),
         }
-    near = _in_reach(recording, rows)
+    near = _within_range(recording, rows)
     return {
         "scene": recording.name,
         "agents": agents,
@@ -52,14 +52,14 @@ def _route(recording: Recording, agent: int, times_s: Floats, rows: Ints) -> lis
     return [[round(float(value), 6) for value in row] for row in table]
 
 
-def _in_reach(recording: Recording, rows: Ints) -> list[int]:
-    """Buildings with a corner, or the middle of a wall, within the range of some sensor at some time."""
+def _within_range(recording: Recording, rows: Ints) -> list[int]:
+    """Indices of buildings with a corner, or the middle of a wall, within the range of a sensor at any time."""
     near: list[int] = []
-    reach = np.array([agent.sensor.max_range_m for agent in recording.agents])
-    places = recording.agent_position[rows, :, :2]
+    max_range_m = np.array([agent.sensor.max_range_m for agent in recording.agents])
+    positions = recording.agent_position[rows, :, :2]
     for index, outline in enumerate(recording.buildings):
         points = np.concatenate([outline, 0.5 * (outline + np.roll(outline, -1, axis=0))])
-        apart = np.linalg.norm(points - places[..., None, :], axis=-1).min(axis=-1)
-        if (apart <= reach).any():
+        distance_m = np.linalg.norm(points - positions[..., None, :], axis=-1).min(axis=-1)
+        if (distance_m <= max_range_m).any():
             near.append(index)
     return near

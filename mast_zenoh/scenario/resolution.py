@@ -1,4 +1,4 @@
-"""From a scenario to everything that a run needs, checked before any process starts."""
+"""Resolves a scenario into everything that a run needs, checked before any process starts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mast_zenoh.node import Node
 from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.scenario.nodes import nodes_of
 from mast_zenoh.scenario.reading import choose_scene
-from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, spelt
+from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, normalise_keys
 from mast_zenoh.scenario.timeline import REWRITE, timeline_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import endpoints, maps
@@ -34,15 +34,15 @@ def resolve(
     record: bool = False,
     **run: Any,
 ) -> Resolved:
-    """The scenario of a file with nothing left to decide; arguments that are not None win over its `run` part.
+    """Resolve the scenario of a file; arguments that are not None override its `run` part.
 
     record: add a recorder, unless the scenario's `run.record` is False
 
-    Raises ConfigurationError (of a scenario), WiringError (of a map), SceneError (of the scene's data).
+    Raises ConfigurationError (scenario), WiringError (key-expression map), SceneError (scene data).
     """
-    scenario = registry.own_copy(dict(checked(spelt(scenario, str(path)), str(path))))
-    given = {key: value for key, value in dict(run, seed=seed, frames=frames).items() if value is not None}
-    options = RUN_DEFAULTS | dict(scenario.get("run", {})) | given
+    scenario = registry.own_copy(dict(checked(normalise_keys(scenario, str(path)), str(path))))
+    overrides = {key: value for key, value in dict(run, seed=seed, frames=frames).items() if value is not None}
+    options = RUN_DEFAULTS | dict(scenario.get("run", {})) | overrides
     check_run(options, str(path))
     try:
         scene_spec = choose_scene(scenario.get("scene", "intersection"))
@@ -51,18 +51,18 @@ def resolve(
     scene = registry.build(scene_spec, scenes.Scene, f"{path}: scene")
     cache_key = json.dumps(scene_spec, sort_keys=True)
     recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key)
-    played = len(recording) if options["frames"] is None else min(options["frames"], len(recording))
-    nodes = nodes_of(path, scenario, recording, played, record and options["record"])
-    timeline = timeline_of(path, scenario, nodes, recording, played, seed=options["seed"], mode=options["mode"])
+    n_frames = len(recording) if options["frames"] is None else min(options["frames"], len(recording))
+    nodes = nodes_of(path, scenario, recording, n_frames, record and options["record"])
+    timeline = timeline_of(path, scenario, nodes, recording, n_frames, seed=options["seed"], mode=options["mode"])
     nodes |= timeline.links
-    built = [build_node(spec, name, str(path)) for name, spec in nodes.items()]
+    built_nodes = [build_node(spec, name, str(path)) for name, spec in nodes.items()]
     wiring = _wiring(path, scenario, nodes, [REWRITE] if timeline.links else [])
     return Resolved(
         name=checked_name(scenario.get("name", name_of_file(path.stem)), f"{path}: name"),
         seed=options["seed"],
         mode=options["mode"],
         rate=float(options["rate"]),
-        frames=played,
+        frames=n_frames,
         period_ns=recording.period_ns,
         nodes=nodes,
         wiring=wiring.to_json(),
@@ -71,7 +71,7 @@ def resolve(
         steps=timeline.plan.steps,
         timeline=timeline.bands,
         network=timeline.network,
-        leeway_ns=_leeway_ns(built, recording, played) if _plays_the_recording(nodes) else None,
+        leeway_ns=_leeway_ns(built_nodes, recording, n_frames) if _uses_shipped_simulator(nodes) else None,
         recording=recording,
     )
 
@@ -86,14 +86,14 @@ def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(map(str, files)))
 
 
-def _plays_the_recording(nodes: Mapping[str, NodeSpec]) -> bool:
-    """Whether the scene is driven by our simulator: another may play other frames, at other times."""
-    ours = (bundle.ROOT / "nodes" / "simulator.py").resolve()
-    return all(Path(spec.file).resolve() == ours for spec in nodes.values() if spec.role == "simulator")
+def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:
+    """Whether the shipped simulator plays the scene: a user's may play other frames, at other times."""
+    shipped = (bundle.ROOT / "nodes" / "simulator.py").resolve()
+    return all(Path(spec.file).resolve() == shipped for spec in nodes.values() if spec.role == "simulator")
 
 
 def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:
-    """By how much the times of messages may be off those of evenly spaced frames."""
+    """Tolerance for the times of messages, relative to evenly spaced frames, ns."""
     times_ns = recording.times_ns[:frames] - recording.times_ns[0]
     uneven = np.abs(times_ns - np.arange(frames) * recording.period_ns).max(initial=0)
     duration_s = float(times_ns[-1]) * 1e-9 if frames else 0.0
@@ -101,7 +101,7 @@ def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:
 
 
 def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec], rewrites: list[str]) -> Wiring:
-    """Under the scenario's own rewrites, and behind them, unless they are among them, `rewrites`."""
+    """The wiring under the scenario's own rewrites, followed by those of `rewrites` that are not among them."""
     options = {"map": "testbed.toml", "rewrites": [], **scenario.get("keyexpr", {})}
     for key in options:
         if key not in ("map", "rewrites"):
@@ -116,23 +116,23 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
         else:
             file = bundle.find("keyexpr_maps", str(source), path.parent)
             sources.append((str(source), maps.load(file or bundle.ROOT / "keyexpr_maps" / str(source))))
-    views = {}
+    node_options = {}
     for name, spec in nodes.items():
         cls = loading.node_class(Path(spec.file), spec.type)
-        bound = {key: value for key, value in spec.config.items() if isinstance(value, str)}
-        views[name] = endpoints.NodeOptions(spec.role, bound, cls.inputs, cls.outputs)
-    wiring = maps.resolve(sources, views, _usual_ports())
-    hearing = {name for _, _, name in wiring.flows()}
-    for name, view in views.items():
-        if view.inputs and name not in hearing:
+        bindings = {key: value for key, value in spec.config.items() if isinstance(value, str)}
+        node_options[name] = endpoints.NodeOptions(spec.role, bindings, cls.inputs, cls.outputs)
+    wiring = maps.resolve(sources, node_options, _shipped_ports())
+    subscribers = {name for _, _, name in wiring.flows()}
+    for name, node in node_options.items():
+        if node.inputs and name not in subscribers:
             raise WiringError(
-                f"{path}: {name} would hear nothing: no wire leads to its input ports ({', '.join(view.inputs)}); "
-                f"name them in a map, or hear every key on one port of the type {ANY!r}"
+                f"{path}: {name} would receive nothing: no wire leads to its input ports ({', '.join(node.inputs)}); "
+                f"name them in a map, or subscribe to every key on one port of the type {ANY!r}"
             )
     return wiring
 
 
-def _usual_ports() -> dict[str, set[str]]:
-    """By role, the ports of our own node: a user's node of that role may do without any of them."""
-    ours = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
-    return {cls.role: {*cls.inputs, *cls.outputs} for cls in ours}
+def _shipped_ports() -> dict[str, set[str]]:
+    """The ports of each role's shipped node: a user's node of that role may lack any of them."""
+    shipped = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
+    return {cls.role: {*cls.inputs, *cls.outputs} for cls in shipped}

@@ -1,4 +1,4 @@
-"""The shape of a scenario: which keys there are, and what stands under them."""
+"""The shape of a scenario: its keys and the types of their values."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ _DICTS = (
 )
 
 
-def spelt(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
-    """The scenario with the keys that it may be written with as we write them."""
-    spelt = {ALIASES.get(key, key): value for key, value in scenario.items()}
-    if len(spelt) < len(scenario):
-        twice = [f"{key} and {same}" for key, same in ALIASES.items() if {key, same} <= scenario.keys()]
-        raise ConfigurationError(f"{place}: {', '.join(twice)} are the same: expected one of them")
-    return spelt
+def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
+    """The scenario with alternative spellings of keys replaced by the usual ones."""
+    renamed = {ALIASES.get(key, key): value for key, value in scenario.items()}
+    if len(renamed) < len(scenario):
+        duplicates = [f"{key} and {usual}" for key, usual in ALIASES.items() if {key, usual} <= scenario.keys()]
+        raise ConfigurationError(f"{place}: {', '.join(duplicates)} are the same: expected one of them")
+    return renamed
 
 
 def checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
+    """The scenario itself; raises ConfigurationError for an unknown key or a value that is not a dict."""
     for key, value in scenario.items():
         if key not in KEYS:
             raise ConfigurationError(f"{place}: {key}: unknown key{nearest(str(key), KEYS)}")
@@ -40,6 +41,7 @@ def checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
 
 
 def check_run(options: Mapping[str, Any], place: str) -> None:
+    """Raise ConfigurationError for an invalid `run` part."""
     for key in options:
         if key not in RUN_DEFAULTS:
             raise ConfigurationError(f"{place}: run.{key}: unknown key{nearest(key, RUN_DEFAULTS)}")

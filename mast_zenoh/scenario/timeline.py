@@ -1,4 +1,4 @@
-"""What happens in a run and when: links that are never perfect, faults that come and are healed, attacks."""
+"""What happens in a run and when: imperfect links, faults and their ends, attacks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mast_zenoh.faults.base import DIRECTIONS, Rule
 from mast_zenoh.scenario.nodes import matching, node_spec
 from mast_zenoh.scenes.recording import Recording
 
-#: The rewrite that puts every link before the agent's network interface.
+#: The rewrite that puts every link between its agent and the network.
 REWRITE = "network.toml"
 
 _log = logging.getLogger("mast.scenario")
@@ -27,9 +27,9 @@ _log = logging.getLogger("mast.scenario")
 
 @dataclass(frozen=True)
 class Timeline:
-    """What a scenario's `links`, `faults`, `hosts` and attacks come to.
+    """A scenario's `links`, `faults`, `hosts` and attacks, resolved.
 
-    links: the specs of the link nodes, by name;  plan: of its faults;  bands: entries of Resolved.timeline
+    links: the specs of the link nodes, by name;  plan: the plan of the faults;  bands: entries of Resolved.timeline
     network: hosts and their faults, see faults/network.py
     """
 
@@ -49,55 +49,55 @@ def timeline_of(
     seed: int,
     mode: str,
 ) -> Timeline:
-    """The timeline of a scenario with these nodes (links not among them), of which so many frames are played.
+    """The timeline of a scenario over its first `frames` frames; `nodes` are all nodes except links.
 
     Raises ConfigurationError.
     """
     roles = {name: spec.role for name, spec in nodes.items()}
     times_ns = recording.times_ns[:frames] - recording.times_ns[0]
-    ours, of_hosts = _faults(path, scenario.get("faults", ()))
-    found = plan(ours, roles, times_ns, seed, lockstep=mode == "lockstep")
-    for place in found.missed:
-        _log.warning("%s: begins after the last frame, and will not happen", place)
+    node_faults, host_faults = _faults(path, scenario.get("faults", ()))
+    fault_plan = plan(node_faults, roles, times_ns, seed, lockstep=mode == "lockstep")
+    for place in fault_plan.missed:
+        _log.warning("%s: begins after the last frame and is ignored", place)
     profiles, permanent = _profiles(path, scenario.get("links", {}), roles, _gateways(recording))
     specs: dict[str, NodeSpec] = {}
     for agent in [name for name, role in roles.items() if role == "agent"]:
-        if agent not in profiles and agent not in found.rules:
+        if agent not in profiles and agent not in fault_plan.rules:
             continue
         name = f"link_{agent}"
         if name in nodes:
             raise ConfigurationError(
-                f"{path}: {name}: there is a node of this name already; it is the link of {agent!r}"
+                f"{path}: {name}: another node has this name already, and the link of {agent!r} needs it"
             )
-        always, at_times = profiles.get(agent, {}), found.rules.get(agent, {})
-        rules = {f"rules_{way}": [*always.get(way, ()), *at_times.get(way, ())] for way in DIRECTIONS}
+        permanent_rules, timed_rules = profiles.get(agent, {}), fault_plan.rules.get(agent, {})
+        rules = {f"rules_{way}": [*permanent_rules.get(way, ()), *timed_rules.get(way, ())] for way in DIRECTIONS}
         specs[name] = node_spec(path, name, "link", {"agent": agent, **rules})
     hosts = network.resolve(
         scenario.get("hosts", {}),
-        of_hosts,
+        host_faults,
         [*nodes, *specs],
         mode=mode,
         place=str(path),
         beside={name: spec.config["agent"] for name, spec in specs.items()},
     )
     end_s = float(times_ns[-1]) * 1e-9
-    bands = [*permanent, *found.bands, *network.bands(hosts), *_attacks(nodes)]
-    shown = sorted((band for band in bands if band["at_s"] <= end_s), key=lambda band: float(band["at_s"]))
-    return Timeline(specs, found, tuple(shown), hosts)
+    bands = [*permanent, *fault_plan.bands, *network.bands(hosts), *_attacks(nodes)]
+    visible = sorted((band for band in bands if band["at_s"] <= end_s), key=lambda band: float(band["at_s"]))
+    return Timeline(specs, fault_plan, tuple(visible), hosts)
 
 
 def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tuple[str, Mapping[str, Any]]]]:
-    """(faults of nodes, faults of hosts), each with where it stands."""
+    """(faults of nodes, faults of hosts), each with its place in the scenario."""
     if not isinstance(specs, (list, tuple)):
         raise ConfigurationError(f"{path}: faults: found {specs!r}, expected a list of dict(type=…)")
-    ours: list[tuple[str, Fault]] = []
-    of_hosts: list[tuple[str, Mapping[str, Any]]] = []
+    node_faults: list[tuple[str, Fault]] = []
+    host_faults: list[tuple[str, Mapping[str, Any]]] = []
     known = registry.known_types(Fault)
     for index, spec in enumerate(specs):
         place = f"{path}: faults[{index}]"
         kind = spec.get("type") if isinstance(spec, Mapping) else None
         if kind in network.HOST_FAULTS:
-            of_hosts.append((place, spec))
+            host_faults.append((place, spec))
             continue
         if isinstance(spec, Mapping) and (not isinstance(kind, str) or kind not in known):
             hint = nearest(str(kind or ""), {*known, *network.HOST_FAULTS})
@@ -105,35 +105,39 @@ def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tu
         fault = registry.build(spec, Fault, place)
         for rule in fault.rules(True):
             registry.build({**rule, "at": fault.at, "until": fault.over}, links.Rule, place)
-        ours.append((place, fault))
-    return ours, of_hosts
+        node_faults.append((place, fault))
+    return node_faults, host_faults
 
 
 def _profiles(
     path: Path, patterns: Mapping[str, Any], roles: Mapping[str, str], gateways: list[list[float]]
 ) -> tuple[dict[str, dict[str, list[Rule]]], list[dict[str, Any]]]:
-    """(rules by agent and direction, bands) of the links that a scenario's `links` describe."""
+    """(rules by agent and direction, bands) of a scenario's `links`."""
     agents = [name for name, role in roles.items() if role == "agent"]
     rules: dict[str, dict[str, list[Rule]]] = {}
-    who: dict[str, list[str]] = {pattern: [] for pattern in patterns}
+    matched_agents: dict[str, list[str]] = {pattern: [] for pattern in patterns}
     for agent in agents:
         pattern = matching(patterns, agent)
         if pattern is not None:
             rules[agent] = _rules_of(patterns[pattern], f"{path}: links[{pattern!r}]", gateways)
-            who[pattern].append(agent)
+            matched_agents[pattern].append(agent)
     for pattern in patterns:
-        if pattern not in agents and not set("*?[") & set(str(pattern)):  # a pattern may match nobody in this scene
+        if pattern not in agents and not set("*?[") & set(str(pattern)):  # a pattern may match no agent of this scene
             raise ConfigurationError(
                 f"{path}: links: no agent {pattern!r} in this scene{nearest(str(pattern), agents)}"
             )
-    bands = [_band(_name_of(patterns[pattern]), "link", 0.0, names, "links") for pattern, names in who.items() if names]
+    bands = [
+        _band(_name_of(patterns[pattern]), "link", 0.0, names, "links")
+        for pattern, names in matched_agents.items()
+        if names
+    ]
     return rules, bands
 
 
 def _rules_of(spec: object, place: str, gateways: list[list[float]]) -> dict[str, list[Rule]]:
-    """The rules of one link: a profile's, or its own, or both, one behind the other; checked.
+    """The checked rules of one link, by direction: those of a profile, followed by its own.
 
-    gateways: where the ranges of radio links begin that do not say it themselves
+    gateways: (x, y, z) m, from which ranges of radio links are measured, where a rule does not name its own
     """
     spec = {"type": spec} if isinstance(spec, str) else spec
     if not isinstance(spec, Mapping):
@@ -142,48 +146,48 @@ def _rules_of(spec: object, place: str, gateways: list[list[float]]) -> dict[str
         if key not in ("type", *DIRECTIONS):
             raise ConfigurationError(f"{place}.{key}: unknown key{nearest(str(key), ('type', *DIRECTIONS))}")
     try:
-        found = links.profile(str(spec["type"])) if "type" in spec else {way: [] for way in DIRECTIONS}
+        rules = links.profile(str(spec["type"])) if "type" in spec else {way: [] for way in DIRECTIONS}
     except ConfigurationError as error:
         raise ConfigurationError(f"{place}: {error}") from None
     for way in DIRECTIONS:
         own = spec.get(way, ())
         if not isinstance(own, (list, tuple)):
             raise ConfigurationError(f"{place}.{way}: found {own!r}, expected a list of rules, dict(type=…)")
-        found[way] += own
-        for index, rule in enumerate(found[way]):
+        rules[way] += own
+        for index, rule in enumerate(rules[way]):
             if isinstance(rule, Mapping) and rule.get("type") == "RangeLimit" and "gateways" not in rule:
-                found[way][index] = rule = {**rule, "gateways": gateways}
+                rules[way][index] = rule = {**rule, "gateways": gateways}
             registry.build(rule, links.Rule, f"{place}.{way}[{index}]")
-    return found
+    return rules
 
 
 def _name_of(spec: object) -> str:
-    """What a link is called on the timeline: its profile."""
+    """The name of a link on the timeline: its profile."""
     return spec if isinstance(spec, str) else str(spec.get("type", "rules")) if isinstance(spec, Mapping) else "rules"
 
 
 def _gateways(recording: Recording) -> list[list[float]]:
-    """Where radio ends and a wire begins: every agent that stands still, (x, y, z) m; without any, the first agent."""
-    standing = [i for i, agent in enumerate(recording.agents) if agent.kind == "static"] or [0]
-    return [[float(value) for value in recording.agent_position[0, i]] for i in standing]
+    """Positions where radio links reach the wired network, (x, y, z) m: every static agent, else the first agent."""
+    static = [i for i, agent in enumerate(recording.agents) if agent.kind == "static"] or [0]
+    return [[float(value) for value in recording.agent_position[0, i]] for i in static]
 
 
 def attack_starts(nodes: Mapping[str, NodeSpec]) -> dict[tuple[str, float], list[str]]:
-    """By type of attack and the s of scene time at which it begins, the adversaries that do it then."""
+    """The adversaries of each attack, by (type, start in s of scene time)."""
     types = registry.known_types(Attack)
-    found: dict[tuple[str, float], list[str]] = {}
+    adversaries: dict[tuple[str, float], list[str]] = {}
     for name, spec in nodes.items():
         attack = spec.config.get("attack")
         if spec.role == "adversary" and isinstance(attack, Mapping) and attack.get("type") in types:
             start = inspect.signature(types[attack["type"]]).parameters.get("start_s")
             if start is not None:
-                found.setdefault((attack["type"], float(attack.get("start_s", start.default))), []).append(name)
-    return found
+                adversaries.setdefault((attack["type"], float(attack.get("start_s", start.default))), []).append(name)
+    return adversaries
 
 
 def _attacks(nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
-    """When attacks begin: one band for all adversaries that do the same at the same time."""
-    return [_band(kind, "attack", at_s, who, "adversary") for (kind, at_s), who in attack_starts(nodes).items()]
+    """The beginnings of attacks: one band for all adversaries that begin the same attack at the same time."""
+    return [_band(kind, "attack", at_s, names, "adversary") for (kind, at_s), names in attack_starts(nodes).items()]
 
 
 def _band(kind: str, what: str, at_s: float, nodes: Sequence[str], backend: str) -> dict[str, Any]:

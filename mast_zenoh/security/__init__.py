@@ -1,11 +1,11 @@
-"""Keeps strangers out of a mesh, and members to their own wires. docs/security.md has the threat model.
+"""Secures a mesh: keeps outsiders out, and nodes to their own wires. docs/security.md has the threat model.
 
-levels       open, tls, mtls, acl: what each means as Zenoh settings
+levels       open, tls, mtls, acl: the Zenoh settings of each
 authority    one certificate authority per deployment, a certificate per node
-credentials  what a process trusts and shows: a folder of files
-control_keys what control messages are signed with, and checked against
+credentials  certificates and keys of a process: a folder of files
+control_keys keys that sign and verify control messages
 access       the wiring as Zenoh's access control: default deny
-deployment   all of it for one run
+deployment   all of these for one run
 diagnosis    why a certificate is refused
 """
 
@@ -20,6 +20,6 @@ if TYPE_CHECKING:
 
 def explain(credentials: Credentials | Path, endpoint: str | None = None) -> list[str]:
     """Why these credentials would be refused at this endpoint, a sentence each; see `diagnosis.explain`."""
-    from mast_zenoh.security import diagnosis  # what reads certificates is slow to load, and seldom needed
+    from mast_zenoh.security import diagnosis  # slow to load, and seldom needed
 
     return diagnosis.explain(credentials, endpoint)

@@ -1,23 +1,23 @@
-"""Who may do what on the router, from the wiring alone. Pure: a wiring in, Zenoh's `access_control` out.
+"""Access rights on the router, from the wiring alone. Pure: a wiring in, Zenoh's `access_control` out.
 
-Everything is denied but this, to each certificate by its common name:
+Everything is denied except these rights, given to each certificate by its common name:
 
-    a node       say     its own keys, counts/{self}, failed/{self}
-                 hear    its own keys, epoch, stop, leave/{self}
-                 ask     result/{self}, fetch/{self}, file/{self}
-                 appear  alive/{self};  watch launcher
-    the driver   say     epoch, act, stop;  hear counts/*;  watch alive/*
-    the launcher say     stop, leave/*;  hear clock, act, failed/*;  answer result/*, fetch/*, file/*
-                 appear  launcher;  watch alive/*
+    node      publish    its own keys, counts/{self}, failed/{self}
+              subscribe  its own keys, epoch, stop, leave/{self}
+              query      result/{self}, fetch/{self}, file/{self}
+              announce   alive/{self};  watch launcher
+    driver    publish    epoch, act, stop;  subscribe counts/*;  watch alive/*
+    launcher  publish    stop, leave/*;  subscribe clock, act, failed/*;  answer result/*, fetch/*, file/*
+              announce   launcher;  watch alive/*
 
-What changes the wiring of a run (intercept, rewire, drain) is nobody's: these rules are fixed when the router opens.
+No process may change the wiring of a run (intercept, rewire, drain): these rules are fixed when the router opens.
 
-A key that was rewritten lies under @tap and belongs to the two ends of its leg like any other. Who overhears every key
-(a recorder) may hear every key, because the wiring says so.
+A rewritten key is below @tap and belongs to the two ends of its leg like any other. A node that overhears every key
+(a recorder) may subscribe to every key, because the wiring contains it.
 
 Flows are seen from the router: *ingress* is what a client sends to it. A publisher sends nothing unless it knows of a
-subscriber, and that knowledge is a declaration on *egress*: without that right it is silent, and nobody says so. A
-right covers the whole expression of a message: who may put `a/b` may not put `a/*`.
+subscriber, from a declaration on *egress*: without that right it is silent, without any error. A right must cover the
+whole key expression of a message: a right to put `a/b` does not allow `a/*`.
 """
 
 from __future__ import annotations
@@ -31,36 +31,36 @@ from mast_zenoh.wiring.model import Wiring
 
 CONTROL = "@control"
 
-#: What nodes ask the launcher: below each of these lies one key for every node.
-ASKED = ("result", "fetch", "file")
+#: Queries of nodes to the launcher: below each of these is one key for every node.
+QUERIES = ("result", "fetch", "file")
 
 
-#: What nodes report: the first to the driver, the second to the launcher.
+#: Reports of nodes: the first to the driver, the second to the launcher.
 REPORTS = ("counts", "failed")
 
 
 class Right(NamedTuple):
-    """A message that may pass. flow: ingress (to the router) or egress; message: Zenoh's word; key: an expression."""
+    """A permitted message. flow: ingress (to the router) or egress; message: Zenoh's name; key: an expression."""
 
     flow: str
     message: str
     key: str
 
 
-def say(key: str, heard_as: str = "") -> Iterator[Right]:
-    """Publish on a key. heard_as: the expression that its subscriber declares, where that is wider."""
+def publish(key: str, subscribed_as: str = "") -> Iterator[Right]:
+    """Publish on a key. subscribed_as: the expression that its subscriber declares, if it is wider."""
     yield Right("ingress", "put", key)
-    yield Right("egress", "declare_subscriber", heard_as or key)
+    yield Right("egress", "declare_subscriber", subscribed_as or key)
 
 
-def hear(key: str) -> Iterator[Right]:
+def subscribe(key: str) -> Iterator[Right]:
     """Subscribe to a key expression."""
     yield Right("ingress", "declare_subscriber", key)
     yield Right("egress", "put", key)
 
 
-def ask(key: str, answered_as: str = "") -> Iterator[Right]:
-    """Query a key. answered_as: the expression that whoever answers declares, where that is wider."""
+def query(key: str, answered_as: str = "") -> Iterator[Right]:
+    """Query a key. answered_as: the expression that the queryable declares, if it is wider."""
     yield Right("ingress", "query", key)
     yield Right("egress", "declare_queryable", answered_as or key)
     yield Right("egress", "reply", key)
@@ -73,32 +73,32 @@ def answer(key: str) -> Iterator[Right]:
     yield Right("ingress", "reply", key)
 
 
-def appear(key: str) -> Iterator[Right]:
-    """Show that one is there, by a liveliness token."""
+def announce(key: str) -> Iterator[Right]:
+    """Announce oneself by a liveliness token."""
     yield Right("ingress", "liveliness_token", key)
 
 
 def watch(key: str) -> Iterator[Right]:
-    """See who is there."""
+    """Watch liveliness tokens."""
     yield Right("ingress", "declare_liveliness_subscriber", key)
     yield Right("egress", "liveliness_token", key)
 
 
 def rights(wiring: Wiring, node: str, *, driver: str) -> list[Right]:
-    """What a node may do, or LAUNCHER; keys without the run's prefix, in a fixed order, each once."""
-    found = _launcher() if node == LAUNCHER else _node(wiring, node, drives=node == driver)
-    return list(dict.fromkeys(found))
+    """The rights of a node, or of LAUNCHER; keys without the run's prefix, in a fixed order, each once."""
+    granted = _launcher() if node == LAUNCHER else _node(wiring, node, drives=node == driver)
+    return list(dict.fromkeys(granted))
 
 
 def access_control(wiring: Wiring, names: Mapping[str, str], *, prefix: str, driver: str) -> dict[str, Any]:
     """Zenoh's `access_control` for the router of a run.
 
-    names:  node (or LAUNCHER) to the common name in its certificate; whoever is not in it may do nothing
+    names:  node (or LAUNCHER) to the common name in its certificate; other processes have no rights
     prefix: of all keys of the run, "mast/RUN"
     driver: the node that drives the scene
     """
     rules, subjects, policies = [], [], []
-    for node, common in names.items():
+    for node, common_name in names.items():
         grouped: dict[tuple[str, str], list[str]] = defaultdict(list)
         for right in rights(wiring, node, driver=driver):
             grouped[right.flow, right.message].append(f"{prefix}/{right.key}")
@@ -108,7 +108,7 @@ def access_control(wiring: Wiring, names: Mapping[str, str], *, prefix: str, dri
             rules.append(
                 {"id": ids[-1], "permission": "allow", "flows": [flow], "messages": [message], "key_exprs": keys}
             )
-        subjects.append({"id": node, "cert_common_names": [common]})
+        subjects.append({"id": node, "cert_common_names": [common_name]})
         policies.append({"rules": ids, "subjects": [node]})
     return {
         "enabled": True,
@@ -122,32 +122,32 @@ def access_control(wiring: Wiring, names: Mapping[str, str], *, prefix: str, dri
 def _node(wiring: Wiring, node: str, *, drives: bool) -> Iterator[Right]:
     for _, leg in wiring.legs():
         if leg.publisher.node == node:
-            yield from say(leg.key)
+            yield from publish(leg.key)
     for key, _, subscriber in wiring.flows():
         if subscriber == node:
-            yield from hear(key)
+            yield from subscribe(key)
     for report in REPORTS:
-        yield from say(f"{CONTROL}/{report}/{node}", f"{CONTROL}/{report}/*")
-    yield from _each(hear, "epoch", "stop", f"leave/{node}")
-    for asked in ASKED:
-        yield from ask(f"{CONTROL}/{asked}/{node}", f"{CONTROL}/{asked}/*")
-    yield from appear(f"alive/{node}")
+        yield from publish(f"{CONTROL}/{report}/{node}", f"{CONTROL}/{report}/*")
+    yield from _each(subscribe, "epoch", "stop", f"leave/{node}")
+    for query_name in QUERIES:
+        yield from query(f"{CONTROL}/{query_name}/{node}", f"{CONTROL}/{query_name}/*")
+    yield from announce(f"alive/{node}")
     yield from watch(f"{CONTROL}/launcher")
     if drives:
-        yield from _each(say, "epoch", "act", "stop")
-        yield from _each(hear, "counts/*")
+        yield from _each(publish, "epoch", "act", "stop")
+        yield from _each(subscribe, "counts/*")
         yield from watch("alive/*")
 
 
 def _launcher() -> Iterator[Right]:
-    yield from hear("clock")
-    yield from _each(say, "stop", "leave/*")
-    yield from _each(hear, "act", "failed/*")
-    yield from _each(answer, *(f"{asked}/*" for asked in ASKED))
-    yield from appear(f"{CONTROL}/launcher")
+    yield from subscribe("clock")
+    yield from _each(publish, "stop", "leave/*")
+    yield from _each(subscribe, "act", "failed/*")
+    yield from _each(answer, *(f"{query_name}/*" for query_name in QUERIES))
+    yield from announce(f"{CONTROL}/launcher")
     yield from watch("alive/*")
 
 
-def _each(verb: Callable[[str], Iterable[Right]], *controls: str) -> Iterator[Right]:
+def _each(right: Callable[[str], Iterable[Right]], *controls: str) -> Iterator[Right]:
     for control in controls:
-        yield from verb(f"{CONTROL}/{control}")
+        yield from right(f"{CONTROL}/{control}")

@@ -1,8 +1,8 @@
 """One certificate authority per deployment. Its key never leaves the memory of the process that made it.
 
-A deployment's certificates all come from here before anything starts, so nobody needs the key later, and what it signed
-is worth nothing in another deployment, which trusts another authority. Node certificates are for clients alone and the
-router's for a server alone (extended key usage): a node that turns cannot pass itself off as the router.
+All certificates of a deployment are issued before any process starts, so the key is not needed later. They are
+worthless in another deployment, which trusts another authority. Node certificates are for clients only and the
+router's for a server only (extended key usage): a compromised node cannot impersonate the router.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SKEW = timedelta(minutes=5)
 
 
 class Authority:
-    """Makes the certificates of one deployment.
+    """Issues the certificates of one deployment.
 
     run:      id of the run; in every certificate's common name
     lifetime: how long the certificates are valid
@@ -34,7 +34,7 @@ class Authority:
         self.lifetime = lifetime
         self._key = ec.generate_private_key(ec.SECP256R1())
         self._name = _name(common_name(run, "@authority"))
-        # The authority outlives what it signs, so that "expired" is always said of the right certificate.
+        # Valid longer than what it signs, so that an "expired" error always refers to the right certificate.
         now = datetime.now(UTC)
         self._certificate = (
             _builder(self._name, self._name, self._key, now - 2 * SKEW, now + 2 * lifetime)
@@ -47,11 +47,11 @@ class Authority:
     def issue(
         self, name: str, hosts: Iterable[str] = (), *, begins: datetime | None = None, ends: datetime | None = None
     ) -> Credentials:
-        """A new key and certificate.
+        """Issue a new key and certificate.
 
-        name:  of the node, or ROUTER or LAUNCHER
-        hosts: names and addresses under which a router is reached; with any of them it is a router's certificate
-        begins, ends: of its validity; by default from now, for the authority's lifetime
+        name:  name of the node, or ROUTER or LAUNCHER
+        hosts: names and addresses of a router; if there are any, the certificate is a router's
+        begins, ends: validity; by default from now, for the authority's lifetime
         """
         key = ec.generate_private_key(ec.SECP256R1())
         now = datetime.now(UTC)
@@ -92,8 +92,8 @@ def _builder(
     )
 
 
-def _name(common: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+def _name(common_name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
 
 
 def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:

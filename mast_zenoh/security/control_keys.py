@@ -1,4 +1,4 @@
-"""The keys that control messages are signed with and checked against: Ed25519 (RFC 8032), made anew for every run."""
+"""Keys that sign and verify control messages: Ed25519 (RFC 8032), new for every run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from mast_zenoh.errors import CredentialsError
 
-#: Who signs control messages; nobody else has a private key.
+#: The signers of control messages; no other process has a private key.
 DRIVER, LAUNCHER = "driver", "launcher"
 
 _BYTES = 32  # of a key, private or public
@@ -16,10 +16,10 @@ _BYTES = 32  # of a key, private or public
 
 @dataclass(frozen=True)
 class ControlKeys:
-    """What one process has of them; raw keys, 32 bytes each.
+    """The control keys of one process; raw keys, 32 bytes each.
 
-    public:  by who signs with the key, DRIVER or LAUNCHER
-    private: of the process that signs; empty for one that only checks
+    public:  by signer, DRIVER or LAUNCHER
+    private: the process's own; empty for one that only verifies
     """
 
     public: Mapping[str, bytes]
@@ -27,12 +27,12 @@ class ControlKeys:
 
     def to_json(self) -> bytes:
         """The content of a node's control.json."""
-        told = {name: key.hex() for name, key in self.public.items()}
-        return json.dumps(told | ({"private": self.private.hex()} if self.private else {})).encode()
+        keys = {name: key.hex() for name, key in self.public.items()}
+        return json.dumps(keys | ({"private": self.private.hex()} if self.private else {})).encode()
 
     @classmethod
     def from_json(cls, content: bytes, where: str) -> ControlKeys:
-        """What `to_json` made; raises CredentialsError, which names `where`, for anything else."""
+        """The keys that `to_json` wrote; raises CredentialsError, which names `where`, for anything else."""
         if not content:
             raise CredentialsError(f"{where}: is missing")
         try:
@@ -47,7 +47,7 @@ class ControlKeys:
 
 
 def make() -> dict[str, ControlKeys]:
-    """New keys: those of DRIVER, those of LAUNCHER, and under "" those of everybody else."""
+    """Make new keys: for DRIVER, for LAUNCHER, and under "" for all other processes."""
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # slow to load
 
     keys = {name: Ed25519PrivateKey.generate() for name in (DRIVER, LAUNCHER)}

@@ -1,4 +1,4 @@
-"""What a process trusts, and what it shows of itself: a folder of files, or the same in memory."""
+"""Credentials of a process: the authority it trusts and its own certificate, as a folder of files or in memory."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from mast_zenoh.errors import CredentialsError
 
 AUTHORITY, CERTIFICATE, KEY, CONTROL = "ca.pem", "certificate.pem", "key.pem", "control.json"
 
-#: In what is said of a router that may be there later: the only reason that time may take away.
+#: Part of the message about a router that may start later: the only reason that waiting may resolve.
 UNREACHED = "cannot be reached"
 
-#: Who else has a certificate. No node can have such a name: `@` is not allowed in one.
+#: Further holders of certificates. No node can have such a name: `@` is not allowed in one.
 ROUTER, LAUNCHER = "@router", "@launcher"
 
-#: How long certificates are valid unless said otherwise.
+#: Default validity of certificates.
 LIFETIME = timedelta(hours=12)
 
 #: Longest common name (X.520, ub-common-name).
-_LONGEST = 64
+_MAX_COMMON_NAME = 64
 
 
 def common_name(run: str, name: str) -> str:
-    """The common name in the certificate of a node of a run; shortened by a digest where X.520's 64 do not hold it."""
+    """The common name in the certificate of a node of a run; shortened by a digest beyond X.520's 64 characters."""
     full = f"{name}.{run}"
-    if len(full) <= _LONGEST:
+    if len(full) <= _MAX_COMMON_NAME:
         return full
     return f"{full[:31]}~{hashlib.sha256(full.encode()).hexdigest()[:32]}"
 
 
 @dataclass(frozen=True)
 class Credentials:
-    """PEM texts, and one in JSON; keys are never shown.
+    """PEM texts, and one in JSON; the repr omits keys.
 
-    authority:   certificate of the authority whose word is taken
-    certificate: this process's own, and key: its private key; both empty for one that shows none
+    authority:   certificate of the trusted authority
+    certificate: this process's own, and key: its private key; both empty for a process without one
     control:     the keys of control messages, see `control_keys`; empty for a router, which checks none
     """
 
@@ -49,7 +49,7 @@ class Credentials:
 
     @classmethod
     def read(cls, folder: Path) -> Credentials:
-        """What `write` wrote; raises CredentialsError for a file that is missing or cannot be read."""
+        """Read what `write` wrote; raises CredentialsError for a file that is missing or cannot be read."""
 
         def content(name: str) -> bytes:
             try:
@@ -63,7 +63,7 @@ class Credentials:
         return cls(content(AUTHORITY), content(CERTIFICATE), content(KEY), control)
 
     def write(self, folder: Path) -> Path:
-        """Into a folder of its own that nobody else may enter (0700); the key is nobody else's to read (0600)."""
+        """Write the files into a folder with mode 0700, each with mode 0600: only this user can read them."""
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         names = (AUTHORITY, CERTIFICATE, KEY, CONTROL)
         for name, content in zip(names, (self.authority, self.certificate, self.key, self.control), strict=True):
@@ -74,5 +74,5 @@ class Credentials:
         return folder
 
     def without_certificate(self) -> Credentials:
-        """The same trust, and nothing to show."""
+        """A copy with the trusted authority, but without a certificate and key."""
         return Credentials(self.authority, control=self.control)

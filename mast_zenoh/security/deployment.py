@@ -1,4 +1,4 @@
-"""What secures one run, from its first process to its last: authority, certificates, the router's rules."""
+"""The security of one run: authority, certificates, the router's rules."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 
 class Deployment:
-    """Certificates and control keys for everybody in one run, and what the router is to know.
+    """Certificates and control keys of all processes of one run, and the router's settings.
 
-    level:  one of `levels.LEVELS`; "open" makes nothing at all
-    run, prefix: id of the run, and what all its keys begin with
+    level:  one of `levels.LEVELS`; "open" makes nothing
+    run, prefix: id of the run, and the prefix of all its keys
     nodes:  names of all nodes; driver: the one that drives the scene
-    hosts:  names and addresses under which the router is reached
-    folder: where the nodes' credentials go, a folder for each; by default a new one that only this user may enter
+    hosts:  names and addresses of the router
+    folder: for the nodes' credentials, a subfolder each; by default a new one that only this user may enter
 
-    Keys of the authority, the router and the launcher stay in memory. `close` deletes what is on disk.
+    Keys of the authority, the router and the launcher stay in memory. `close` deletes the files.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Deployment:
         self.control: ControlKeys | None = None  # the launcher's
         if level == "open":
             return
-        from mast_zenoh.security.authority import Authority  # slow to load; an open run does without
+        from mast_zenoh.security.authority import Authority  # slow to load; an open run does not need it
 
         nodes = list(nodes)
         self.authority = Authority(run, lifetime)
@@ -75,7 +75,7 @@ class Deployment:
         return None if self.folder is None else self.folder / name
 
     def arguments(self, name: str) -> list[str]:
-        """What a node's process is told on its command line: a path, never a secret."""
+        """Command-line arguments of a node's process: a path, never a secret."""
         folder = self.of(name)
         return [] if folder is None else ["--credentials", str(folder)]
 

@@ -1,4 +1,4 @@
-"""Why a certificate is refused: `look` finds out what is the case, `reasons` (pure) says it in sentences."""
+"""Why a certificate is refused: `look` collects the facts, `reasons` (pure) explains them in sentences."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, KEY, UNREACH
 _CONNECT_S = 2.0
 _VERDICT_S = 0.5
 
-#: Zenoh's router pauses for 0.1 s after each broken handshake, and lets others wait meanwhile (zenoh#2685).
+#: Zenoh's router pauses for 0.1 s after each failed handshake, and accepts no others meanwhile (zenoh#2685).
 _BUSY = "it is busy or does not speak TLS"
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What matters of a certificate. trusted: our authority signed it; names: hosts that it is good for."""
+    """The relevant parts of a certificate. trusted: signed by our authority; names: hosts that it is valid for."""
 
     common_name: str
     not_before: datetime
@@ -39,9 +39,9 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Router:
-    """What was seen of the router.
+    """Observations of the router.
 
-    silent:  why it could not be reached, or not asked: time may help; plain: what it says is not TLS
+    silent:  why it did not answer: a later attempt may succeed; plain: its answer is not TLS
     verdict: its alert about us, in OpenSSL's words
     """
 
@@ -53,12 +53,12 @@ class Router:
 
 @dataclass(frozen=True)
 class Facts:
-    """All that is known of a process's credentials and of the router that it is to join.
+    """The facts about a process's credentials and the router that it should join.
 
-    where:     the folder, or words for it
-    unusable:  files that are missing or no PEM, and why
+    where:     the folder, or a description
+    unusable:  files that are missing or not PEM, and why
     too_wide:  files or folders that others may read, and their permissions
-    key_fits:  whether the key belongs to the certificate; None where one of them is not there
+    key_fits:  whether the key belongs to the certificate; None if one of them is missing
     host:      the host of the endpoint; scheme: "tls"
     """
 
@@ -74,9 +74,9 @@ class Facts:
     router: Router | None = None
 
 
-#: What a router's alert means, by the words that OpenSSL has for it.
+#: Meaning of a router's alert, by OpenSSL's name for it.
 _VERDICTS = {
-    "CERTIFICATE_REQUIRED": "it admits nobody without a certificate, and none was shown",
+    "CERTIFICATE_REQUIRED": "it requires a certificate, and none was shown",
     "UNKNOWN_CA": "another authority has issued ours than the one it trusts",
     "CERTIFICATE_EXPIRED": "it finds ours expired: compare the clocks of the two hosts",
     "CERTIFICATE_UNKNOWN": "it does not accept ours",
@@ -86,15 +86,15 @@ _VERDICTS = {
 
 
 def explain(credentials: Credentials | Path, endpoint: str | None = None) -> list[str]:
-    """Why these credentials would be refused at this endpoint, a sentence each; none when nothing is wrong.
+    """Reasons why these credentials would be refused at this endpoint, a sentence each; none if they are valid.
 
-    endpoint: of the router, tls/HOST:PORT; without it only the credentials themselves are looked at
+    endpoint: of the router, tls/HOST:PORT; without it only the credentials are checked
     """
     return list(reasons(look(credentials, endpoint)))
 
 
 def reasons(facts: Facts) -> Iterator[str]:
-    """The facts in sentences, the nearest cause first."""
+    """Explain the facts in sentences, the most direct cause first."""
     for file, why in facts.unusable:
         yield f"{file}: {why}"
     for file, mode in facts.too_wide:
@@ -111,43 +111,43 @@ def reasons(facts: Facts) -> Iterator[str]:
     if facts.scheme != "tls":
         yield f"{facts.scheme}/{facts.host}: not encrypted; with credentials an endpoint is tls/HOST:PORT"
     elif facts.router is not None:
-        yield from _of_router(facts, facts.router)
+        yield from _router_reasons(facts, facts.router)
 
 
-def _of_router(facts: Facts, router: Router) -> Iterator[str]:
+def _router_reasons(facts: Facts, router: Router) -> Iterator[str]:
     if router.silent:
         yield f"the router at {facts.host} {UNREACHED}: {router.silent}"
     if router.plain:
         yield f"the router at {facts.host} does not speak TLS"
-    theirs = router.certificate
-    if theirs is not None:
-        yield from _validity("the router's certificate", facts.host, theirs, facts.now)
-        if not theirs.trusted:
+    certificate = router.certificate
+    if certificate is not None:
+        yield from _validity("the router's certificate", facts.host, certificate, facts.now)
+        if not certificate.trusted:
             yield f"the router at {facts.host} was certified by another authority than ours: it may be a rogue"
-        elif facts.host not in theirs.names:
-            known = ", ".join(theirs.names) or "no host at all"
-            yield f"the router's certificate is not for {facts.host!r}, but for {known}"
+        elif facts.host not in certificate.names:
+            text = ", ".join(certificate.names) or "no host at all"
+            yield f"the router's certificate is not for {facts.host!r}, but for {text}"
     if router.verdict:
-        known = next((words for word, words in _VERDICTS.items() if word in router.verdict), router.verdict)
-        yield f"the router at {facts.host} refuses us: {known}"
+        text = next((words for word, words in _VERDICTS.items() if word in router.verdict), router.verdict)
+        yield f"the router at {facts.host} refuses us: {text}"
 
 
 def _validity(what: str, where: str, certificate: Certificate, now: datetime) -> Iterator[str]:
     if now > certificate.not_after:
-        yield f"{where}: {what} has expired at {_said(certificate.not_after)}, now it is {_said(now)}"
+        yield f"{where}: {what} has expired at {_utc_text(certificate.not_after)}, now it is {_utc_text(now)}"
     if now < certificate.not_before:
-        yield f"{where}: {what} is not valid before {_said(certificate.not_before)}, now it is {_said(now)}"
+        yield f"{where}: {what} is not valid before {_utc_text(certificate.not_before)}, now it is {_utc_text(now)}"
 
 
-def _said(time: datetime) -> str:
+def _utc_text(time: datetime) -> str:
     return time.strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-# -- looking -----------------------------------------------------------------------------------------------------------
+# -- collecting the facts ----------------------------------------------------------------------------------------------
 
 
 def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
-    """Find out about credentials, and about the router if an endpoint is named (at most about three seconds)."""
+    """Collect the facts about credentials, and about the router at an endpoint (within about three seconds)."""
     where, unusable, too_wide = "the credentials", [], []
     if isinstance(credentials, Path):
         folder, where = credentials, str(credentials)
@@ -169,29 +169,29 @@ def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
         (CERTIFICATE, credentials.certificate, certificate),
     ):
         if content and parsed is None:
-            unusable.append((f"{where}/{name}", "is no certificate in PEM"))
+            unusable.append((f"{where}/{name}", "is not a PEM certificate"))
     key_fits = None
     if credentials.key:
         try:
             key = serialization.load_pem_private_key(credentials.key, None)
             key_fits = None if certificate is None else key.public_key() == certificate.public_key()
         except (ValueError, TypeError):
-            unusable.append((f"{where}/{KEY}", "is no private key in PEM"))
+            unusable.append((f"{where}/{KEY}", "is not a PEM private key"))
     scheme, host, router = "tls", "", None
     if endpoint is not None:
         scheme, _, address = endpoint.partition("/")
         host, _, port = address.rpartition(":")
         host = host.strip("[]")
         if scheme == "tls":
-            sound = authority is not None and not unusable and key_fits is not False
-            router = _router(host, int(port), credentials if sound else None, authority)
+            usable = authority is not None and not unusable and key_fits is not False
+            router = _router(host, int(port), credentials if usable else None, authority)
     return Facts(
         datetime.now(UTC),
         where,
         tuple(unusable),
         tuple(too_wide),
-        _seen(authority, authority),
-        _seen(certificate, authority),
+        _summary(authority, authority),
+        _summary(certificate, authority),
         key_fits,
         scheme,
         host,
@@ -200,7 +200,7 @@ def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
 
 
 def _router(host: str, port: int, credentials: Credentials | None, authority: x509.Certificate | None) -> Router:
-    """Shake hands with the router as a client would, but look at its certificate whatever it is."""
+    """Attempt a TLS handshake with the router as a client would, but accept any certificate to inspect it."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     if credentials is not None and credentials.certificate:
@@ -212,28 +212,28 @@ def _router(host: str, port: int, credentials: Credentials | None, authority: x5
     except OSError as error:
         return Router(silent=error.strerror or str(error))
     with raw:
-        theirs, verdict = None, ""
+        certificate, verdict = None, ""
         try:
             with context.wrap_socket(raw, server_hostname=host) as link:
                 der = link.getpeercert(binary_form=True)
-                theirs = _seen(x509.load_der_x509_certificate(der), authority) if der else None
+                certificate = _summary(x509.load_der_x509_certificate(der), authority) if der else None
                 link.settimeout(_VERDICT_S)
                 link.recv(1)  # in TLS 1.3 the server's refusal comes after the handshake
         except TimeoutError:
-            if theirs is None:
-                found = f"it has accepted a connection, but no TLS handshake within {_CONNECT_S:g} s"
-                return Router(silent=f"{found}: {_BUSY}")
+            if certificate is None:
+                problem = f"it has accepted a connection, but no TLS handshake within {_CONNECT_S:g} s"
+                return Router(silent=f"{problem}: {_BUSY}")
         except ssl.SSLEOFError:
-            if theirs is None:
+            if certificate is None:
                 return Router(silent=f"it has closed the connection during the TLS handshake: {_BUSY}")
         except ssl.SSLError as error:
             verdict = error.reason or str(error)
-            if theirs is None and "ALERT" not in verdict:
+            if certificate is None and "ALERT" not in verdict:
                 return Router(plain=True)
         except OSError as error:
-            if theirs is None:
+            if certificate is None:
                 return Router(silent=error.strerror or str(error))
-        return Router(certificate=theirs, verdict=verdict)
+        return Router(certificate=certificate, verdict=verdict)
 
 
 def _parsed(pem: bytes) -> x509.Certificate | None:
@@ -243,7 +243,7 @@ def _parsed(pem: bytes) -> x509.Certificate | None:
         return None
 
 
-def _seen(certificate: x509.Certificate | None, authority: x509.Certificate | None) -> Certificate | None:
+def _summary(certificate: x509.Certificate | None, authority: x509.Certificate | None) -> Certificate | None:
     if certificate is None:
         return None
     trusted = authority is not None
@@ -252,14 +252,14 @@ def _seen(certificate: x509.Certificate | None, authority: x509.Certificate | No
             certificate.verify_directly_issued_by(authority)
         except (ValueError, TypeError, InvalidSignature):
             trusted = False
-    common = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    common_names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     try:
-        alternatives = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-        names = tuple(str(each.value) for each in alternatives)
+        alternative_names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        names = tuple(str(name.value) for name in alternative_names)
     except x509.ExtensionNotFound:
         names = ()
     return Certificate(
-        str(common[0].value) if common else "",
+        str(common_names[0].value) if common_names else "",
         certificate.not_valid_before_utc,
         certificate.not_valid_after_utc,
         trusted,

@@ -1,9 +1,9 @@
-"""How far a mesh is secured, and what that means as settings of a Zenoh session. Pure.
+"""Security levels of a mesh, as settings of a Zenoh session. Pure.
 
-open   TCP: everybody may join, read and write
-tls    the router proves who it is, and the link is encrypted; anybody may join
-mtls   who joins must prove who it is as well; a member may read and write everything
-acl    mtls, and a member may do only what the wiring gives it (mast_zenoh.security.access)
+open   TCP: any process may join, read and write
+tls    the router authenticates itself, and the link is encrypted; any process may join
+mtls   clients authenticate themselves as well; a member may read and write everything
+acl    mtls, and a member has only the rights that the wiring gives it (mast_zenoh.security.access)
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from mast_zenoh.security.credentials import Credentials
 
 LEVELS = ("open", "tls", "mtls", "acl")
 
-#: What `--secure` means without a level.
+#: The level of `--secure` without a value.
 SECURE = "acl"
 
 _TLS = "transport/link/tls"
 
-#: A session with credentials speaks nothing else: who is pointed at a TCP endpoint must not go there in the clear.
+#: A session with credentials uses TLS only: it must not connect to a TCP endpoint unencrypted.
 _ONLY_TLS: dict[str, Any] = {"transport/link/protocols": ["tls"]}
 
 
 def check(level: str) -> str:
-    """The level, if there is such a one; raises ConfigurationError."""
+    """The level itself; raises ConfigurationError if it does not exist."""
     if level not in LEVELS:
         raise ConfigurationError(f"security level: found {level!r}{nearest(level, LEVELS)}")
     return level
 
 
 def endpoint(level: str, address: str) -> str:
-    """An endpoint as this level has it: tcp/HOST:PORT when open, else tls/HOST:PORT."""
+    """An endpoint with the protocol of this level: tcp/HOST:PORT when open, else tls/HOST:PORT."""
     return f"{'tcp' if level == 'open' else 'tls'}/{address.partition('/')[2]}"
 
 
 def hosts(endpoints: Iterable[str]) -> list[str]:
-    """The hosts of endpoints such as tls/HOST:PORT: what a router's certificate must name. Each once, in order."""
-    found = [each.partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")[0] for each in endpoints]
-    return list(dict.fromkeys(host.strip("[]") for host in found))
+    """The hosts of endpoints such as tls/HOST:PORT, which a router's certificate must name. Each once, in order."""
+    names = [end.partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")[0] for end in endpoints]
+    return list(dict.fromkeys(host.strip("[]") for host in names))
 
 
 def router_settings(level: str, credentials: Credentials, access: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -64,9 +64,9 @@ def router_settings(level: str, credentials: Credentials, access: Mapping[str, A
 
 
 def client_settings(credentials: Credentials) -> dict[str, Any]:
-    """Settings of a client that trusts one authority, and shows its certificate if it has one.
+    """Settings of a client that trusts one authority, and presents its certificate if it has one.
 
-    The PEM texts are handed over in memory: Zenoh keeps such values out of its logs, and no file must stay readable.
+    The PEM texts are passed in memory: Zenoh keeps such values out of its logs, and no file has to stay readable.
     """
     tls: dict[str, Any] = {"root_ca_certificate_base64": _base64(credentials.authority), "verify_name_on_connect": True}
     if credentials.certificate:

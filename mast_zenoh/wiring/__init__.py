@@ -1,1 +1,1 @@
-"""Who publishes and who subscribes to which key: maps, rewrites, and the resulting model. Pure functions."""
+"""Publishers and subscribers of every key: maps, rewrites, and the resulting model. Pure functions."""

@@ -1,4 +1,4 @@
-"""Which ports of which nodes an entry of a key-expression map means. Pure functions."""
+"""The nodes and ports that an entry of a key-expression map refers to. Pure functions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROLES = (
 
 @dataclass(frozen=True, slots=True)
 class NodeOptions:
-    """The part of a node that the wiring depends on: its role, its ports, and the options that bind it to a wire."""
+    """What the wiring depends on in a node: its role, its ports, and the options that bind it to a wire."""
 
     role: str
     options: Mapping[str, str]
@@ -36,10 +36,10 @@ def members(
 ) -> dict[str, NodeOptions]:
     """The nodes of a role that belong to one subject of a placeholder; without a placeholder, all of them.
 
-    A node belongs to the subject that it is itself, or that its option of the placeholder's name names. If no node of
-    the role has that option, all of them belong to every subject.
+    A node belongs to a subject if it is the subject, or if its option with the placeholder's name names it. If no node
+    of the role has that option, all of them belong to every subject.
 
-    node: leave out all but the node of this name
+    node: keep only the node of this name
 
     Raises WiringError for an unknown role, and for a name that no node of the role has.
     """
@@ -65,7 +65,7 @@ def ports(
     output: bool = False,
     optional: Collection[str] = (),
 ) -> list[Endpoint]:
-    """The port of each node; `optional` ports are left out where a node has none of that name.
+    """The port of each node; an `optional` port is skipped if a node lacks it.
 
     Raises WiringError where a node has no such port, or one for another message type.
     """

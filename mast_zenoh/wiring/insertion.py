@@ -1,8 +1,8 @@
-"""A resolved wiring with one node more or less on a wire. Pure functions: what a running mesh is rewired to.
+"""Inserts a node into a resolved wiring, or removes one, to rewire a running mesh. Pure functions.
 
-Inserting works as in a key-expression map: who published the wire's key gets a tap key, on which only the new node
-listens, and the new node publishes the wire's key. Subscribers keep theirs. The new node stands at the end of the
-trunk: behind all that are on it, before the subscribers and their branches.
+Inserting works as in a key-expression map: the publisher of the wire's key gets a tap key, to which only the new node
+subscribes, and the new node publishes the wire's key. Subscribers keep theirs. The new node comes at the end of the
+trunk: behind all nodes on it, before the subscribers and their branches.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a node is put into a running mesh.
+    """Where a node is inserted into a running mesh.
 
-    wire:  key of the wire that it sits on;  input, output: the ports by which it does
-    hears: what else it hears, port by key of the wire
-    says:  wires of its own, each with one leg
+    wire:  key of the wire that it interposes;  input, output: its ports on that wire
+    hears: its other inputs, port by key of the wire
+    says:  wires that it publishes, each with one leg
     """
 
     wire: str
@@ -34,10 +34,10 @@ class Place:
 
 
 def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
-    """The wiring with `node` on a wire.
+    """The wiring with `node` inserted into a wire.
 
-    Raises WiringError for an unknown wire, a node that has a part in it already, a listener at the source that would
-    have to hear another key, a key that has a publisher already, and a name that cannot be part of a key.
+    Raises WiringError for an unknown wire, a node that is on it already, a listener at the source that would need
+    another key, a key that already has a publisher, and a name that cannot be part of a key.
     """
     if not _NAME.fullmatch(node):
         raise WiringError(f"node {node!r}: a node's name is one chunk of a key expression: letters, digits, _ . -")
@@ -58,24 +58,24 @@ def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
     wires[target.key] = replace(target, legs=(*before, into, out))
     for key, port in place.hears.items():
         *before, last = wires[key].legs
-        heard = replace(last, subscribers=(*last.subscribers, Endpoint(node, port)))
-        wires[key] = replace(wires[key], legs=(*before, heard))
+        extended = replace(last, subscribers=(*last.subscribers, Endpoint(node, port)))
+        wires[key] = replace(wires[key], legs=(*before, extended))
     for wire in place.says:
         if wire.key in wires:
-            raise WiringError(f"the key {wire.key!r} has a publisher already")
+            raise WiringError(f"the key {wire.key!r} already has a publisher")
         wires[wire.key] = wire
     return replace(wiring, wires=tuple(wires.values()))
 
 
 def remove(wiring: Wiring, node: str) -> Wiring:
-    """The wiring without `node`: whoever spoke to it on a wire speaks to those that it spoke to, on their key.
+    """The wiring without `node`: the publisher before it publishes on the key that it used.
 
-    Raises WiringError for a node that sits on no wire, for one that stands before a single subscriber, and where a
-    listener at the source would have to hear another key.
+    Raises WiringError for a node on no wire, for one before a single subscriber, and if a listener at the source
+    would need another key.
     """
-    sitting = {wire.key: wire.interposers for wire in wiring.wires if wire.interposers}
-    if not any(node in interposers for interposers in sitting.values()):
-        known = {name for interposers in sitting.values() for name in interposers}
+    interposers_of = {wire.key: wire.interposers for wire in wiring.wires if wire.interposers}
+    if not any(node in interposers for interposers in interposers_of.values()):
+        known = {name for interposers in interposers_of.values() for name in interposers}
         raise WiringError(f"no node {node!r} sits on a wire{nearest(node, known) if known else ''}")
     return replace(
         wiring, wires=tuple(_without(wire, node) for wire in wiring.wires if wire.legs[0].publisher.node != node)
@@ -83,7 +83,7 @@ def remove(wiring: Wiring, node: str) -> Wiring:
 
 
 def never_inserted(wiring: Wiring, nodes: Collection[str]) -> Wiring:
-    """The wiring of a run in which some nodes have no part at all: neither on wires, nor as publishers or listeners."""
+    """The wiring as it would be without some nodes, be they interposers, publishers or listeners."""
     return Wiring(
         tuple(_without_all(wire, nodes) for wire in wiring.wires if wire.legs[0].publisher.node not in nodes),
         tuple(end for end in wiring.overhearers if end.node not in nodes),
@@ -91,18 +91,19 @@ def never_inserted(wiring: Wiring, nodes: Collection[str]) -> Wiring:
 
 
 def interposer_of(wiring: Wiring, wire: str) -> str:
-    """The one node that sits on a wire; raises WiringError where there is none, or more than one."""
-    wires = {found.key: found for found in wiring.wires}
+    """The only interposer of a wire; raises WiringError if there is none, or more than one."""
+    wires = {known.key: known for known in wiring.wires}
     if wire not in wires:
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
-    found = wires[wire].interposers
-    if len(found) != 1:
-        raise WiringError(f"{', '.join(found) or 'nobody'} on the wire {wire!r}: say whom by name")
-    return found[0]
+    interposers = wires[wire].interposers
+    if len(interposers) != 1:
+        names = ", ".join(interposers) or "no node"
+        raise WiringError(f"the wire {wire!r}: found {names} on it, expected one: name the node instead")
+    return interposers[0]
 
 
 def taps_into(wiring: Wiring, nodes: Collection[str]) -> dict[str, str]:
-    """The keys on which these nodes get what they pass on, each with the node."""
+    """The keys on which these nodes receive the messages that they forward, each with the node."""
     return {
         leg.key: end.node
         for wire in wiring.wires
@@ -113,7 +114,7 @@ def taps_into(wiring: Wiring, nodes: Collection[str]) -> dict[str, str]:
 
 
 def parties(wire: Wire) -> set[str]:
-    """The nodes that publish or hear any leg of a wire."""
+    """The nodes that publish or subscribe to any leg of a wire."""
     legs = wire.every_leg
     return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in wire.hearers(leg)}
 
@@ -122,17 +123,18 @@ def _without_all(wire: Wire, nodes: Collection[str]) -> Wire:
     trunk = _shortened(wire.legs, nodes)
     branches, entrances = [], {}
     for branch in wire.branches:
-        ways = [branch.entrance, *(leg.subscribers[0] for leg in branch.legs)]
-        kept = [i for i, leg in enumerate(branch.legs) if leg.publisher.node not in nodes]
-        entrances[branch.entrance] = ways[kept[0]] if kept else branch.subscriber
-        if kept:  # each node that stays publishes on the key that the next one hears
-            before = [i - 1 for i in (*kept[1:], len(branch.legs))]
+        hops = [branch.entrance, *(leg.subscribers[0] for leg in branch.legs)]
+        kept_legs = [i for i, leg in enumerate(branch.legs) if leg.publisher.node not in nodes]
+        entrances[branch.entrance] = hops[kept_legs[0]] if kept_legs else branch.subscriber
+        if kept_legs:  # each remaining node publishes on the key that the next one subscribes to
+            before = [i - 1 for i in (*kept_legs[1:], len(branch.legs))]
             legs = [
-                replace(branch.legs[j], publisher=branch.legs[i].publisher) for i, j in zip(kept, before, strict=True)
+                replace(branch.legs[j], publisher=branch.legs[i].publisher)
+                for i, j in zip(kept_legs, before, strict=True)
             ]
-            branches.append(Branch(ways[kept[0]], branch.subscriber, tuple(legs)))
-    heard_by = tuple(entrances.get(end, end) for end in trunk[-1].subscribers)
-    last = replace(trunk[-1], subscribers=tuple(end for end in heard_by if end.node not in nodes))
+            branches.append(Branch(hops[kept_legs[0]], branch.subscriber, tuple(legs)))
+    subscribers = tuple(entrances.get(end, end) for end in trunk[-1].subscribers)
+    last = replace(trunk[-1], subscribers=tuple(end for end in subscribers if end.node not in nodes))
     listeners = tuple(listener for listener in wire.listeners if listener.end.node not in nodes)
     return replace(wire, legs=(*trunk[:-1], last), branches=tuple(branches), listeners=listeners)
 
@@ -141,26 +143,26 @@ def _shortened(trunk: tuple[Leg, ...], nodes: Collection[str]) -> list[Leg]:
     """A trunk without some of its interposers."""
     legs: list[Leg] = []
     for leg in trunk:
-        if leg.publisher.node in nodes:  # the leg before leads to it, and to nobody else
+        if leg.publisher.node in nodes:  # the leg before leads to it alone
             leg = replace(leg, publisher=legs.pop().publisher)
         legs.append(leg)
     return legs
 
 
 def _check_source(wire: Wire) -> None:
-    """Raise WiringError where nodes listen at the source: those that hear a wire keep their key while a run goes on."""
+    """Raise WiringError if nodes listen at the source: subscribers keep their key during a run."""
     names = ", ".join(listener.end.node for listener in wire.listeners if listener.source)
     if names:
         raise WiringError(
-            f"{names} would hear the source of {wire.key!r} on another key, but a node that listens there keeps "
-            "its key during a run: put the first interposer there at launch (PassThrough), and leave it there"
+            f"{names} listens at the source of {wire.key!r} and would need another key, but a subscriber keeps its key "
+            "during a run: insert the first interposer at launch (PassThrough), and leave it there"
         )
 
 
 def _without(wire: Wire, node: str) -> Wire:
     if any(node == leg.publisher.node for branch in wire.branches for leg in branch.legs):
-        raise WiringError(f"{node} stands before one subscriber of {wire.key!r} alone: it cannot be released")
-    wire = replace(wire, listeners=tuple(ear for ear in wire.listeners if ear.end.node != node))
+        raise WiringError(f"{node} is on the branch of one subscriber of {wire.key!r}: it cannot be released")
+    wire = replace(wire, listeners=tuple(listener for listener in wire.listeners if listener.end.node != node))
     if len(wire.legs) > 1 and wire.legs[1].publisher.node == node:
         _check_source(wire)
     return replace(

@@ -1,4 +1,4 @@
-"""Key-expression maps: who talks to whom on which key, and how nodes are put into wires. Pure functions.
+"""Key-expression maps: which nodes exchange messages on which key, and nodes inserted into wires. Pure functions.
 
 A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inserts nodes, or adds subscribers.
 
@@ -16,20 +16,20 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     node = "adversary_1"                  # optional: this node alone
 
     [[listen]]
-    wire = "agent/*/pose"                 # every agent's; "agent/ego/pose": one; "agent/{agent}/pose": that of its own
+    wire = "agent/*/pose"                 # every agent's; "agent/ego/pose": one; "agent/{agent}/pose": its own agent's
     role = "adversary"
     input = "poses"
     leg = "source"                        # optional: what the publisher sends, before any interposer
     node = "adversary_1"                  # optional: this node alone
 
-`{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means: the node that the
-placeholder names, if it is of that role; else the nodes of the role whose option of the placeholder's name has its
+`{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means the node that the
+placeholder names, if it has that role; else the nodes of the role whose option with the placeholder's name has its
 value (`adversary` with `agent="infra_1"`); else, if none has such an option, all nodes of the role.
 
 A chain on a wire K turns `publisher -> K -> subscribers` into `publisher -> K/@tap/0 -> node -> K/@tap/1 -> node -> K`:
-the subscribers' key stays as it is, and wildcards do not match the tap legs' verbatim chunk.
+the subscribers' key does not change, and wildcards do not match the verbatim chunk of the tap legs.
 
-With `to`, a rewrite stands before the subscribers of one role alone, and the others hear K as before:
+With `to`, a rewrite affects the subscribers of one role only, and the others receive K as before:
 
     [[insert]]
     wire = "cc/picture"
@@ -38,11 +38,11 @@ With `to`, a rewrite stands before the subscribers of one role alone, and the ot
     output = "picture_out"
     to = "agent"                          # each link before the agent that its option `agent` names
 
-That makes a branch, `K -> node -> K/@tap/{subscriber}/0 -> node -> K/@tap/{subscriber}/1 -> subscriber`, on which nodes
-stand in the order of the rewrites; only the key of that one subscriber is another. A branch begins where the trunk
-ends: nodes on the trunk come before all branches.
+That makes a branch, `K -> node -> K/@tap/{subscriber}/0 -> node -> K/@tap/{subscriber}/1 -> subscriber`, with nodes in
+the order of the rewrites; only the key of that one subscriber changes. A branch begins where the trunk ends: nodes on
+the trunk come before all branches.
 
-All wires are resolved first, then the inserts in order, then the listeners. A listener hears K, behind the trunk's
+All wires are resolved first, then the inserts in order, then the listeners. A listener receives K, behind the trunk's
 interposers and before the branches, unless it asks for the source.
 """
 
@@ -72,7 +72,7 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "listen": (("wire", "role", "input"), ("leg", "node")),
 }
 
-#: Rewrites of earlier versions, and those that do the same now.
+#: Rewrites of earlier versions, and those that replace them.
 RENAMED = {
     "uncoordinated.toml": ("on_detections.toml",),
     "coordinated.toml": ("on_tracks.toml", "coordination.toml"),
@@ -84,14 +84,14 @@ Sources = Sequence[tuple[str, Mapping[str, Any]]]
 
 
 def load(path: Path) -> dict[str, Any]:
-    """A map or rewrite file as a dict; raises WiringError where it is missing or no TOML."""
+    """Read a map or rewrite file as a dict; raises WiringError if it is missing or not TOML."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         if path.name in RENAMED:
             successors = " and ".join(repr(name) for name in RENAMED[path.name])
             raise WiringError(
-                f"{path.name}: rewrites are named after the wires that they take: name {successors} instead"
+                f"{path.name}: rewrites are now named after their wires: use {successors} instead"
             ) from None
         beside = [other.name for other in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         raise WiringError(f"{path}: no such key-expression map{nearest(path.name, beside)}") from None
@@ -106,14 +106,14 @@ def resolve(
 ) -> Wiring:
     """The wiring of `nodes` under a map followed by rewrites, each given as (its file's name, its content).
 
-    optional: by role, ports that a node of that role may do without: wires pass it by. (A user's adversary need not
-    take the pose that ours takes.)
+    optional: ports by role that a node of that role may lack: wires skip it. (A user's adversary need not take the
+    pose that the shipped one takes.)
 
-    A node with an input port of the type `ANY` hears every key without being named in a map.
+    A node with an input port of the type `ANY` receives every key without being named in a map.
 
     Raises WiringError, naming the file and the entry, for unknown keys, roles, nodes, ports or messages, invalid key
-    expressions, a wire with more than one publisher, a node twice on one wire, a rewrite of no wire, one before a role
-    that does not hear the wire, a node that would hear itself, and an entry that names a wire and affects no node.
+    expressions, a wire with several publishers, a node twice on one wire, a rewrite of no wire, one for a role that
+    does not subscribe to the wire, a node that would receive its own messages, and an entry that affects no node.
     """
     for name in nodes:
         if not _CHUNK.fullmatch(name):
@@ -122,29 +122,29 @@ def resolve(
         _check_keys(content, _KEYS, file)
     wires: dict[str, Wire] = {}
     templates: dict[str, list[str]] = {}
-    hearing: dict[str, set[str]] = {}  # the roles that a template names as subscribers
+    subscribing: dict[str, set[str]] = {}  # the roles that a template names as subscribers
     for place, entry in _entries(sources, "wire"):
         if entry["key"] in templates:
-            raise WiringError(f"{place}: the wire {entry['key']!r} has a publisher already")
+            raise WiringError(f"{place}: the wire {entry['key']!r} already has a publisher")
         templates[entry["key"]] = []
-        hearing[entry["key"]] = {str(reference).partition(".")[0] for reference in _listed(entry["to"])}
+        subscribing[entry["key"]] = {str(reference).partition(".")[0] for reference in _listed(entry["to"])}
         for wire in _instances(entry, nodes, optional, place):
             if wire.key in wires:
-                raise WiringError(f"{place}: the key {wire.key!r} has a publisher already")
+                raise WiringError(f"{place}: the key {wire.key!r} already has a publisher")
             wires[wire.key] = wire
             templates[entry["key"]].append(wire.key)
     for place, entry in _entries(sources, "insert"):
-        template = _matching(entry["wire"], templates, place)
+        template = _template_of(entry["wire"], templates, place)
         keys = templates[template] if entry["wire"] == template else [entry["wire"]]
-        if "to" in entry and entry["to"] not in list(hearing[template]):
-            hint = nearest(str(entry["to"]), hearing[template])
-            raise WiringError(f"{place}: to: no role {entry['to']!r} hears the wire {template!r}{hint}")
+        if "to" in entry and entry["to"] not in list(subscribing[template]):
+            hint = nearest(str(entry["to"]), subscribing[template])
+            raise WiringError(f"{place}: to: no role {entry['to']!r} subscribes to the wire {template!r}{hint}")
         if entry["wire"] != template:
             _check_affected(entry, _placeholder(template), [wires[key] for key in keys], nodes, place)
         for key in keys:
             wires[key] = rewrites.insert(wires[key], entry, _placeholder(template), nodes, place)
     for place, entry in _entries(sources, "listen"):
-        template = _matching(entry["wire"], templates, place, every=True)
+        template = _template_of(entry["wire"], templates, place, every=True)
         keys = [entry["wire"]] if entry["wire"] in wires else templates[template]
         _check_affected(entry, _placeholder(entry["wire"]), [wires[key] for key in keys], nodes, place)
         for key in keys:
@@ -158,7 +158,7 @@ def _instances(
     optional: Mapping[str, Collection[str]],
     place: str,
 ) -> Iterator[Wire]:
-    """The wires that one entry stands for: one for each value of its placeholder."""
+    """The wires of one entry: one for each value of its placeholder."""
     template, message = entry["key"], entry["message"]
     if message not in SCHEMAS:
         raise WiringError(f"{place}: no message type {message!r}{nearest(message, SCHEMAS)}")
@@ -173,8 +173,8 @@ def _instances(
             if not match:
                 raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port")
             role, port = match.groups()
-            meant = members(role, nodes, place, placeholder=placeholder, subject=subject)
-            return ports(meant, port, message, place, output=output, optional=optional.get(role, ()))
+            referenced = members(role, nodes, place, placeholder=placeholder, subject=subject)
+            return ports(referenced, port, message, place, output=output, optional=optional.get(role, ()))
 
         key = template.replace(f"{{{placeholder}}}", subject)
         for chunk in key.split("/"):
@@ -188,12 +188,12 @@ def _instances(
             raise WiringError(f"{place}: the key {key!r} has {len(publishers)} publishers ({names}), expected one")
         subscribers = [end for reference in _listed(entry["to"]) for end in endpoints(reference)]
         if any(end.node == publishers[0].node for end in subscribers):
-            raise WiringError(f"{place}: {publishers[0].node} would hear itself on {key!r}")
+            raise WiringError(f"{place}: {publishers[0].node} would receive its own messages on {key!r}")
         yield Wire(key, subject, message, (Leg(key, publishers[0], tuple(subscribers)),))
 
 
-def _matching(wire: object, templates: Mapping[str, list[str]], place: str, *, every: bool = False) -> str:
-    """The template that a rewrite's `wire` names: by itself, by a key that it stands for, or by `*` if `every`."""
+def _template_of(wire: object, templates: Mapping[str, list[str]], place: str, *, every: bool = False) -> str:
+    """The template that a rewrite's `wire` names: as the template, as one of its keys, or with `*` if `every`."""
     for template, keys in templates.items():
         if wire in (template, *keys) or (every and wire == _PLACEHOLDER.sub("*", template)):
             return template
@@ -202,7 +202,7 @@ def _matching(wire: object, templates: Mapping[str, list[str]], place: str, *, e
 
 
 def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOptions], place: str) -> Wire:
-    """The wire with the listeners of one entry."""
+    """The wire with the listeners of one entry added."""
     if entry.get("leg", "source") != "source":
         raise WiringError(f"{place}: leg: found {entry['leg']!r}, expected 'source', or no `leg`")
     placeholder, node = _placeholder(entry["wire"]), entry.get("node")
@@ -214,7 +214,7 @@ def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOption
 def _check_affected(
     entry: Mapping[str, Any], placeholder: str, wires: Sequence[Wire], nodes: Mapping[str, NodeOptions], place: str
 ) -> None:
-    """Raise WiringError where nodes of the entry's role exist, but none of them belongs to any of these wires."""
+    """Raise WiringError if nodes of the entry's role exist, but none of them belongs to any of these wires."""
     role, node = entry["role"], entry.get("node")
     candidates = members(role, nodes, place, node=node)
     for wire in wires:
@@ -229,18 +229,18 @@ def _check_affected(
 
 
 def _overhearers(nodes: Mapping[str, NodeOptions]) -> tuple[Endpoint, ...]:
-    """The ports that hear every key."""
+    """The input ports that receive every key."""
     ends = tuple(
         Endpoint(name, port) for name, node in nodes.items() for port, message in node.inputs.items() if message == ANY
     )
     for end in ends:
         if len(nodes[end.node].inputs) > 1 or nodes[end.node].outputs:
-            raise WiringError(f"node {end.node!r}: who hears every key on one port ({end.port!r}) has no other port")
+            raise WiringError(f"node {end.node!r}: a node that hears every key ({end.port!r}) has no other port")
     return ends
 
 
 def _placeholder(template: str) -> str:
-    """The role in the braces of a template; "" where it has none."""
+    """The role in the braces of a template; "" if it has none."""
     return "".join(_PLACEHOLDER.findall(template))
 
 
@@ -249,7 +249,7 @@ def _listed(to: object) -> list[object]:
 
 
 def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """(place, entry) of all entries of one kind, in order; raises WiringError for one with wrong keys or values."""
+    """(place, entry) of all entries of one kind, in order; raises WiringError for invalid keys or values."""
     required, optional = _KEYS[kind]
     for file, content in sources:
         for index, entry in enumerate(content.get(kind, ())):

@@ -1,4 +1,4 @@
-"""What a resolved key-expression map is: wires, their legs, and the ports of every node; as JSON, text and drawing."""
+"""A resolved key-expression map: wires, their legs, and the ports of every node; as JSON, text and drawing."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-#: The message type of an input port that hears every key: a node that has one publishes nothing.
+#: The message type of an input port that receives every key: a node that has one publishes nothing.
 ANY = "*"
 
 #: The verbatim chunk of hidden legs, which wildcard subscribers do not match.
@@ -33,7 +33,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """What stands before one subscriber of a wire alone: leaves the trunk at `entrance`, and ends at `subscriber`."""
+    """The interposers of a single subscriber: leaves the trunk at `entrance` and ends at `subscriber`."""
 
     entrance: Endpoint
     subscriber: Endpoint
@@ -44,8 +44,8 @@ class Branch:
 class Listener:
     """A subscriber that a rewrite adds to a wire.
 
-    source: it hears what the publisher sends, before any interposer; else what is sent on the wire's key, behind the
-            interposers of the trunk and before the branches
+    source: it receives what the publisher sends, before any interposer; else what is sent on the wire's key, behind
+            the interposers of the trunk and before the branches
     """
 
     end: Endpoint
@@ -56,9 +56,9 @@ class Listener:
 class Wire:
     """A logical connection. `subject` is the name in its key (the agent of agent/{agent}/pose), else empty.
 
-    legs:      the trunk, which all subscribers hear; its last leg has the wire's key, and is heard by those subscribers
-               that have no branch and by the entrances of the branches
-    listeners: what else hears the wire; they are not among the subscribers of its legs
+    legs:      the trunk, common to all subscribers; its last leg has the wire's key, and leads to the subscribers
+               without a branch and to the entrances of the branches
+    listeners: further subscribers, not among those of its legs
     """
 
     key: str
@@ -70,26 +70,26 @@ class Wire:
 
     @property
     def every_leg(self) -> tuple[Leg, ...]:
-        """The legs of the trunk and then of the branches."""
+        """The legs of the trunk, then those of the branches."""
         return (*self.legs, *(leg for branch in self.branches for leg in branch.legs))
 
     @property
     def interposers(self) -> tuple[str, ...]:
-        """The nodes on the wire: those of the trunk from the publisher on, then those of each branch."""
+        """The nodes inserted into the wire: those of the trunk from the publisher on, then those of each branch."""
         return tuple(leg.publisher.node for leg in self.every_leg[1:])
 
     @property
     def subscribers(self) -> tuple[Endpoint, ...]:
-        """Whom the wire is for, behind branches or not."""
-        behind = {branch.entrance: branch.subscriber for branch in self.branches}
-        return tuple(behind.get(end, end) for end in self.legs[-1].subscribers)
+        """The endpoints that the wire is for, with or without a branch."""
+        branch_ends = {branch.entrance: branch.subscriber for branch in self.branches}
+        return tuple(branch_ends.get(end, end) for end in self.legs[-1].subscribers)
 
     def key_of(self, listener: Listener) -> str:
-        """The key on which a listener hears the wire."""
+        """The key on which a listener receives the wire's messages."""
         return self.legs[0 if listener.source else -1].key
 
     def listeners_of(self, leg: Leg) -> tuple[Endpoint, ...]:
-        """The listeners that hear one of the wire's legs."""
+        """The listeners on one of the wire's legs."""
         return tuple(listener.end for listener in self.listeners if self.key_of(listener) == leg.key)
 
     def hearers(self, leg: Leg) -> tuple[Endpoint, ...]:
@@ -99,7 +99,7 @@ class Wire:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """What a node hears on one key: the port, the subject, the message type, and who originally speaks."""
+    """A node's input on one key: the port, the subject, the message type, and the wire's publisher."""
 
     port: str
     subject: str
@@ -117,10 +117,10 @@ class Ports:
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """An interposer's way through one wire: it receives messages on one key, and sends them on on another.
+    """An interposer's two keys on one wire: it receives messages on one, and forwards them on the other.
 
-    wire, subject, message: of the wire, see `Wire`; port: by which the wire's publisher publishes on it
-    before: the subscriber before which alone it stands; empty: it stands before all of them
+    wire, subject, message: of the wire, see `Wire`; port: the output port of the wire's publisher
+    before: the only subscriber behind it; empty: it is before all of them
     """
 
     node: str
@@ -137,7 +137,7 @@ class Passage:
 class Wiring:
     """The key of every port of every node.
 
-    overhearers: ports that hear every key, tap legs included, beside the subscribers of each
+    overhearers: ports that receive every key, tap legs included, besides the subscribers of each
     """
 
     wires: tuple[Wire, ...]
@@ -150,7 +150,7 @@ class Wiring:
                 yield wire, leg
 
     def passages(self) -> Iterator[Passage]:
-        """Every interposer's way through every wire that it sits on, in the order of the wires and their legs."""
+        """Every interposer's passage through each of its wires, in the order of the wires and their legs."""
         for wire in self.wires:
             ends = [("", leg) for leg in wire.legs]
             yield from _passages(wire, ends)
@@ -159,7 +159,7 @@ class Wiring:
                 yield from _passages(wire, [ends[-1], *((before, leg) for leg in branch.legs)])
 
     def flows(self) -> Iterator[tuple[str, str, str]]:
-        """(key, publisher, subscriber) of every leg: listeners and overhearers are subscribers too."""
+        """(key, publisher, subscriber) of every leg; listeners and overhearers count as subscribers."""
         for wire, leg in self.legs():
             for end in (*wire.hearers(leg), *self.overhearers):
                 yield leg.key, leg.publisher.node, end.node
@@ -181,7 +181,7 @@ class Wiring:
         return Ports(inputs, outputs)
 
     def to_json(self) -> dict[str, Any]:
-        """The form of wiring.json; `from_json` reads it back."""
+        """The content of wiring.json; `from_json` reads it back."""
 
         def leg_json(leg: Leg, before: str = "") -> dict[str, Any]:
             return {
@@ -235,7 +235,7 @@ NO_WIRING = Wiring(())
 
 
 def _passages(wire: Wire, legs: Sequence[tuple[str, Leg]]) -> Iterator[Passage]:
-    """Those of consecutive legs, each with the subscriber that it leads to alone."""
+    """The passages between consecutive legs; each leg comes with its only subscriber, or ""."""
     for (_, into), (before, out) in pairwise(legs):
         port = wire.legs[0].publisher.port
         yield Passage(out.publisher.node, wire.key, wire.subject, wire.message, port, into.key, out.key, before)
@@ -244,20 +244,20 @@ def _passages(wire: Wire, legs: Sequence[tuple[str, Leg]]) -> Iterator[Passage]:
 def _wire_of(data: Mapping[str, Any]) -> Wire:
     trunk: list[Leg] = []
     branches: dict[str, list[Leg]] = {}
-    for told in data["legs"]:
-        ends = tuple(map(Endpoint, told["to"], told["to_ports"]))
-        leg = Leg(told["key"], Endpoint(told["from"], told["from_port"]), ends)
-        (branches.setdefault(told["before"], []) if told.get("before") else trunk).append(leg)
-    heard_by = {end.node: end for end in trunk[-1].subscribers}
+    for leg_data in data["legs"]:
+        ends = tuple(map(Endpoint, leg_data["to"], leg_data["to_ports"]))
+        leg = Leg(leg_data["key"], Endpoint(leg_data["from"], leg_data["from_port"]), ends)
+        (branches.setdefault(leg_data["before"], []) if leg_data.get("before") else trunk).append(leg)
+    entries = {end.node: end for end in trunk[-1].subscribers}
     return Wire(
         data["key"],
         data["subject"],
         data["message"],
         tuple(trunk),
         tuple(
-            Branch(heard_by[legs[0].publisher.node], legs[-1].subscribers[0], tuple(legs)) for legs in branches.values()
+            Branch(entries[legs[0].publisher.node], legs[-1].subscribers[0], tuple(legs)) for legs in branches.values()
         ),
-        tuple(Listener(Endpoint(ear["node"], ear["port"]), ear["source"]) for ear in data.get("listeners", ())),
+        tuple(Listener(Endpoint(item["node"], item["port"]), item["source"]) for item in data.get("listeners", ())),
     )
 
 
@@ -265,14 +265,14 @@ def to_text(wiring: Wiring) -> str:
     """The wiring as lines: each wire, its chain, rewrites marked."""
     lines = []
     for wire in wiring.wires:
-        mark = "*" if wire.interposers else " "
-        first, *rest = wire.legs
-        chain = f"{first.publisher.node} ─▶ " + "".join(f"[{leg.publisher.node}] ─▶ " for leg in rest)
-        behind = {
+        marker = "*" if wire.interposers else " "
+        first, *remaining = wire.legs
+        chain = f"{first.publisher.node} ─▶ " + "".join(f"[{leg.publisher.node}] ─▶ " for leg in remaining)
+        chains = {
             branch.subscriber: "".join(f"[{leg.publisher.node}] ─▶ " for leg in branch.legs) for branch in wire.branches
         }
-        ends = ", ".join(f"({behind[end]}{end.node})" if end in behind else end.node for end in wire.subscribers)
-        lines.append(f"{mark} {wire.key:<34} {chain}{ends or '(nobody)'}")
+        ends = ", ".join(f"({chains[end]}{end.node})" if end in chains else end.node for end in wire.subscribers)
+        lines.append(f"{marker} {wire.key:<34} {chain}{ends or '(no subscriber)'}")
         lines += [
             f"      {leg.publisher.node} ── {leg.key} ──▶ {end.node} (listens)"
             for leg in wire.legs

@@ -1,4 +1,4 @@
-"""Messages as a node gets them: decoded, to be passed on as they are, or overheard on any key of the run."""
+"""Messages as a node receives them: decoded, to be forwarded undecoded, or overheard on any key of the run."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mast_zenoh.wiring.model import Input
 
 
 class Received(NamedTuple):
-    """A message as a node gets it.
+    """A message as a node receives it.
 
     message: header and columns (read-only arrays)
     subject: the name in the wire's key: "infra_1" on agent/infra_1/tracks, "" on cc/picture
-    payload: the bytes as they came; None where they were never bytes (one process)
-    step:    the frame that the run was at when it was sent; later than the message's own frame if it was held up
+    payload: the bytes received; None in a single process, where messages are not encoded
+    step:    the run's frame when it was sent; later than the message's own frame if it was delayed
     """
 
     message: Message
@@ -42,32 +42,32 @@ class Received(NamedTuple):
 
     @property
     def schema(self) -> str:
-        """Its message type."""
+        """The message type."""
         return self.message.header.schema
 
     @property
     def encoded(self) -> bytes:
-        """Its bytes: as they came, or as they would have been sent."""
+        """The bytes received, or as they would have been sent."""
         return codec.encode(self.message) if self.payload is None else self.payload
 
 
 class Unopened(Received):
-    """A message that a node only passes on, not decoded yet: accessing its content may raise MessageError.
+    """A message that a node only forwards, not decoded yet: accessing its content may raise MessageError.
 
-    Made of (message type, subject, payload, step).
+    Its fields are (message type, subject, payload, step).
     """
 
     __slots__ = ()
 
     @property
     def message(self) -> Message:
-        """Decoded now: its header, and its body when somebody looks at that."""
+        """The message: its header is decoded now, its body on first access."""
         assert self.payload is not None
-        return codec.decode_unopened(self.payload, self.schema)
+        return codec.decode_lazily(self.payload, self.schema)
 
     @property
     def schema(self) -> str:
-        """That of its wire; what is in it may be anything."""
+        """The message type of its wire; the content may be anything."""
         return str(self[0])
 
 
@@ -93,9 +93,9 @@ class Overheard:
         timespan: Timespan | None = None,
         now: int = -1,
     ) -> None:
-        """content: the bytes as sent, in one process the message itself; flaw: why a receiver refuses the latter.
+        """content: the bytes as sent, or in one process the message; flaw: why a receiver refuses that message.
 
-        timespan: what frames and times it can have, None: any; now: frame that the run is at, where `step` is unknown
+        timespan: the frames and times it can have, None: any; now: the run's current frame, if `step` is unknown
         """
         self.key, self.wire, self.step = key, wire, step
         self._timespan, self._now = timespan, now
@@ -109,7 +109,7 @@ class Overheard:
 
     @property
     def header(self) -> Header:
-        """The header; raises MessageError where there is none, or it names another node than the wire's publisher."""
+        """The header; raises MessageError if it is invalid, or names another node than the wire's publisher."""
         header = self._header
         if header is None:
             content, wire = self._content, self.wire
@@ -121,7 +121,7 @@ class Overheard:
 
     @property
     def body(self) -> Body:
-        """The columns, decoded at each call; raises MessageError wherever a subscriber of the key would refuse them."""
+        """The columns, decoded at each access; raises MessageError if a subscriber of the key would refuse them."""
         if isinstance(self._content, Message):
             if self._flaw:
                 raise MessageError(self._flaw)
@@ -129,12 +129,12 @@ class Overheard:
         return codec.decode(self._content, self.wire.message).body
 
     def check(self) -> None:
-        """Raise MessageError wherever a subscriber of the key would refuse the message."""
+        """Raise MessageError if a subscriber of the key would refuse the message."""
         _ = self.header, self.body
         self.check_time()
 
     def check_time(self) -> None:
-        """Raise MessageError where a subscriber would refuse the header, or its frame and time."""
+        """Raise MessageError if a subscriber would refuse the header, or its frame and time."""
         header = self.header
         if self._timespan is not None:
             refusal = self._timespan.refusal(header, self.step if self.step >= 0 else self._now)
@@ -143,11 +143,11 @@ class Overheard:
 
     @property
     def encoded(self) -> bool:
-        """Whether it came as bytes, so that its columns are views that keep all of it alive."""
+        """Whether it came as bytes, so that its columns are views that keep the whole payload in memory."""
         return isinstance(self._content, bytes)
 
     def same_bytes(self, other: Overheard) -> bool:
-        """Whether both are the same bytes, or would be if they were sent."""
+        """Whether both have the same bytes, or would have if they were sent."""
         mine, others = self._content, other._content
         if mine is others:
             return True

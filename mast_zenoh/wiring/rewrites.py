@@ -1,4 +1,4 @@
-"""What the entries of a rewrite do to a wire: `[[insert]]` puts nodes into it, `[[listen]]` adds subscribers."""
+"""Applies the entries of a rewrite to a wire: `[[insert]]` puts nodes into it, `[[listen]]` adds subscribers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mast_zenoh.wiring.model import TAP, Branch, Endpoint, Leg, Listener, Wire
 def insert(
     wire: Wire, entry: Mapping[str, Any], placeholder: str, nodes: Mapping[str, NodeOptions], place: str
 ) -> Wire:
-    """The wire with the nodes of an `[[insert]]` before its subscribers, or before the subscriber of the role `to`.
+    """The wire with the nodes of an `[[insert]]` before all subscribers, or before the one of the role `to`.
 
     Raises WiringError for a node without the ports, a node that is on the wire already, and an ambiguous `to`.
     """
@@ -41,44 +41,46 @@ def insert(
 
 
 def listen(wire: Wire, listeners: list[Listener], place: str, *, every: bool) -> Wire:
-    """The wire with more listeners. A node hears a wire once, and never what it publishes or passes on itself.
+    """The wire with more listeners. A node receives a wire once, and never what it publishes or forwards itself.
 
-    every: the entry means every wire of its kind: a node that cannot listen to this one is left out. Otherwise
-           WiringError is raised, unless the node hears the wire already as the entry asks.
+    every: the entry refers to every wire of its kind: a node that cannot listen to this one is skipped. Otherwise
+           WiringError is raised, unless the node already receives the wire as the entry asks.
     """
-    for new in listeners:
-        node = new.end.node
-        heard = {known.end.node: known for known in (*map(Listener, wire.subscribers), *wire.listeners)}
+    for listener in listeners:
+        node = listener.end.node
+        received = {known.end.node: known for known in (*map(Listener, wire.subscribers), *wire.listeners)}
         if node in (wire.legs[0].publisher.node, *wire.interposers):
             if not every:
-                raise WiringError(f"{place}: {node} publishes or passes on {wire.key!r}: it would hear itself")
-        elif node not in heard:
-            wire = replace(wire, listeners=(*wire.listeners, new))
-        elif not every and heard[node] != new:
-            where = f"its port {heard[node].end.port!r}{' at the source' if heard[node].source else ''}"
+                raise WiringError(
+                    f"{place}: {node} publishes or forwards {wire.key!r}: it would receive its own messages"
+                )
+        elif node not in received:
+            wire = replace(wire, listeners=(*wire.listeners, listener))
+        elif not every and received[node] != listener:
+            where = f"its port {received[node].end.port!r}{' at the source' if received[node].source else ''}"
             raise WiringError(f"{place}: {node} hears {wire.key!r} already, on {where}: a node hears a wire once")
     return wire
 
 
 def _subscriber(wire: Wire, node: str, role: str, nodes: Mapping[str, NodeOptions], place: str) -> Endpoint | None:
-    """The subscriber of `role` that a node is to stand before: the one that its option of the role's name names,
+    """The subscriber of `role` before which a node is inserted; None if there is none on this wire.
 
-    else the only one. None: it stands before none of this wire.
+    It is the one that the node's option with the role's name names, else the only one.
     """
     ends = [end for end in wire.subscribers if nodes[end.node].role == role]
-    named = nodes[node].options.get(role)
-    if named is not None:
-        ends = [end for end in ends if end.node == named]
+    preferred = nodes[node].options.get(role)
+    if preferred is not None:
+        ends = [end for end in ends if end.node == preferred]
     if len(ends) > 1:
         names = ", ".join(end.node for end in ends)
         raise WiringError(
-            f"{place}: {wire.key!r} is for {names}: an option `{role}` must say before which {node} stands"
+            f"{place}: {wire.key!r} leads to {names}: the option `{role}` of {node} must name one of them"
         )
     return ends[0] if ends else None
 
 
 def _on_branch(wire: Wire, entrance: Endpoint, exit_: Endpoint, subscriber: Endpoint) -> Wire:
-    """The wire with a node at the end of the branch to `subscriber`, which begins with it if there is none."""
+    """The wire with a node at the end of the branch to `subscriber`, which is created if needed."""
     branches = {branch.subscriber: branch for branch in wire.branches}
     branch = branches.get(subscriber)
     legs = branch.legs if branch else ()
@@ -88,6 +90,6 @@ def _on_branch(wire: Wire, entrance: Endpoint, exit_: Endpoint, subscriber: Endp
         branches[subscriber] = replace(branch, legs=legs)
         return replace(wire, branches=tuple(branches.values()))
     *before, end = wire.legs
-    heard_by = tuple(entrance if other == subscriber else other for other in end.subscribers)
+    subscribers = tuple(entrance if other == subscriber else other for other in end.subscribers)
     branches[subscriber] = Branch(entrance, subscriber, (last,))
-    return replace(wire, legs=(*before, replace(end, subscribers=heard_by)), branches=tuple(branches.values()))
+    return replace(wire, legs=(*before, replace(end, subscribers=subscribers)), branches=tuple(branches.values()))

@@ -1,4 +1,4 @@
-"""Checks over the record of a run hold where it went well, and each of them finds what went wrong."""
+"""Checks pass on the record of a run that went well, and each finds its kind of fault."""
 
 import json
 import subprocess
@@ -43,7 +43,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 # -- a run that went well --------------------------------------------------------------------------------------------
 
 
-def test_everything_holds_where_faults_are_the_only_trouble(run: Run) -> None:
+def test_all_checks_pass_on_a_run_with_faults_only(run: Run) -> None:
     found = checked(*run)
     assert list(found) == NAMES
     assert all(check.ok for check in found.values()), found
@@ -58,7 +58,7 @@ def test_everything_holds_where_faults_are_the_only_trouble(run: Run) -> None:
     assert found["convergence"].values["greatest_m"] > 0.0
 
 
-def test_the_outcome_is_in_the_run_folder(run: Run) -> None:
+def test_results_of_checks_are_in_the_run_folder(run: Run) -> None:
     folder, resolved = run
     (folder / checks.FILE).unlink()
     found = checks.run(folder, resolved)
@@ -69,12 +69,12 @@ def test_the_outcome_is_in_the_run_folder(run: Run) -> None:
     assert told["converged_after_s"] == found[1].values["converged_after_s"]
 
 
-def test_a_resolved_scenario_from_a_run_folder_is_checked_alike(run: Run) -> None:
+def test_a_scenario_read_from_a_run_folder_gives_the_same_checks(run: Run) -> None:
     folder, resolved = run
     assert checks.run(folder, Resolved.read(folder)) == checks.run(folder, resolved)
 
 
-def test_what_was_not_recorded_is_not_checked(tmp_path: Path) -> None:
+def test_a_run_without_recording_is_not_checked(tmp_path: Path) -> None:
     found = checked(*recorded(tmp_path / "run", frames=5, record=False, faults=FAULTS[:1]))
     assert all(check.ok for check in found.values())
     assert [check.values["checked"] for check in found.values()] == [False] * 4
@@ -85,7 +85,7 @@ def test_what_was_not_recorded_is_not_checked(tmp_path: Path) -> None:
     ("told", "reason"),
     [
         (dict(recorded=dict(messages=9, malformed=0, lost=3)), "the recording lacks 3 messages"),
-        (dict(status="interrupted"), "the run has not come to its end: interrupted"),
+        (dict(status="interrupted"), "the run did not finish: interrupted"),
     ],
 )
 def test_an_incomplete_record_is_not_checked(run: Run, tmp_path: Path, told: dict[str, Any], reason: str) -> None:
@@ -101,7 +101,7 @@ def test_an_incomplete_record_is_not_checked(run: Run, tmp_path: Path, told: dic
 
 
 def problems(run: Run, out: Path, change: Any) -> dict[str, str]:
-    """What the checks that do not hold say of a changed record."""
+    """The details of failed checks of a changed record."""
     folder, resolved = run
     return {
         name: check.detail
@@ -110,7 +110,7 @@ def problems(run: Run, out: Path, change: Any) -> dict[str, str]:
     }
 
 
-def test_a_copy_of_a_record_is_as_good_as_the_record(run: Run, tmp_path: Path) -> None:
+def test_a_copy_of_a_record_passes_all_checks(run: Run, tmp_path: Path) -> None:
     assert problems(run, tmp_path, lost()) == {}
 
 
@@ -148,31 +148,31 @@ def test_a_missing_batch_is_found(run: Run, tmp_path: Path) -> None:
         *("agent/infra_1/tracks", "agent/infra_2/tracks"),
     ],
 )
-def test_a_hole_in_what_a_publisher_says_is_found(run: Run, tmp_path: Path, key: str) -> None:
+def test_a_gap_in_a_publishers_messages_is_found(run: Run, tmp_path: Path, key: str) -> None:
     found = problems(run, tmp_path, lost((key, 30)))
     assert f"{key}: 1 missing before sequence" in found["sequences"]
 
 
 @pytest.mark.parametrize("key", ["agent/infra_1/tracks/@tap/broker/0", "cc/picture/@tap/ego/0"])
-def test_a_message_that_a_link_has_swallowed_is_found(run: Run, tmp_path: Path, key: str) -> None:
+def test_a_message_lost_in_a_link_is_found(run: Run, tmp_path: Path, key: str) -> None:
     found = problems(run, tmp_path, lost((key, 30)))
     assert found.keys() == {"sequences"}
-    assert "has not passed on sequence" in found["sequences"]
+    assert "did not forward sequence" in found["sequences"]
     assert "of frame 30" in found["sequences"]
 
 
 @pytest.mark.parametrize("key", ["agent/infra_1/tracks/@tap/broker/0", "agent/ego/pose", "cc/picture"])
-def test_a_message_that_comes_twice_is_found(run: Run, tmp_path: Path, key: str) -> None:
+def test_a_duplicate_message_is_found(run: Run, tmp_path: Path, key: str) -> None:
     assert "sequences" in problems(run, tmp_path, doubled((key, 30)))
 
 
-def test_a_loss_that_no_link_admits_is_found(run: Run, tmp_path: Path) -> None:
-    """The record of what links did goes missing: now nothing explains the partition."""
+def test_a_loss_without_a_link_report_is_found(run: Run, tmp_path: Path) -> None:
+    """Without the reports of links, nothing explains the partition."""
     found = problems(run, tmp_path, lambda message: [] if message.message == "link_report" else [None])
-    assert "link_infra_1 has not passed on sequence 5 of frame 5" in found["sequences"]
+    assert "link_infra_1 did not forward sequence 5 of frame 5" in found["sequences"]
 
 
-def test_what_was_in_time_for_the_collation_is_not_what_links_say(run: Run, tmp_path: Path) -> None:
+def test_the_collation_check_does_not_rely_on_link_reports(run: Run, tmp_path: Path) -> None:
     folder, resolved = run
     silent = rewritten(
         folder, resolved, tmp_path / "copy", lambda message: [] if message.message == "link_report" else [None]
@@ -180,7 +180,7 @@ def test_what_was_in_time_for_the_collation_is_not_what_links_say(run: Run, tmp_
     assert checked(silent, resolved)["collation"] == checked(folder, resolved)["collation"]
 
 
-def test_a_node_that_counts_anew_without_having_been_restarted_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_sequence_that_restarts_without_a_restart_of_the_node_is_found(run: Run, tmp_path: Path) -> None:
     folder, resolved = run
     copy = rewritten(folder, resolved, tmp_path / "copy", lost())
     record = json.loads((copy / "run.json").read_text())
@@ -189,7 +189,7 @@ def test_a_node_that_counts_anew_without_having_been_restarted_is_found(run: Run
     from dataclasses import replace
 
     found = checked(copy, replace(resolved, steps=()))
-    assert "agent/infra_2/tracks: sequence 0 of frame 15 comes again" in found["sequences"].detail
+    assert "agent/infra_2/tracks: sequence 0 of frame 15 is repeated" in found["sequences"].detail
 
 
 def astray(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
@@ -202,12 +202,12 @@ def test_a_picture_that_stays_wrong_is_found(run: Run, tmp_path: Path) -> None:
     assert "2.9 s after the last heal, expected less than 0.5 m" in found["convergence"]
 
 
-def test_a_picture_that_does_not_come_any_more_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_missing_picture_is_found(run: Run, tmp_path: Path) -> None:
     found = problems(run, tmp_path, lambda m: [] if m.key == "cc/picture" and m.frame >= 40 else [None])
     assert "the distance is 5.00 m" in found["convergence"]
 
 
-def test_a_process_that_is_left_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_process_left_running_is_found(run: Run, tmp_path: Path) -> None:
     folder, resolved = run
     copy = rewritten(folder, resolved, tmp_path / "copy", lost())
     record = json.loads((copy / "run.json").read_text()) | {"runtime": "mesh"}
@@ -229,7 +229,7 @@ def test_a_process_that_is_left_is_found(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("late", "ok"), [({"infra_2": 1}, True), ({"ego": 1}, False), ({}, False)])
-def test_in_real_time_as_many_may_be_missing_as_the_broker_says_were_late(
+def test_in_real_time_as_many_messages_may_be_missing_as_the_broker_counts_late(
     run: Run, tmp_path: Path, late: dict[str, int], ok: bool
 ) -> None:
     def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
@@ -253,14 +253,14 @@ def test_in_real_time_as_many_may_be_missing_as_the_broker_says_were_late(
         (dict(links={"ego": "perfect"}), "no fault was healed"),
     ],
 )
-def test_convergence_is_asked_for_only_where_it_can_be(tmp_path: Path, keys: dict[str, Any], reason: str) -> None:
+def test_convergence_is_not_required_where_it_is_undefined(tmp_path: Path, keys: dict[str, Any], reason: str) -> None:
     found = checked(*recorded(tmp_path / "run", frames=20, **keys))
     assert all(check.ok for check in found.values())
     assert reason in found["convergence"].detail
     assert found["convergence"].values["checked"] is False
 
 
-def test_a_run_that_ends_at_once_after_the_heal_says_nothing(run: Run, tmp_path: Path) -> None:
+def test_a_run_that_ends_right_after_the_heal_is_too_short_to_judge(run: Run, tmp_path: Path) -> None:
     faults = [dict(type="Kill", at=0.5, node="command_center", restart_after=0.6)]
     found = checked(*recorded(tmp_path / "run", frames=12, faults=faults))["convergence"]
     assert found.ok
@@ -281,7 +281,7 @@ def test_the_reference_is_the_picture_of_the_run_without_links_and_faults(run: R
         assert np.array_equal(found[frame], codec.decode(payload, "picture").body["position"])
 
 
-def test_in_the_reference_links_are_gone_and_those_of_a_users_map_perfect() -> None:
+def test_the_reference_has_no_links_and_those_of_a_users_map_have_no_rules() -> None:
     resolved = resolve(*scenario(faults=FAULTS), frames=20, record=True)
     assert {spec.role for spec in resolved.nodes.values()} >= {"link", "recorder", "evaluator"}
     found = reference.unfaulted(resolved)
@@ -308,12 +308,14 @@ def test_in_the_reference_links_are_gone_and_those_of_a_users_map_perfect() -> N
         ([2.0, 0.1, 0.1, 0.1], 0.0),
     ],
 )
-def test_convergence_is_when_the_distance_stays_below(distance: list[float], after_s: float | None) -> None:
+def test_convergence_is_when_the_distance_stays_below_the_threshold(
+    distance: list[float], after_s: float | None
+) -> None:
     times_s = np.array([0.0, 1.0, 2.0, 3.0])
     assert convergence.converged_after(np.array(distance), times_s, 1.5) == after_s
 
 
-def test_the_distance_counts_what_is_missing_and_what_is_astray() -> None:
+def test_the_distance_counts_missing_and_displaced_objects() -> None:
     grid = np.array([[10.0 * i, 0.0, 0.0] for i in range(10)])
     pictures = {0: grid, 1: grid[1:], 2: grid + np.array([1.0, 0.0, 0.0]), 3: np.zeros((0, 3))}
     expected = dict.fromkeys(range(5), grid)

@@ -1,4 +1,4 @@
-"""The command line says what is wrong, and exits with the code that docs/exit_codes.md lists."""
+"""The command line reports errors, and exits with the codes in docs/exit_codes.md."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_run_in_one_process_leaves_a_run_folder_and_a_report(mast, tmp_path: P
     assert record["frames"] == 4
 
 
-def test_messages_are_recorded_unless_told_otherwise(mast, tmp_path: Path) -> None:
+def test_messages_are_recorded_by_default(mast, tmp_path: Path) -> None:
     assert mast("run", "baseline", *SHORT, "--no-report", "--out", "a")[0] == 0
     assert mast("run", "baseline", *SHORT, "--no-report", "--no-record", "--out", "b")[0] == 0
     assert [(tmp_path / name / "messages.mcap").is_file() for name in "ab"] == [True, False]
@@ -52,7 +52,7 @@ def test_messages_are_recorded_unless_told_otherwise(mast, tmp_path: Path) -> No
     assert "b/messages.mcap: missing; b is a run that was not recorded" in err.replace("\n", "")
 
 
-def test_without_a_folder_the_run_names_its_own(mast, tmp_path: Path) -> None:
+def test_without_out_the_run_folder_is_named_automatically(mast, tmp_path: Path) -> None:
     for _ in range(2):
         assert mast("run", "baseline", *SHORT, "--no-report")[0] == 0
     assert len(list((tmp_path / "runs").iterdir())) == 2
@@ -93,7 +93,7 @@ def test_without_a_folder_the_run_names_its_own(mast, tmp_path: Path) -> None:
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )
-def test_what_is_wrong_is_said_before_anything_starts(
+def test_errors_are_reported_before_anything_starts(
     mast, tmp_path: Path, words: tuple[str, ...], code: int, said: str
 ) -> None:
     found, out, err = mast(*words)
@@ -102,7 +102,7 @@ def test_what_is_wrong_is_said_before_anything_starts(
     assert not (tmp_path / "runs").exists()
 
 
-def test_the_paper_s_listing_pasted_as_it_is_builds_and_runs(mast, tmp_path: Path) -> None:
+def test_the_papers_listing_runs_unchanged(mast, tmp_path: Path) -> None:
     (tmp_path / "paper.py").write_text(
         """
 from mast_zenoh.config import loading
@@ -153,7 +153,7 @@ def test_an_error_in_the_users_file_names_its_line(mast, tmp_path: Path) -> None
     assert "broken.py:2: ZeroDivisionError" in err.replace("\n", "")
 
 
-def test_ctrl_c_in_one_process_keeps_what_there_is(mast, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_ctrl_c_in_one_process_keeps_the_results_so_far(mast, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     import os
     import signal
 
@@ -219,7 +219,7 @@ def test_failures_are_reported_with_a_comparison_and_end_with_30_unless_allowed(
     assert (prefix in out) == (name == "center")
 
 
-def test_a_run_that_cannot_be_compared_keeps_its_results_and_its_own_failure(mast, tmp_path: Path) -> None:
+def test_a_run_that_cannot_be_compared_keeps_its_results_and_its_own_error(mast, tmp_path: Path) -> None:
     path = str(failing.write("attack", tmp_path))
     assert mast("run", "baseline", *SHORT, "--no-report", "--out", "other")[0] == 0
     code, out, err = mast("run", path, "--frames", "8", "--runtime", "inproc", "--out", "loud", "--against", "other")
@@ -240,7 +240,7 @@ def test_a_report_of_a_failed_run_warns(mast, tmp_path: Path) -> None:
     assert "warning: Handlers of eve failed in 3 frames: the numbers may be wrong" in err
 
 
-def test_a_comparison_that_is_not_possible_is_refused_before_the_run(mast, tmp_path: Path) -> None:
+def test_an_impossible_comparison_is_refused_before_the_run(mast, tmp_path: Path) -> None:
     code, _, err = mast("run", "baseline", *SHORT, "--out", "here", "--against", "nosuch")
     assert code == 17
     assert "nosuch: has no metrics.json" in err.replace("\n", " ")
@@ -252,7 +252,7 @@ def test_a_comparison_that_is_not_possible_is_refused_before_the_run(mast, tmp_p
     assert "found 5 and 4 frames" in err.replace("\n", " ")
 
 
-def test_no_words_of_a_node_move_the_cursor_or_change_the_terminal() -> None:
+def test_output_of_a_node_cannot_move_the_cursor_or_change_the_terminal() -> None:
     text = StringIO()
     console = PlainConsole(file=text, force_terminal=True)
     console.print("[bold]a\x1b]0;title\x07b\x1b[2J\rc\u202ed", style="red", highlight=False)
@@ -264,7 +264,7 @@ def test_no_words_of_a_node_move_the_cursor_or_change_the_terminal() -> None:
 @pytest.mark.parametrize(
     ("error", "expected"), [(None, RunFolderError), (HandlerFailed("a handler failed"), HandlerFailed)]
 )
-def test_what_no_report_can_be_made_of_costs_no_run_its_own_failure(
+def test_results_that_cannot_be_reported_do_not_hide_the_runs_own_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: MastError | None, expected: type[MastError]
 ) -> None:
     monkeypatch.setattr(options, "_show", lambda *_, **__: {}["agents"])

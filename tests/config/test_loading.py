@@ -1,4 +1,4 @@
-"""Users write Python files; what is wrong in one is told by its file and line."""
+"""Loads users' Python files; errors name the file and line."""
 
 import sys
 from pathlib import Path
@@ -26,7 +26,7 @@ def write(folder: Path, name: str, text: str) -> Path:
     return folder / name
 
 
-def test_a_function_is_found_in_a_file_of_the_users(tmp_path: Path) -> None:
+def test_a_function_is_found_in_a_users_file(tmp_path: Path) -> None:
     file = write(tmp_path, "mine.py", "def scenario(a=1):\n    return dict(a=a)\n")
     path, function = loading.function("scenarios", str(file), "scenario")
     assert path == file
@@ -34,14 +34,16 @@ def test_a_function_is_found_in_a_file_of_the_users(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["baseline", "baseline.py", "scenarios/baseline.py"])
-def test_ours_are_known_by_name_from_anywhere(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shipped_files_are_found_by_name_from_any_directory(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     path, function = loading.function("scenarios", name, "scenario")
     assert path == bundle.ROOT / "scenarios" / "baseline.py"
     assert callable(function)
 
 
-def test_a_file_of_the_users_wins_over_ours_of_the_same_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_users_file_overrides_a_shipped_one_of_the_same_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write(tmp_path, "baseline.py", "def scenario():\n    return {}\n")
     monkeypatch.chdir(tmp_path)
     assert loading.function("scenarios", "baseline.py", "scenario")[0] == file
@@ -57,7 +59,7 @@ def test_a_file_of_the_users_wins_over_ours_of_the_same_name(tmp_path: Path, mon
         ("", "no such file"),
     ],
 )
-def test_a_missing_file_is_named_with_the_nearest(name: str, reason: str) -> None:
+def test_a_missing_file_is_refused_with_the_nearest_name(name: str, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         loading.function("scenarios", name, "scenario")
 
@@ -73,19 +75,19 @@ def test_a_missing_file_is_named_with_the_nearest(name: str, reason: str) -> Non
         ("\udcff".encode("utf-8", "surrogateescape").decode("latin-1") + "=\n", "bad.py"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_told_by_file_and_line(tmp_path: Path, text: str, reason: str) -> None:
+def test_an_error_in_a_file_is_reported_with_file_and_line(tmp_path: Path, text: str, reason: str) -> None:
     file = write(tmp_path, "bad.py", text)
     with pytest.raises(ConfigurationError, match=reason):
         loading.function("scenarios", str(file), "scenario")
 
 
-def test_a_file_that_is_no_python_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_python_is_refused(tmp_path: Path) -> None:
     file = write(tmp_path, "scenario.txt", "hello\n")
     with pytest.raises(ConfigurationError, match=r"scenario\.txt: not a Python file"):
         loading.function("scenarios", str(file), "scenario")
 
 
-def test_files_beside_it_can_be_imported_and_are_not_mistaken_for_others_of_the_same_name(
+def test_each_file_imports_the_module_beside_it_not_one_of_the_same_name_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for folder in ("one", "two"):
@@ -99,7 +101,7 @@ def test_files_beside_it_can_be_imported_and_are_not_mistaken_for_others_of_the_
     assert str(tmp_path / "one") not in sys.path
 
 
-def test_the_path_is_put_back_when_a_file_fails(tmp_path: Path) -> None:
+def test_sys_path_is_restored_when_a_file_fails(tmp_path: Path) -> None:
     file = write(tmp_path, "bad.py", "import beside_bad\n1 / 0\n")
     write(tmp_path, "beside_bad.py", "")
     before, modules = list(sys.path), set(sys.modules)
@@ -109,7 +111,7 @@ def test_the_path_is_put_back_when_a_file_fails(tmp_path: Path) -> None:
     assert set(sys.modules) == modules
 
 
-def test_a_file_may_be_called_like_a_module_of_pythons(tmp_path: Path) -> None:
+def test_a_file_may_have_the_name_of_a_standard_module(tmp_path: Path) -> None:
     import types
 
     loaded = loading.module(write(tmp_path, "types.py", "MINE = True\n"))
@@ -164,14 +166,14 @@ def test_the_only_node_in_a_file_needs_no_name(tmp_path: Path) -> None:
     assert loading.node_class(file, "Mine") is loading.node_class(file, "Mine"), "one class, however often it is named"
 
 
-def test_of_several_nodes_one_must_be_named(tmp_path: Path) -> None:
+def test_a_file_with_several_nodes_needs_a_type(tmp_path: Path) -> None:
     file = write(tmp_path, "two.py", NODE.format(name="One", role="link") + NODE.format(name="Two", role="link"))
     with pytest.raises(NodeFileError, match=r"two\.py: defines 2 nodes \(One, Two\): say which by type=…"):
         loading.node_class(file)
     assert loading.node_class(file, "Two").__name__ == "Two"
 
 
-def test_a_node_that_is_only_imported_is_not_the_files_own(tmp_path: Path) -> None:
+def test_an_imported_node_does_not_count_as_defined_in_the_file(tmp_path: Path) -> None:
     write(tmp_path, "base_node.py", NODE.format(name="Base", role="link"))
     text = "from base_node import Base\n\nclass Mine(Base):\n    pass\n"
     assert loading.node_class(write(tmp_path, "mine.py", text)).__name__ == "Mine"

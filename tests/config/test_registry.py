@@ -1,4 +1,4 @@
-"""Plain dicts become objects, and what is wrong in them is refused with the path to it."""
+"""Builds objects from plain dicts and refuses invalid ones with the path to the error."""
 
 import importlib
 import inspect
@@ -49,7 +49,7 @@ def test_a_dict_names_its_class_and_parameters() -> None:
     assert bird.colours == ("red", "blue")
 
 
-def test_nested_dicts_are_built_by_annotation_and_whole_numbers_serve_as_numbers() -> None:
+def test_nested_dicts_are_built_by_annotation_and_integers_are_accepted_as_floats() -> None:
     dog = build(dict(type="Dog", size=2, friend=dict(type="Bird")))
     assert isinstance(dog, Dog)
     assert isinstance(dog.friend, Bird)
@@ -75,7 +75,7 @@ def test_nested_dicts_are_built_by_annotation_and_whole_numbers_serve_as_numbers
         (dict(type="Dog", friend=dict(type="Bird", colour=1)), r"zoo\.friend\.colour: .*did you mean 'colours'"),
     ],
 )
-def test_what_is_wrong_is_refused_with_its_path(spec: object, reason: str) -> None:
+def test_an_invalid_spec_is_refused_with_its_path(spec: object, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         build(spec)
 
@@ -84,8 +84,8 @@ ALGORITHMS = ("attacks", "faults", "fusion", "links", "metrics", "pipelines", "s
 
 
 @pytest.mark.parametrize("package", ALGORITHMS)
-def test_what_can_be_named_in_place_of_a_base_is_there_with_the_base(package: str) -> None:
-    """In a new process: none of ours hides in a module that its package leaves out."""
+def test_importing_a_base_makes_all_shipped_subclasses_available(package: str) -> None:
+    """In a new process, so that modules which the package does not import would be missing."""
     folder = Path(mast_zenoh.__file__).parent / package
     defined = {}
     for found in pkgutil.iter_modules([str(folder)]):

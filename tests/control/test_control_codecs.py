@@ -1,4 +1,4 @@
-"""Whatever bytes come on a control key, they are a value of the expected type or a MessageError: nothing else."""
+"""Decoders of control messages return a value of the expected type or raise MessageError, for any bytes."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def decoded_or_refused(name: str, payload: bytes) -> None:
 
 
 @every_codec
-def test_a_sound_message_is_decoded(name: str) -> None:
+def test_a_valid_message_is_decoded(name: str) -> None:
     decode, payload = CODECS[name]
     decode(payload)
 
 
-def test_what_was_encoded_comes_back() -> None:
+def test_decoding_restores_what_was_encoded() -> None:
     assert flow.decode_counts(CODECS["counts"][1]) == (1, {"clock": 3}, {TAP: 3})
     epoch = flow.decode_epoch(CODECS["epoch with a wiring"][1])
     assert epoch == (2, MEMBERS, (WIRING, True, ("eve",)))
@@ -64,7 +64,7 @@ def test_what_was_encoded_comes_back() -> None:
     assert (type(refusal), str(refusal)) == (RunError, "no")
 
 
-def test_the_wirings_of_every_shipped_scenario_are_sound(resolved_wirings: list[dict[str, Any]]) -> None:
+def test_the_wirings_of_all_shipped_scenarios_are_accepted(resolved_wirings: list[dict[str, Any]]) -> None:
     for wiring in resolved_wirings:
         assert flow.wiring_of(wiring, "wiring") == Wiring.from_json(wiring)
 
@@ -104,7 +104,7 @@ def test_any_value_is_decoded_or_refused(name: str, value: Any) -> None:
 
 
 def replaced(value: Any, draw: Callable[[Any], Any]) -> Any:
-    """A value of which one part, drawn at random, is another."""
+    """A value with one part, drawn at random, replaced."""
     if isinstance(value, dict) and value and draw(st.integers(0, 3)):
         key = draw(st.sampled_from(sorted(value, key=str)))
         return value | {key: replaced(value[key], draw)}
@@ -116,7 +116,7 @@ def replaced(value: Any, draw: Callable[[Any], Any]) -> Any:
 
 @pytest.mark.parametrize("name", [name for name in CODECS if name not in ("stop", "drain")])
 @given(data=st.data())
-def test_a_sound_message_with_one_part_replaced_is_decoded_or_refused(name: str, data: st.DataObject) -> None:
+def test_a_valid_message_with_one_part_replaced_is_decoded_or_refused(name: str, data: st.DataObject) -> None:
     plain = msgpack.unpackb(CODECS[name][1], strict_map_key=False, ext_hook=msgpack.ExtType)
     decoded_or_refused(name, packed(replaced(plain, data.draw)))
 
@@ -180,7 +180,7 @@ def without(name: str) -> dict[str, Any]:
         ("driver's result", results.pack(DRIVEN | {"wall_s": "fast"})),
     ],
 )
-def test_what_is_out_of_range_or_too_much_is_refused(name: str, payload: bytes) -> None:
+def test_values_out_of_range_or_too_many_are_refused(name: str, payload: bytes) -> None:
     with pytest.raises(MessageError):
         CODECS[name][0](payload)
 
@@ -216,7 +216,7 @@ def bomb(shape: list[int], dtype: str = "<f8", raw: bytes = b"") -> msgpack.ExtT
         msgpack.ExtType(9, b""),
     ],
 )
-def test_results_that_would_fill_memory_or_are_no_plain_values_are_refused(value: Any) -> None:
+def test_results_that_are_too_large_or_not_plain_values_are_refused(value: Any) -> None:
     try:
         payload = msgpack.packb(OUTCOME | {"results": {"x": value}}, default=results._encode)
     except ValueError:  # deeper than msgpack packs: write it by hand
@@ -225,7 +225,7 @@ def test_results_that_would_fill_memory_or_are_no_plain_values_are_refused(value
         reports.decode_result(payload, "ego", drives=False)
 
 
-def test_results_may_be_as_long_as_the_role_allows_and_no_longer() -> None:
+def test_results_are_limited_by_role() -> None:
     table = {"x": np.zeros(reports.MAX_RESULT // 8)}
     payload = results.pack(OUTCOME | {"results": {"tables": {"t": table}}})
     with pytest.raises(MessageError, match="at most"):

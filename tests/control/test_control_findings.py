@@ -1,4 +1,4 @@
-"""One control message ends, stalls or kills nothing: each is refused, counted and said once."""
+"""An invalid control message never ends or stalls a process: it is refused, counted and logged once."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ RESOLVED = Resolved(
 
 
 class Ego(Node):
-    """A node that hears the clock and says nothing."""
+    """A node that receives the clock and publishes nothing."""
 
     role = "agent"
     inputs = {"clock": "clock"}
@@ -73,7 +73,7 @@ class Ego(Node):
 
 
 class Eve(Node):
-    """A node on a wire, that passes nothing on."""
+    """An interposer that forwards nothing."""
 
     role = "adversary"
     inputs = {"heard": "status"}
@@ -95,7 +95,7 @@ class Sim(Source):
 
 
 class Query:
-    """A query as Zenoh gives it, that remembers what was answered."""
+    """A query like Zenoh's that keeps the answer."""
 
     def __init__(self, key: str, payload: bytes) -> None:
         self.key_expr = f"mast/x/@control/{key}"
@@ -160,7 +160,7 @@ def test_a_malformed_epoch_costs_a_node_one_message(ego: MeshNode, payload: byte
 
 
 @pytest.mark.parametrize("key", ["stop", "leave/ego"])
-def test_a_stop_that_is_no_text_costs_a_node_one_message(ego: MeshNode, key: str) -> None:
+def test_a_stop_that_is_not_text_costs_a_node_one_message(ego: MeshNode, key: str) -> None:
     ego._on_control(key, sample(key, b"\xff\xfe"))
     assert (ego.stop_reason, ego.invalid.counts) == (None, {key: 1})
     with pytest.raises(queue.Empty):
@@ -183,8 +183,8 @@ def eve() -> MeshNode:
     return MeshNode("x", "eve", Eve(), wiring, 1, MagicMock(), **more)
 
 
-def told_to_leave(node: MeshNode) -> None:
-    """A change of the wiring has begun, after which the node is not there any more."""
+def begin_removal(node: MeshNode) -> None:
+    """Begin a change of the wiring that removes the node."""
     update = flow.WiringUpdate(WIRING, False, (node.name,))
     node._on_control("epoch", sample("epoch", flow.encode_epoch(1, {node.name: "adversary"}, update)))
     node.handle(node.inbox.get_nowait())
@@ -192,7 +192,7 @@ def told_to_leave(node: MeshNode) -> None:
 
 @pytest.mark.parametrize("payload", [b"\xff\xfe", b"", b"a//b", b"**", b"agent/other/status", b"x" * 5000, b"clock"])
 def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshNode, payload: bytes) -> None:
-    told_to_leave(eve)
+    begin_removal(eve)
     query = Query("drain/eve", payload)
     eve.drains.take(query)  # type: ignore[arg-type]
     assert query.dropped
@@ -201,11 +201,11 @@ def test_a_drain_for_a_key_that_the_node_is_not_on_is_refused_at_once(eve: MeshN
     assert eve.invalid.counts == {"drain/eve": 1}
 
 
-def test_a_drain_is_answered_by_a_node_that_is_to_leave_and_by_no_other(eve: MeshNode) -> None:
+def test_only_a_node_that_will_leave_answers_a_drain(eve: MeshNode) -> None:
     early, due = Query("drain/eve", TAP.encode()), Query("drain/eve", TAP.encode())
     eve.drains.take(early)  # type: ignore[arg-type]
     assert (early.answers, early.dropped, eve.invalid.counts) == ([], True, {"drain/eve": 1})
-    told_to_leave(eve)
+    begin_removal(eve)
     eve.drains.take(due)  # type: ignore[arg-type]
     eve.handle(eve.inbox.get_nowait())
     assert due.answers == [("ok", b"")]
@@ -253,7 +253,7 @@ def test_a_node_that_reports_a_key_that_is_not_its_own_ends_the_run_and_is_named
     assert encode_reason(reason) == "implausible: watch reports messages sent on 'clock', on which it does not speak"
 
 
-def test_a_node_that_reports_too_little_is_a_stall_as_before(driver: Driver) -> None:
+def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Driver) -> None:
     driver.stall_timeout_s = 0.05
     driver.scene.sent["clock"] = 3
     driver._report_self()
@@ -276,13 +276,13 @@ def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
 
 
 def presence(driver: Driver, *there: bool) -> None:
-    """Ego's token comes and goes like this, before the driver looks."""
+    """Report a sequence of appearances of ego's token to the driver."""
     for each in there:
         kind = zenoh.SampleKind.PUT if each else zenoh.SampleKind.DELETE
         driver.membership.on_token(MagicMock(key_expr="mast/x/alive/ego", kind=kind))
 
 
-def test_of_a_node_that_comes_and_goes_waits_only_that_it_was_gone_and_where_it_is(driver: Driver) -> None:
+def test_of_repeated_losses_only_the_loss_and_the_latest_state_are_queued(driver: Driver) -> None:
     presence(driver, *[False, True] * 1000)
     assert driver._wait(time.monotonic() + 1.0)
     assert "ego" not in driver.membership.alive, "first it has gone, so that a new epoch begins"
@@ -293,7 +293,7 @@ def test_of_a_node_that_comes_and_goes_waits_only_that_it_was_gone_and_where_it_
         driver.inbox.get_nowait()
 
 
-def test_a_node_that_comes_and_goes_all_the_time_ends_the_run_and_is_named(driver: Driver) -> None:
+def test_a_node_that_constantly_leaves_and_returns_ends_the_run_and_is_named(driver: Driver) -> None:
     for there in [False, True] * 60:
         presence(driver, there)
         driver._wait(time.monotonic() + 1.0)
@@ -322,9 +322,7 @@ def no_steps() -> Steps:
         flow.encode_act(3, [("kill", "sim")]),
     ],
 )
-def test_an_act_that_the_scenario_does_not_say_costs_the_launcher_one_message(
-    context: RunContext, payload: bytes
-) -> None:
+def test_an_act_that_is_not_in_the_scenario_costs_the_launcher_one_message(context: RunContext, payload: bytes) -> None:
     steps = no_steps()
     requests = requests_of(context, steps)
     requests.take(payload)
@@ -334,7 +332,7 @@ def test_an_act_that_the_scenario_does_not_say_costs_the_launcher_one_message(
     assert steps._supervisor.method_calls == []
 
 
-def test_what_the_scenario_says_is_done_once(context: RunContext) -> None:
+def test_a_step_of_the_scenario_is_carried_out_once(context: RunContext) -> None:
     steps = no_steps()
     requests = requests_of(context, steps)
     for _ in range(2):
@@ -429,7 +427,7 @@ def test_a_malformed_question_is_answered_with_an_error_and_the_file_server_live
     )
 
 
-def test_an_error_that_nobody_thought_of_costs_one_question(
+def test_an_unexpected_error_costs_one_query(
     file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
@@ -443,7 +441,7 @@ def test_an_error_that_nobody_thought_of_costs_one_question(
     assert answered(file_server, "fetch", "ego", encode({"do": "clock"}))[0] == "ok"
 
 
-def test_strangers_are_answered_nothing_and_counted_together(file_server: FileServer, context: RunContext) -> None:
+def test_unknown_nodes_get_no_answer_and_are_counted_together(file_server: FileServer, context: RunContext) -> None:
     for name in ("a", "b"):
         assert answered(file_server, "fetch", name, encode({"do": "clock"}))[0] == "error"
     assert context.invalid.counts == {"fetch/*": 2}
@@ -467,7 +465,7 @@ def test_a_file_server_that_has_died_ends_the_run_and_is_named(
 # -- counting, and the table of rights -------------------------------------------------------------------------------
 
 
-def test_the_first_of_each_key_is_said_and_strange_keys_never_fill_the_memory() -> None:
+def test_the_first_refusal_on_each_key_is_logged_and_the_number_of_keys_is_limited() -> None:
     said: list[str] = []
     invalid = InvalidMessages(said.append)
     for i in range(MAX_KEYS + 50):
@@ -479,12 +477,12 @@ def test_the_first_of_each_key_is_said_and_strange_keys_never_fill_the_memory() 
     assert all("\n" not in line and len(line) < 400 for line in said)
 
 
-def test_an_error_of_every_kind_is_one_of_ours() -> None:
+def test_every_error_class_survives_encoding_as_a_refusal() -> None:
     assert issubclass(MessageError, MastError)
 
 
 @pytest.mark.parametrize("name", sorted(set(CONTROLS) - {"rewire", "drain", "intercept"}))
-def test_the_rules_of_the_router_give_nobody_more_than_the_table_says(name: str) -> None:
+def test_the_routers_rules_grant_no_more_than_the_table(name: str) -> None:
     def may(node: str, verbs: tuple[str, ...]) -> set[str]:
         found = rights(WIRING, node, driver="sim")
         keys = {right.key for right in found if (right.flow, right.message) in [("ingress", verb) for verb in verbs]}
@@ -500,7 +498,7 @@ def test_the_rules_of_the_router_give_nobody_more_than_the_table_says(name: str)
     assert bool(sending(LAUNCHER)) == ("launcher" in control.senders)
 
 
-def test_of_a_flood_of_counts_only_the_newest_of_each_node_waits_at_the_driver(driver: Driver) -> None:
+def test_of_many_counts_only_the_newest_of_each_node_is_queued_at_the_driver(driver: Driver) -> None:
     for count in range(1000):
         driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": count})))
         driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {"agent/ego/status": 1})))
@@ -528,13 +526,13 @@ def test_what_is_too_long_for_its_kind_does_not_wait_at_the_file_server(
     assert not waits.called
 
 
-def test_questions_that_find_no_room_are_counted_by_what_they_ask(file_server: FileServer, context: RunContext) -> None:
+def test_queries_that_do_not_fit_the_queue_are_counted_by_kind(file_server: FileServer, context: RunContext) -> None:
     file_server._waiting["ego"] = 16
     file_server._on_query(Query("file/ego", encode({"path": "a", "offset": 0, "piece": b""})))  # type: ignore[arg-type]
     assert context.invalid.counts == {"file/ego": 1}
 
 
-def test_a_failure_that_is_too_long_does_not_wait_at_the_launcher(context: RunContext) -> None:
+def test_an_oversized_failure_is_not_queued_at_the_launcher(context: RunContext) -> None:
     reports = Reports(MagicMock(), "mast/x/@control", {"ego": MagicMock()}, context.invalid)
     reports._on_failed(sample("failed/ego", bytes(CONTROLS["failed"].max_bytes + 1)))
     assert context.invalid.counts == {"failed/ego": 1}

@@ -1,4 +1,4 @@
-"""Above the level "open", what only the driver or the launcher may say counts only if they have signed it."""
+"""Above the level "open", messages of the driver and the launcher are accepted only with their signature."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ SIGNED = {name: control for name, control in CONTROLS.items() if control.signed}
 
 
 def refused(signatures: Signatures, what: str, payload: bytes) -> str:
-    """Why a message is refused; its body is never looked at."""
+    """The reason why a message is refused; its body is never decoded."""
     with pytest.raises(MessageError) as caught:
         signatures.open(what, payload, lambda body: pytest.fail("an unsigned body was decoded"))
     return str(caught.value)
 
 
-def test_what_nobody_but_the_driver_or_the_launcher_may_send_is_signed() -> None:
+def test_messages_that_only_the_driver_or_launcher_may_send_are_signed() -> None:
     assert {*SIGNED} == {"epoch", "stop", "leave", "act", "rewire"}
 
 
 @pytest.mark.parametrize("what", SIGNED)
 @pytest.mark.parametrize("signer", SIGNERS)
-def test_a_message_counts_if_whoever_may_send_it_has_signed_it(what: str, signer: str) -> None:
+def test_a_message_signed_by_a_permitted_sender_is_accepted(what: str, signer: str) -> None:
     payload = SIGNERS[signer].sign(what, b"body")
     if signer in CONTROLS[what].senders:
         assert NODE.open(what, payload, bytes) == b"body"
@@ -48,7 +48,7 @@ def test_a_message_counts_if_whoever_may_send_it_has_signed_it(what: str, signer
         assert said.startswith(f"{what}: found a signature that is not that of the")
 
 
-def test_a_signature_is_worth_nothing_elsewhere() -> None:
+def test_a_signature_is_not_valid_for_another_run_key_or_node() -> None:
     leave = SIGNERS[LAUNCHER].sign("leave/ego", b"leave")
     assert NODE.open("leave/ego", leave, bytes) == b"leave"
     refused(NODE, "leave/infra_1", leave)
@@ -63,22 +63,22 @@ def test_a_signature_is_worth_nothing_elsewhere() -> None:
     st.binary(max_size=200)
     | st.recursive(st.none() | st.integers(0, 9) | st.binary(max_size=64), st.lists).map(msgpack.packb)
 )
-def test_whatever_else_comes_is_refused(payload: bytes) -> None:
+def test_any_other_payload_is_refused(payload: bytes) -> None:
     refused(NODE, "stop", payload)
 
 
 @pytest.mark.parametrize("place", range(0, 90, 7))
-def test_one_bit_makes_a_signed_message_worthless(place: int) -> None:
+def test_one_flipped_bit_invalidates_a_signed_message(place: int) -> None:
     payload = bytearray(SIGNERS[DRIVER].sign("epoch", b"0123456789"))
     payload[place % len(payload)] ^= 1
     refused(NODE, "epoch", bytes(payload))
 
 
-def test_a_message_that_is_too_long_is_refused_before_anything_is_checked() -> None:
+def test_an_oversized_message_is_refused_before_any_check() -> None:
     assert "bytes, expected at most" in refused(NODE, "stop", SIGNERS[DRIVER].sign("stop", b"x" * 10_000))
 
 
-def test_on_an_open_mesh_everything_is_obeyed_and_counted_but_what_is_malformed() -> None:
+def test_on_an_open_mesh_every_valid_message_is_accepted_and_counted() -> None:
     plain = Signatures("r")
     assert plain.sign("stop", b"end") == b"end"
     assert plain.open("stop", b"end", bytes.decode) == "end"
@@ -105,7 +105,7 @@ def test_every_node_can_check_and_only_the_driver_and_the_launcher_can_sign(tmp_
 @pytest.mark.parametrize(
     "content", [b"", b"[]", b"{}", b'{"driver": 1, "launcher": ""}', b'{"driver": "00", "launcher": "00"}']
 )
-def test_keys_that_are_none_are_refused_with_their_place(tmp_path: Path, content: bytes) -> None:
+def test_invalid_keys_are_refused_with_their_place(tmp_path: Path, content: bytes) -> None:
     folder = Credentials(b"authority", control=content).write(tmp_path / "ego")
     with pytest.raises(CredentialsError, match=CONTROL):
         hosting.signatures("r", folder)

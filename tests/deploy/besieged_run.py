@@ -1,4 +1,4 @@
-"""A run some of whose nodes are compromised, in a process of its own: what becomes of the run and of that process.
+"""A run with compromised nodes, in its own process: the outcome of the run and of that process.
 
 `play` is for tests: it starts that process, and is the insiders: for each a second session with the certificate of its
 node, which itself stays sound. The driver holds the run before a frame until every insider has sent what it has.

@@ -1,4 +1,4 @@
-"""What a node that has been taken over sends on its own control keys, with its own certificate."""
+"""Messages of a compromised node on its own control keys, with its own certificate."""
 
 from __future__ import annotations
 

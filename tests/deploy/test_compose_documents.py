@@ -1,4 +1,4 @@
-"""What the generator writes: readable, valid for Compose, the same for everybody."""
+"""Generated compose files: readable, valid for Compose, reproducible."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NESTED = st.recursive(
 
 @settings(max_examples=50)
 @given(st.dictionaries(KEYS, NESTED, max_size=4))
-def test_what_is_dumped_is_read_back(content: dict) -> None:
+def test_dumped_values_are_read_back_unchanged(content: dict) -> None:
     def doubled(value):
         if isinstance(value, dict):
             return {doubled(key): doubled(item) for key, item in value.items()}
@@ -51,7 +51,7 @@ def test_what_is_dumped_is_read_back(content: dict) -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_a_checked_in_example_is_what_the_generator_writes(name: str) -> None:
+def test_the_examples_equal_the_generators_output(name: str) -> None:
     written = (FOLDER / f"{name}.yml").read_text(encoding="utf-8")
     assert written == example(name), "run `make docs`"
     assert not re.search(r"/(home|root|work|tmp/(?!mast-up|:)|Users)\b", written.replace('"/tmp', '"')), (
@@ -60,7 +60,7 @@ def test_a_checked_in_example_is_what_the_generator_writes(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_is_valid_for_the_compose_that_is_here(name: str) -> None:
+def test_the_examples_are_valid_for_the_installed_compose(name: str) -> None:
     if not shutil.which("docker-compose"):
         pytest.skip("there is no docker-compose on this machine")
     path = FOLDER / f"{name}.yml"
@@ -75,7 +75,7 @@ def resolved(*chosen: str, name: str = "uncoordinated") -> Resolved:
     return scenario.resolve(path, loaded, frames=2, record=True)
 
 
-def test_who_moves_is_on_the_wireless_network_and_so_is_who_sits_on_its_wires() -> None:
+def test_mobile_agents_and_their_interposers_are_on_the_wireless_network() -> None:
     services = document.document(resolved("n_mobile=1", name="realistic_network"), "r", image="i")["services"]
     on = {name: service["networks"] for name, service in services.items()}
     assert on["router"] == ["launcher", "wired", "wireless"]
@@ -97,7 +97,7 @@ def test_every_node_gets_its_own_credentials_and_no_others() -> None:
     assert content["secrets"]["ego_key.pem"] == {"file": "./credentials/ego/key.pem"}
 
 
-def test_on_an_open_mesh_nobody_has_any() -> None:
+def test_on_an_open_mesh_no_node_has_credentials() -> None:
     content = document.document(resolved(), "r", image="i")
     assert "secrets" not in content
     assert not any("secrets" in service for service in content["services"].values())

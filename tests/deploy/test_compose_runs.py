@@ -1,4 +1,4 @@
-"""A composed run is the same run, and nothing of it is left, however it ends. Needs a Docker engine."""
+"""A composed run equals the local run, and leaves nothing behind, however it ends. Needs a Docker engine."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def here(name: str, of: tuple[str, ...], frames: int, out: Path) -> launcher.Run
     return ended
 
 
-def test_a_secure_composed_run_equals_the_local_one_to_the_last_digit(up, tmp_path: Path) -> None:
+def test_a_secure_composed_run_equals_the_local_one_exactly(up, tmp_path: Path) -> None:
     run = up("uncoordinated", "--frames", "5", "--secure", *settings(SMALL))
     plain = here("uncoordinated", SMALL, 5, tmp_path / "here")
     code, output = run.end()
@@ -63,7 +63,7 @@ def test_a_secure_composed_run_equals_the_local_one_to_the_last_digit(up, tmp_pa
     assert not left(record["id"])
 
 
-def test_a_node_that_is_killed_and_started_again_takes_part_as_it_does_here(up, tmp_path: Path) -> None:
+def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> None:
     words = [*FAULTED, "restart_after_s=0.3"]
     run = up("attack_during_partition", "--frames", "10", *settings(tuple(words)))
     plain = here("attack_during_partition", tuple(words), 10, tmp_path / "here")
@@ -86,7 +86,7 @@ def scenario():
 """
 
 
-def test_a_node_that_is_paused_stands_still_and_goes_on(up, tmp_path: Path) -> None:
+def test_a_paused_node_stops_and_continues(up, tmp_path: Path) -> None:
     (tmp_path / "paused.py").write_text(PAUSED)
     run = up(str(tmp_path / "paused.py"), "--mode", "realtime", "--frames", "40")
     code, output = run.end()
@@ -107,7 +107,7 @@ def scenario():
 """
 
 
-def test_a_node_that_is_unplugged_is_not_heard_and_comes_back(up, tmp_path: Path) -> None:
+def test_a_disconnected_node_is_silent_and_returns(up, tmp_path: Path) -> None:
     (tmp_path / "unplugged.py").write_text(UNPLUGGED.format(at=2.0, until=5.0))
     run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--frames", "110")
     code, output = run.end()
@@ -125,7 +125,7 @@ def test_a_node_that_is_unplugged_is_not_heard_and_comes_back(up, tmp_path: Path
     assert not left(record["id"])
 
 
-def test_a_node_that_is_cut_off_when_all_is_to_end_hands_in_its_results(up, tmp_path: Path) -> None:
+def test_a_node_that_is_disconnected_at_the_end_hands_in_its_results(up, tmp_path: Path) -> None:
     (tmp_path / "unplugged.py").write_text(UNPLUGGED.format(at=1.0, until=60.0))
     run = up(str(tmp_path / "unplugged.py"), "--mode", "realtime", "--patience", "5")
     where = run.started()["nodes"]["infra_1"]["container"]
@@ -140,7 +140,7 @@ def test_a_node_that_is_cut_off_when_all_is_to_end_hands_in_its_results(up, tmp_
     assert not left(record["id"])
 
 
-def test_ctrl_c_keeps_what_there_is_and_leaves_nothing_running(up) -> None:
+def test_ctrl_c_keeps_the_results_so_far_and_leaves_nothing_running(up) -> None:
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", *settings(("n_infrastructure=1",)))
     recording = run.out / "messages.mcap"
     run.until(lambda: recording.is_file() and recording.stat().st_size > 20_000, "a recording that grows here")
@@ -164,7 +164,7 @@ def test_ctrl_c_keeps_what_there_is_and_leaves_nothing_running(up) -> None:
     assert not (run.out / "credentials").exists()
 
 
-def test_what_a_killed_launcher_has_started_leaves_by_itself_and_down_takes_away_the_rest(up) -> None:
+def test_nodes_of_a_killed_launcher_leave_and_down_removes_the_rest(up) -> None:
     words = settings(("n_infrastructure=1",))
     run = up("baseline", "--secure", "--mode", "realtime", "--rate", "0.5", "--patience", "2", *words)
     run.until(run.recorded, "the run goes on")

@@ -1,4 +1,4 @@
-"""One node with its own certificate under `--secure` sends what it likes on its control keys."""
+"""One compromised node under `--secure` sends arbitrary messages on its control keys."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def taken_over(node: str, call: str) -> Beside:
     return Beside({node: f"__import__('sys').path.append({folder!r}); __import__('compromised').{call}"})
 
 
-def test_all_that_a_node_can_send_changes_nothing_and_is_told(tmp_path: Path) -> None:
+def test_forged_messages_of_a_node_change_nothing_and_are_reported(tmp_path: Path) -> None:
     resolved = small()
     sound = launcher.run(resolved, tmp_path / "sound", runtime="inproc")
     ended = launcher.run(resolved, tmp_path / "run", engine=taken_over("infra_1", "speak_up()"), secure="acl")

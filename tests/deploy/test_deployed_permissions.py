@@ -1,4 +1,4 @@
-"""What a deployment writes, here and on hosts, is nobody else's to change, and its secrets nobody else's to read."""
+"""Only the user can change the files of a deployment, here and on hosts, and read its secrets."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def modes(folder: Path) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("level", ["tls", "mtls", "acl"])
-def test_credentials_of_containers_are_for_their_user_alone(tmp_path: Path, level: str) -> None:
+def test_only_their_user_can_read_the_credentials_of_containers(tmp_path: Path, level: str) -> None:
     folder = tmp_path / "credentials"
     with Deployment(
         level, "r", WIRING, ["a", "b"], prefix="mast/r", driver="a", hosts=["router"], folder=folder
@@ -61,7 +61,7 @@ def on_host(home: Path, *words: str) -> dict:
     return json.loads(done.stdout)
 
 
-def test_what_is_installed_on_a_host_is_not_for_others_to_change(tmp_path: Path) -> None:
+def test_others_cannot_change_what_is_installed_on_a_host(tmp_path: Path) -> None:
     on_host(tmp_path, "probe", "mast", "e", "r")
     new = tmp_path / "mast" / "releases" / "new"
     new.mkdir(mode=0o700)
@@ -74,7 +74,7 @@ def test_what_is_installed_on_a_host_is_not_for_others_to_change(tmp_path: Path)
     assert {path: oct(mode) for path, mode in found.items() if mode & 0o022} == {}
 
 
-def test_a_node_elsewhere_writes_for_nobody_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_others_cannot_read_the_files_of_a_node_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["mast-node", "--run", "r", "--name", "ego", "--endpoint", "tcp/127.0.0.1:1"])
     monkeypatch.setattr(remote_node, "_host", lambda arguments: (tmp_path / "written").touch())
     remote_node.main()

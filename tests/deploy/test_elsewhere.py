@@ -78,7 +78,7 @@ class MyAgent(node_class(ROOT / "nodes" / "agent.py")):
 """
 
 
-def test_a_users_own_files_and_what_they_import_from_beside_reach_the_nodes(tmp_path: Path) -> None:
+def test_a_users_files_and_the_files_that_they_import_reach_the_nodes(tmp_path: Path) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
     for name, text in (("my_scenario", SCENARIO), ("my_agent", NODE), ("numbers_of_mine", "RADIUS = 2.5")):

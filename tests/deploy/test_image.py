@@ -1,4 +1,4 @@
-"""The image holds what nodes need, and nothing else."""
+"""The image holds only what nodes need."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def needed() -> set[str]:
     return {requirement.partition("==")[0] for requirement in wheel.requirements()}
 
 
-def test_nodes_need_nothing_but_the_requirements_of_nodes() -> None:
+def test_nodes_need_only_the_node_requirements() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     all_of_it = {line.partition(">")[0].partition("[")[0] for line in project["dependencies"]}
     more = all_of_it - needed()
@@ -67,7 +67,7 @@ def test_the_wheel_has_the_same_sources_every_time_and_its_entry_points(tmp_path
 
 @pytest.mark.mesh
 @pytest.mark.timeout(600)
-def test_the_image_is_small_and_holds_these_sources_and_no_more_than_nodes_need() -> None:
+def test_the_image_is_small_and_has_these_sources_and_only_what_nodes_need() -> None:
     on, tag = base(), built()
     assert image.size_over_base(tag, on) < LARGEST
     assert docker("image", "inspect", "--format", "{{.Config.User}} {{.Config.Entrypoint}}", tag).split() == [

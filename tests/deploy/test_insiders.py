@@ -1,4 +1,4 @@
-"""One compromised node under `--secure`, of every role, on every control key: nothing, or a failed run that names it.
+"""One compromised node of each role under `--secure`, on every control key: no effect, or a failed run that names it.
 
 `make insiders` sends 200 messages of each kind for each node; otherwise a sample of a few is sent, in fewer runs.
 """

@@ -1,4 +1,4 @@
-"""What makes a deployment impossible is said before anything is started or written."""
+"""An impossible deployment is refused before anything is started or written."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def up(out: Path, environment: Mapping[str, str], *words: str) -> subprocess.Com
     )
 
 
-def test_an_engine_that_cannot_be_reached_is_said_to_be(tmp_path: Path) -> None:
+def test_an_unreachable_engine_is_reported(tmp_path: Path) -> None:
     docker = tmp_path / "bin" / "docker"
     docker.parent.mkdir()
     docker.write_text("#!/bin/sh\necho 'Cannot connect to the Docker daemon' >&2; exit 1\n")
@@ -78,7 +78,7 @@ def unplugged(until: float = 2.0, rate: float = 1.0) -> Resolved:
     ("engine", "runtime", "where"),
     [("swarm", "mesh", "engine swarm"), ("", "mesh", "processes of this machine"), ("", "inproc", "one process")],
 )
-def test_who_cannot_unplug_a_node_says_so_before_anything_starts(
+def test_an_engine_that_cannot_disconnect_nodes_refuses_before_anything_starts(
     tmp_path: Path, engine: str, runtime: str, where: str
 ) -> None:
     with pytest.raises(BackendError, match=rf"'infra_1' \(before frame 5\).*compose.*found {where}; use Partition"):
@@ -86,18 +86,18 @@ def test_who_cannot_unplug_a_node_says_so_before_anything_starts(
     assert not (tmp_path / "run").exists()
 
 
-def test_hosts_that_are_reached_by_ssh_cannot_be_unplugged() -> None:
+def test_nodes_on_ssh_hosts_cannot_be_disconnected() -> None:
     assert [name for name in engines.ENGINES if engines.load(name).unplugs] == ["compose"]
 
 
-def test_who_is_unplugged_waits_longer_for_the_launcher_by_as_much() -> None:
+def test_a_disconnected_node_waits_longer_for_the_launcher() -> None:
     made = document.document(unplugged(until=4.5, rate=0.5), "a-run", image="any", patience_s=10.0)
     waits = {name: service["command"][-1] for name, service in made["services"].items()}
     assert waits.pop("infra_1") == "18", "4 s of the scene at half its speed"
     assert set(waits.values()) == {"10"}
 
 
-def test_a_container_is_connected_again_as_it_was() -> None:
+def test_a_container_is_reconnected_with_its_former_addresses() -> None:
     assert connected_as({"Aliases": ["infra_1", "0a1b"], "IPAMConfig": None}) == [
         "--alias",
         "infra_1",
@@ -109,7 +109,7 @@ def test_a_container_is_connected_again_as_it_was() -> None:
     assert connected_as({"IPAddress": "192.0.2.7"}) == [], "an address that Docker has chosen it may choose again"
 
 
-def test_a_full_disk_is_said_before_anything_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_before_anything_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     needed = space.needed(small())
     monkeypatch.setattr(os, "statvfs", lambda path: SimpleNamespace(f_bavail=needed // 512, f_frsize=512))
     space.check(tmp_path / "not" / "there", needed)
@@ -118,7 +118,7 @@ def test_a_full_disk_is_said_before_anything_is_written(tmp_path: Path, monkeypa
     assert not (tmp_path / "not").exists()
 
 
-def test_an_option_that_an_engine_does_not_have_is_a_wrong_word(tmp_path: Path) -> None:
+def test_an_option_that_an_engine_lacks_is_a_usage_error(tmp_path: Path) -> None:
     done = up(tmp_path / "run", {}, "--hosts", "hosts.toml")
     assert done.returncode == 2
     assert "engine compose has no such option" in " ".join(done.stderr.split())
@@ -129,7 +129,7 @@ def test_an_unknown_engine_is_named_with_the_nearest() -> None:
         engines.load("composed")
 
 
-def test_the_doctor_finds_the_mesh_and_says_what_to_do_about_the_rest() -> None:
+def test_the_doctor_finds_the_mesh_and_suggests_fixes_for_the_rest() -> None:
     found = {finding.name: finding for finding in doctor.examine()}
     assert found["python"].ok
     assert found["zenoh"].ok
@@ -140,7 +140,7 @@ def test_the_doctor_explains_a_certificate(tmp_path: Path) -> None:
     *_, last = doctor.examine(tmp_path)
     assert last.name == "certificates"
     assert last.ok is False
-    assert "is missing" in last.said
+    assert "is missing" in last.detail
 
 
 # -- what nodes elsewhere get, and may give ------------------------------------------------------------------------

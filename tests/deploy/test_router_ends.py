@@ -1,4 +1,4 @@
-"""When the router of a run has ended, the router is named, and no node that lost its mesh by that."""
+"""When the router of a run ends, the error names the router, not the nodes that lost their mesh."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_killed_router_container_is_named_and_not_a_node(tmp_path: Path, death
             supervisor.running()
 
 
-def test_nodes_are_ended_though_the_router_has_ended_before(tmp_path: Path, deaths: Path) -> None:
+def test_nodes_are_ended_even_if_the_router_has_ended(tmp_path: Path, deaths: Path) -> None:
     with composed(tmp_path) as supervisor:
         supervisor.start_all({"broker": SPEC})
         deaths.write_text(DIED.format(time=1, name="r-router", code=1))

@@ -1,4 +1,4 @@
-"""hosts.toml: strictly read, wrong ones named with the path inside them; who goes where."""
+"""hosts.toml: read strictly, with errors that name the path inside the file, and the placement of nodes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_the_example_is_a_hosts_file_that_places_every_node() -> None:
     assert set(hosts.placed(NODES)) == set(NODES)
 
 
-def test_what_a_host_does_not_say_is_said_by_the_defaults() -> None:
+def test_defaults_fill_in_missing_settings_of_a_host() -> None:
     hosts = parse('[defaults]\nuser = "mast"\nport = 2222\n' + TWO + "port = 22\n", "h.toml")
     assert (hosts.hosts["alpha"].user, hosts.hosts["alpha"].port) == ("mast", 2222)
     assert (hosts.hosts["beta"].user, hosts.hosts["beta"].port) == ("mast", 22)
@@ -68,14 +68,14 @@ def test_what_a_host_does_not_say_is_said_by_the_defaults() -> None:
         ("[hosts", "h.toml: "),
     ],
 )
-def test_a_wrong_file_is_refused_with_the_place_of_the_fault(text: str, expected: str) -> None:
+def test_an_invalid_file_is_refused_with_the_place_of_the_fault(text: str, expected: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
         parse(text, "h.toml")
     assert expected in str(refused.value)
 
 
 @given(st.text(max_size=200) | st.text(alphabet='[]hosts.="1\n{}', max_size=60))
-def test_no_text_does_anything_but_be_read_or_be_refused(text: str) -> None:
+def test_any_text_is_read_or_refused(text: str) -> None:
     said = "h.toml: "
     try:
         assert isinstance(parse(text, "h.toml"), Hosts)
@@ -97,7 +97,7 @@ def placed(*of: str) -> dict[str, str]:
     return parse(text, "h.toml").placed(NODES)
 
 
-def test_nodes_go_by_name_then_by_role_and_the_rest_in_turn() -> None:
+def test_nodes_are_placed_by_name_then_by_role_then_in_turn() -> None:
     assert placed("", "") == {"simulator": "h0", "ego": "h1", "infra_1": "h0", "infra_2": "h1", "broker": "h0"}
     assert placed('nodes = ["ego"]', "") == {name: "h0" if name == "ego" else "h1" for name in NODES}
     by_role = placed('roles = ["agent"]', 'roles = ["agent"]', 'nodes = ["infra_1"]\nspread = true')
@@ -112,10 +112,10 @@ def test_nodes_go_by_name_then_by_role_and_the_rest_in_turn() -> None:
     [
         (('nodes = ["infra_11"]',), "h.toml: hosts.h0.nodes[0]: no node 'infra_11'; did you mean 'infra_1'?"),
         (('roles = ["agnt"]',), "h.toml: hosts.h0.roles[0]: there is no role 'agnt'; did you mean 'agent'?"),
-        (('nodes = ["ego"]', 'nodes = ["e*"]'), "h.toml: hosts.h1.nodes[0]: ego is at h0 already"),
+        (('nodes = ["ego"]', 'nodes = ["e*"]'), "h.toml: hosts.h1.nodes[0]: ego is already on h0"),
     ],
 )
-def test_what_does_not_go_with_the_scenario_is_refused(of: tuple[str, ...], expected: str) -> None:
+def test_a_placement_that_does_not_fit_the_scenario_is_refused(of: tuple[str, ...], expected: str) -> None:
     with pytest.raises(ConfigurationError) as refused:
         placed(*of)
     assert expected in str(refused.value)

@@ -1,4 +1,4 @@
-"""Runs on three hosts that are reached by SSH: what they give, what they survive, and that nothing is left of them."""
+"""Runs on three hosts with SSH: their results, the failures that they survive, and that they leave nothing behind."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_a_host_that_is_cut_off_for_five_seconds_takes_part_again(launch, hosts:
         assert record["nodes"][name]["last_frame"] == 109
 
 
-def test_what_a_killed_launcher_has_left_is_shown_and_can_be_taken_away(launch, hosts: SshHosts) -> None:
+def test_the_rest_of_a_killed_launchers_run_is_shown_and_can_be_removed(launch, hosts: SshHosts) -> None:
     """Also where hosts share a home."""
     shared = {name: f'folder = "{hosts.home("alpha")}"' for name in ("beta", "gamma")}
     run: Launched = launch("patience_s = 600", mode="realtime", frames=5000, n_infrastructure=1, places=shared)
@@ -157,7 +157,7 @@ def test_what_a_killed_launcher_has_left_is_shown_and_can_be_taken_away(launch, 
     assert {entry["state"] for entry in json.loads(hosts.run(*PROGRAM, "status", str(run.out)).stdout)} == {"not there"}
 
 
-def test_what_a_killed_launcher_has_left_ends_by_itself(launch, hosts: SshHosts) -> None:
+def test_the_rest_of_a_killed_launchers_run_ends_by_itself(launch, hosts: SshHosts) -> None:
     """Also a node that stands still, which cannot see that the launcher has gone."""
     run: Launched = launch("patience_s = 1", mode="realtime", frames=5000, n_infrastructure=1, places={}, secure="acl")
     run.until(run.recorded, "frames are played")
@@ -166,7 +166,7 @@ def test_what_a_killed_launcher_has_left_ends_by_itself(launch, hosts: SshHosts)
     eventually(lambda: not left(hosts), "nothing is left", 60.0)
 
 
-def test_ctrl_c_while_hosts_are_made_ready_leaves_nothing(launch, hosts: SshHosts) -> None:
+def test_ctrl_c_during_startup_leaves_nothing_on_hosts(launch, hosts: SshHosts) -> None:
     run: Launched = launch(n_infrastructure=1, places={}, secure="acl")
     run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/control")], "the first supervisor is there")
     run.process.send_signal(signal.SIGINT)
@@ -175,7 +175,7 @@ def test_ctrl_c_while_hosts_are_made_ready_leaves_nothing(launch, hosts: SshHost
     assert run.record()["status"] == "interrupted"
 
 
-def test_a_supervisor_that_is_killed_takes_its_nodes_with_it_and_the_run_says_so(launch, hosts: SshHosts) -> None:
+def test_a_killed_supervisor_ends_its_nodes_and_the_run_reports_it(launch, hosts: SshHosts) -> None:
     run: Launched = launch(mode="realtime", frames=5000, n_infrastructure=1, places={"beta": 'nodes = ["broker"]'})
     run.until(run.recorded, "frames are played")
     for process in hosts.processes("beta"):
@@ -187,7 +187,7 @@ def test_a_supervisor_that_is_killed_takes_its_nodes_with_it_and_the_run_says_so
     assert hosts.run(*PROGRAM, "down", str(run.out)).returncode == 0, "its folder"
 
 
-def test_a_router_that_a_host_cannot_reach_is_said_before_nodes_start(launch) -> None:
+def test_an_unreachable_router_is_reported_before_nodes_start(launch) -> None:
     run: Launched = launch('[router]\naddress = "10.78.0.99"', n_infrastructure=1, places={})
     code, output = run.end()
     assert code == EngineError.exit_code, output
@@ -196,7 +196,7 @@ def test_a_router_that_a_host_cannot_reach_is_said_before_nodes_start(launch) ->
     assert run.record()["nodes"] == {}
 
 
-def test_hosts_that_cannot_take_nodes_are_refused_before_anything_starts(hosts: SshHosts, tmp_path: Path) -> None:
+def test_unsuitable_hosts_are_refused_before_anything_starts(hosts: SshHosts, tmp_path: Path) -> None:
     old = tmp_path / "old_python"
     old.write_text("#!/bin/sh\necho 3.9 x86_64\n")
     old.chmod(0o755)

@@ -1,4 +1,4 @@
-"""A host's supervisor by itself, without SSH: what it does is done once, and nothing is left when it goes."""
+"""A host's supervisor without SSH: commands are carried out once, and nothing is left when it exits."""
 
 from __future__ import annotations
 
@@ -111,14 +111,14 @@ def gone(pid: int) -> bool:
     return True
 
 
-def test_a_command_that_is_told_again_is_not_done_again(serve) -> None:
+def test_a_repeated_command_is_carried_out_once(serve) -> None:
     folder = serve()
     first = Attached(folder)
     pid = started(first, "ego")
     first.close()  # the answer may have been lost
     again = Attached(folder)
     assert started(again, "ego") == pid
-    assert again.do("another", "start", name="ego", argv=SLEEP, env={})["error"] == "ego runs already"
+    assert again.do("another", "start", name="ego", argv=SLEEP, env={})["error"] == "ego is already running"
     assert "error" in again.do("none", "start", name="other", argv=["/does/not/exist"], env={})
     again.do("leave", "leave", grace_s=10.0)
     assert again.ended()
@@ -127,7 +127,7 @@ def test_a_command_that_is_told_again_is_not_done_again(serve) -> None:
     assert folder.parent.parent.exists()
 
 
-def test_whatever_a_host_has_of_a_run_is_for_its_user_alone_whatever_the_umask(serve) -> None:
+def test_only_its_user_can_read_a_runs_files_on_a_host_with_any_umask(serve) -> None:
     folder = serve(umask=0)
     attached = Attached(folder)
     program = "import pathlib, sys; pathlib.Path('written').touch(); sys.exit(0)"
@@ -140,7 +140,7 @@ def test_whatever_a_host_has_of_a_run_is_for_its_user_alone_whatever_the_umask(s
     assert attached.ended()
 
 
-def test_nodes_have_their_environment_and_a_folder_and_end_with_the_code_that_is_told(serve) -> None:
+def test_nodes_get_their_environment_and_folder_and_their_exit_code_is_reported(serve) -> None:
     folder = serve()
     attached = Attached(folder)
     program = "import os, sys; print(os.environ['WORD'], os.environ['TMPDIR'], os.getcwd(), flush=True); sys.exit(5)"
@@ -152,7 +152,7 @@ def test_nodes_have_their_environment_and_a_folder_and_end_with_the_code_that_is
     attached.close()
 
 
-def test_logs_go_on_where_the_last_connection_has_ended(serve) -> None:
+def test_logs_continue_where_the_last_connection_ended(serve) -> None:
     folder = serve()
     first = Attached(folder)
     program = "for i in range(10_000): print(i, 'ä' * 20)\nprint('end', flush=True)\nimport signal; signal.pause()"
@@ -170,7 +170,7 @@ def test_logs_go_on_where_the_last_connection_has_ended(serve) -> None:
     second.close()
 
 
-def test_who_does_not_leave_is_killed_after_the_grace_and_who_stands_still_as_well(serve) -> None:
+def test_nodes_that_do_not_leave_are_killed_after_the_grace_period_also_stopped_ones(serve) -> None:
     attached = Attached(serve())
     program = (
         "import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\nwhile 1: signal.pause()"
@@ -187,7 +187,7 @@ def test_who_does_not_leave_is_killed_after_the_grace_and_who_stands_still_as_we
     attached.close()
 
 
-def test_without_a_launcher_it_ends_all_even_if_a_node_that_stands_still_has_seen_one(serve) -> None:
+def test_without_a_launcher_it_ends_all_even_if_a_stopped_node_has_seen_one(serve) -> None:
     folder = serve(patience_s=1.0)
     attached = Attached(folder)
     pid = started(attached, "ego")
@@ -215,7 +215,7 @@ def test_it_stays_without_a_connection_as_long_as_a_node_sees_the_launcher(serve
     again.close()
 
 
-def test_when_it_is_killed_its_nodes_are_killed(serve) -> None:
+def test_its_nodes_die_with_it(serve) -> None:
     folder = serve()
     attached = Attached(folder)
     pid = started(attached, "ego")

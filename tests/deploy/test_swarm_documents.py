@@ -1,4 +1,4 @@
-"""What a stack file says, what Docker says of a stack, and what follows from both: no engine is asked."""
+"""Stack files, Docker's output about a stack, and their consequences, without a Docker engine."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_every_node_is_a_service_with_one_task_and_a_limit(resolved: Resolved) -
         assert told["resources"]["limits"].keys() == {"cpus", "memory", "pids"}
 
 
-def test_a_stack_has_no_word_that_only_compose_knows(resolved: Resolved) -> None:
+def test_a_stack_file_has_no_keys_of_compose_only(resolved: Resolved) -> None:
     content = stacked(resolved, secure="acl", environment={"OPENBLAS_CORETYPE": "Haswell"})
     known = {"image", "user", "init", "read_only", "cap_drop", "healthcheck", "volumes", "stop_grace_period"}
     known |= {"command", "networks", "ports", "secrets", "deploy", "environment", "<<"}
@@ -60,26 +60,26 @@ def test_a_stack_has_no_word_that_only_compose_knows(resolved: Resolved) -> None
         assert set(service) <= known
 
 
-def test_nodes_are_told_the_same_as_by_compose(resolved: Resolved) -> None:
+def test_nodes_get_the_same_commands_as_from_compose(resolved: Resolved) -> None:
     composed = compose.document(resolved, RUN, image="sha256:1", secure="acl")["services"]
     for name, service in stacked(resolved, secure="acl")["services"].items():
         assert service["command"] == composed[name]["command"]
         assert service["networks"] == composed[name]["networks"]
 
 
-def test_docker_starts_again_whom_the_scenario_wants_back_and_nobody_else(resolved: Resolved) -> None:
+def test_docker_restarts_only_nodes_whose_on_exit_says_so(resolved: Resolved) -> None:
     found = {name: s["deploy"]["restart_policy"] for name, s in stacked(resolved)["services"].items()}
     assert found.pop("infra_2") == {"condition": "on-failure", "delay": "2s", "max_attempts": 5}
     assert {policy["condition"] for policy in found.values()} == {"none"}
 
 
-def test_a_router_comes_back_in_real_time_only(resolved: Resolved) -> None:
+def test_the_router_is_restarted_in_real_time_only(resolved: Resolved) -> None:
     for mode, condition in (("lockstep", "none"), ("realtime", "on-failure")):
         found = stacked(replace(resolved, mode=mode))["services"]["router"]
         assert found["deploy"]["restart_policy"]["condition"] == condition
 
 
-def test_agents_that_move_are_on_a_network_of_their_own_and_no_node_has_a_way_out(resolved: Resolved) -> None:
+def test_mobile_agents_have_their_own_network_and_no_node_has_external_access(resolved: Resolved) -> None:
     content = stacked(resolved)
     assert {network["driver"] for network in content["networks"].values()} == {"overlay"}
     assert content["networks"]["wired"]["internal"]
@@ -89,7 +89,7 @@ def test_agents_that_move_are_on_a_network_of_their_own_and_no_node_has_a_way_ou
     assert {name for name, networks in found.items() if networks == ["wireless"]} == {"ego", "mobile_1"}
 
 
-def test_the_router_and_whom_the_scenario_kills_are_on_the_launchers_machine(resolved: Resolved) -> None:
+def test_the_router_and_nodes_that_the_scenario_kills_are_on_the_launchers_machine(resolved: Resolved) -> None:
     steps = (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"), ProcessStep(4, "leave", "broker"))
     place = placement.resolve({"infra_*": "west"}, resolved.nodes)
     services = stacked(resolved, place=place, pinned=placement.pinned(steps))["services"]
@@ -101,7 +101,7 @@ def test_the_router_and_whom_the_scenario_kills_are_on_the_launchers_machine(res
     assert found["broker"] == [], "whoever is asked to leave may be anywhere"
 
 
-def test_secrets_are_for_the_processes_user_alone_and_named_by_their_files(resolved: Resolved) -> None:
+def test_only_the_processes_user_can_read_secrets_which_are_named_by_their_files(resolved: Resolved) -> None:
     content = stacked(resolved, secure="acl")
     for name, service in content["services"].items():
         names = {"router.json"} if name == "router" else {"ca.pem", "certificate.pem", "key.pem", "control.json"}
@@ -111,14 +111,14 @@ def test_secrets_are_for_the_processes_user_alone_and_named_by_their_files(resol
     assert "secrets" not in stacked(resolved)
 
 
-def test_the_router_is_healthy_soon_because_its_name_is_known_only_then(resolved: Resolved) -> None:
+def test_the_router_is_checked_often_as_its_name_resolves_only_when_healthy(resolved: Resolved) -> None:
     found = stacked(resolved)
     assert found["services"]["router"]["healthcheck"]["interval"] == "2s"
     assert found["services"]["router"]["healthcheck"]["test"] == found["x-node"]["healthcheck"]["test"]
 
 
 @given(name=st.text(alphabet=string.ascii_letters + string.digits + "_-.é ", min_size=1, max_size=60))
-def test_a_name_that_is_taken_is_a_label_of_a_domain_name(resolved: Resolved, name: str) -> None:
+def test_every_accepted_name_is_a_label_of_a_domain_name(resolved: Resolved, name: str) -> None:
     one = replace(resolved, nodes={name: resolved.nodes["broker"]})
     label = document.service(RUN, name)
     with contextlib.suppress(ConfigurationError):
@@ -129,7 +129,7 @@ def test_a_name_that_is_taken_is_a_label_of_a_domain_name(resolved: Resolved, na
         assert label[-1].isalnum()
 
 
-def test_a_pattern_that_fits_nobody_is_refused_with_the_nearest_name(resolved: Resolved) -> None:
+def test_a_pattern_that_matches_no_node_is_refused_with_the_nearest_name(resolved: Resolved) -> None:
     with pytest.raises(ConfigurationError, match=r"--place brokr: there is no such node; did you mean 'broker'\?"):
         placement.resolve({"brokr": "west"}, resolved.nodes)
     assert placement.resolve({"infra_1": "east", "infra_*": "west"}, ["infra_1", "infra_2", "ego"]) == {
@@ -138,7 +138,7 @@ def test_a_pattern_that_fits_nobody_is_refused_with_the_nearest_name(resolved: R
     }
 
 
-def test_a_host_that_no_machine_is_labelled_with_is_refused() -> None:
+def test_a_host_label_that_no_machine_has_is_refused() -> None:
     with pytest.raises(EngineError, match=r"infra_1: no machine .* mast.host=wst; did you mean 'west'\?.*label-add"):
         placement.check([HERE, THERE], {"infra_1": "wst"}, ())
     drained = THERE._replace(usable=False)
@@ -149,7 +149,7 @@ def test_a_host_that_no_machine_is_labelled_with_is_refused() -> None:
     placement.check([HERE, THERE], {"infra_1": "east"}, ())
 
 
-def test_whom_the_scenario_kills_cannot_be_placed_on_another_machine() -> None:
+def test_a_node_that_the_scenario_kills_cannot_be_placed_on_another_machine() -> None:
     with pytest.raises(
         EngineError, match=r"infra_1: the scenario kills or pauses it, .*here.* found it placed on .*east"
     ):
@@ -174,12 +174,12 @@ def line(identity: str, state: str, error: str = "", node: str = "infra_1", want
         (("Shutdown 1 second ago",), -15),
     ],
 )
-def test_how_a_task_has_ended_is_what_docker_says(said: tuple[str, ...], code: int | None) -> None:
+def test_the_exit_code_of_a_task_is_read_from_docker(said: tuple[str, ...], code: int | None) -> None:
     found = tasks.parse(document.stack(RUN), [line("t1", *said)])
     assert [task.exit for task in found["infra_1"]] == [code]
 
 
-def test_who_could_not_be_started_is_told_why() -> None:
+def test_a_task_that_was_not_started_has_dockers_reason() -> None:
     (task,) = tasks.parse(document.stack(RUN), [line("t1", "Rejected 1 second ago", '"No such image: sha256:1"')])[
         "infra_1"
     ]
@@ -191,7 +191,7 @@ def test_who_could_not_be_started_is_told_why() -> None:
 
 
 @given(st.lists(st.text(max_size=80)))
-def test_whatever_docker_says_is_read_without_falling_over(lines: list[str]) -> None:
+def test_any_output_of_docker_is_parsed_without_an_error(lines: list[str]) -> None:
     for found in tasks.parse(document.stack(RUN), lines).values():
         assert all(isinstance(task.exit, int | None) and isinstance(task.refused, str) for task in found)
 
@@ -233,7 +233,7 @@ def supervised(resolved: Resolved, tmp_path: Path, mode: str = "lockstep") -> Se
 KILLED = "task: non-zero exit (137)"
 
 
-def test_a_node_that_docker_starts_again_has_ended_and_runs_on(
+def test_a_node_that_docker_restarts_has_ended_and_runs_again(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -291,7 +291,7 @@ def test_a_lock_step_run_does_not_survive_its_router(resolved: Resolved, tmp_pat
         supervisor.running()
 
 
-def test_a_real_time_run_waits_for_its_router_but_not_for_one_that_stays_away(
+def test_a_real_time_run_waits_for_its_router_only_for_a_while(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path, "realtime")
@@ -304,7 +304,7 @@ def test_a_real_time_run_waits_for_its_router_but_not_for_one_that_stays_away(
         supervisor.running()
 
 
-def test_a_node_on_another_machine_is_not_killed_and_the_reason_is_said(
+def test_killing_a_node_on_another_machine_is_refused_with_the_reason(
     resolved: Resolved, tmp_path: Path, dockerd: Engine
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -320,7 +320,7 @@ def test_a_node_on_another_machine_is_not_killed_and_the_reason_is_said(
     assert dockerd.told == []
 
 
-def test_docker_may_be_silent_for_a_while_but_not_for_long(
+def test_docker_may_fail_for_a_short_time_only(
     resolved: Resolved, tmp_path: Path, dockerd: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     supervisor = supervised(resolved, tmp_path)
@@ -347,7 +347,7 @@ def test_docker_may_be_silent_for_a_while_but_not_for_long(
         ("active true", None),
     ],
 )
-def test_only_a_manager_of_a_swarm_will_do(monkeypatch: pytest.MonkeyPatch, said: str, reason: str | None) -> None:
+def test_worker_node_cannot_deploy_a_stack(monkeypatch: pytest.MonkeyPatch, said: str, reason: str | None) -> None:
     monkeypatch.setattr(engine, "docker", lambda *words: said + "\n")
     if reason is None:
         engine.check_manager()
@@ -370,12 +370,12 @@ def test_the_engine_of_another_machine_is_refused() -> None:
         ("[]\tsha256:1\n", "sha256:1"),
     ],
 )
-def test_all_machines_run_the_very_same_image(monkeypatch: pytest.MonkeyPatch, said: str, expected: str) -> None:
+def test_all_machines_run_the_same_image(monkeypatch: pytest.MonkeyPatch, said: str, expected: str) -> None:
     monkeypatch.setattr(engine, "docker", lambda *words: said)
     assert engine.reference("mast") == expected
 
 
-def test_settings_of_a_router_that_no_swarm_keeps_are_refused(tmp_path: Path) -> None:
+def test_router_settings_that_are_too_large_for_a_secret_are_refused(tmp_path: Path) -> None:
     settings = tmp_path / "router.json"
     settings.write_bytes(b" " * 500_000)
     engine.check_size(settings)
@@ -384,7 +384,7 @@ def test_settings_of_a_router_that_no_swarm_keeps_are_refused(tmp_path: Path) ->
         engine.check_size(settings)
 
 
-def test_a_machine_without_a_swarm_has_nothing_of_a_stack_but_containers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_machine_without_a_swarm_has_only_containers_of_a_stack(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
     def docker(*words: str, **_: Any) -> str:
@@ -396,7 +396,7 @@ def test_a_machine_without_a_swarm_has_nothing_of_a_stack_but_containers(monkeyp
     assert asked == ["info", "container", "network"]
 
 
-def test_nodes_elsewhere_get_what_decides_over_last_digits_and_nothing_else() -> None:
+def test_nodes_elsewhere_get_only_the_variables_that_affect_floating_point_results() -> None:
     ours = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "2", "HOME": "/somewhere"}
     theirs = numeric_environment.environment(ours)
     assert theirs.pop("MAST_KERNELS", kernels.USED) == kernels.USED

@@ -1,4 +1,4 @@
-"""Runs in a swarm of one machine: what they give, what they survive, and that nothing is left of them."""
+"""Runs in a swarm of one machine: their results, the failures that they survive, and that they leave nothing behind."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def same(here: Run, there: Run) -> None:
     assert found.equal > 0
 
 
-def test_a_secure_run_gives_the_same_to_the_last_digit_and_tells_nobody_a_key(tmp_path: Path, image: str) -> None:
+def test_a_secure_run_gives_exactly_the_same_and_reveals_no_key(tmp_path: Path, image: str) -> None:
     resolved = swarm_launch.resolved()
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
     there = launcher.run(resolved, tmp_path / "there", engine=Swarm(image), secure="acl")
@@ -78,9 +78,7 @@ def test_a_secure_run_gives_the_same_to_the_last_digit_and_tells_nobody_a_key(tm
         assert path.is_dir() or b"PRIVATE KEY" not in path.read_bytes(), path
 
 
-def test_whom_the_scenario_kills_stays_away_until_it_is_started_and_messages_are_the_same(
-    tmp_path: Path, image: str
-) -> None:
+def test_a_killed_node_stays_down_until_it_is_started_and_messages_are_the_same(tmp_path: Path, image: str) -> None:
     kill = dict(type="Kill", at=0.5, node="infra_2", restart_after=0.5)
     resolved = swarm_launch.resolved(frames=14, faults=[kill])
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
@@ -171,7 +169,7 @@ def remove(run: Launched) -> None:
         stack.remove(deployment["stack"])
 
 
-def test_a_run_in_real_time_that_is_stopped_keeps_what_it_has_and_leaves_nothing(
+def test_a_stopped_real_time_run_keeps_its_results_and_leaves_nothing_running(
     launch: Callable[..., Launched], capsys: pytest.CaptureFixture[str]
 ) -> None:
     pause = dict(type="Pause", at=1.0, until=60.0, node="infra_2")
@@ -200,7 +198,7 @@ def test_a_run_in_real_time_that_is_stopped_keeps_what_it_has_and_leaves_nothing
     assert stack.left(record["deployment"]["stack"]) == {}
 
 
-def test_what_a_killed_launcher_leaves_goes_by_itself_and_down_removes_the_rest(
+def test_services_of_a_killed_launcher_end_and_down_removes_the_rest(
     launch: Callable[..., Launched],
 ) -> None:
     run = launch(frames=900, mode="realtime", secure="tls")
@@ -219,7 +217,7 @@ def test_what_a_killed_launcher_leaves_goes_by_itself_and_down_removes_the_rest(
     assert Swarm.status(run.out, record) == []
 
 
-def test_what_makes_a_run_impossible_is_said_before_anything_is_written(tmp_path: Path, image: str) -> None:
+def test_an_impossible_run_is_refused_before_anything_is_written(tmp_path: Path, image: str) -> None:
     resolved = swarm_launch.resolved()
     with pytest.raises(EngineError, match=r"there is no image mast-zenoh:nowhere: build it by `mast deploy image`"):
         launcher.run(resolved, tmp_path / "run", engine=Swarm("mast-zenoh:nowhere"))

@@ -1,4 +1,4 @@
-"""Nodes that were lost, in words and in run.json."""
+"""Nodes that were lost, in error messages and in run.json."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EVENTS = [
 ]
 
 
-def test_the_error_names_nodes_and_frames_and_what_allows_it():
+def test_the_error_names_nodes_and_frames_and_the_option_that_allows_it():
     error = churn.error(EVENTS)
     assert isinstance(error, NodeLost)
     said = "infra_2 was lost before frame 40; infra_2 came back before frame 52; recorder was lost before frame 60"
@@ -31,7 +31,7 @@ def test_a_node_may_have_missed_the_frame_before_that_in_which_it_was_missed():
     assert churn.first_frames(EVENTS, "ego") == []
 
 
-def test_runs_are_not_comparable_from_where_a_recording_has_a_gap(tmp_path):
+def test_runs_are_not_comparable_after_a_gap_in_a_recording(tmp_path):
     record = {"churn": EVENTS[2:], "recording": {"complete": False, "from_frame": 12}}
     (tmp_path / "run.json").write_text(json.dumps(record))
     assert comparable(tmp_path) == (12, f"the recording of {tmp_path} is incomplete")

@@ -1,4 +1,4 @@
-"""A recording says itself from which frame on messages are missing in it."""
+"""The first missing message of a recording is found from the recording itself."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_gap_in_the_numbers_of_a_publisher_is_found(
     assert first_missing(without(tmp_path / "run.mcap", *missing), "simulator") == first
 
 
-def test_what_cannot_be_read_may_lack_everything(tmp_path: Path) -> None:
+def test_an_unreadable_recording_may_lack_everything(tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_bytes(b"no recording")
     assert first_missing(tmp_path / "run.mcap", "simulator") == 0
     assert len(list(read(without(tmp_path / "whole.mcap")))) == len(small_run())

@@ -1,4 +1,4 @@
-"""Two recordings compared: where they differ first, in words that a reader can act on."""
+"""Compares two recordings, and describes the first difference."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ def test_the_first_difference_is_shown_field_by_field_with_units(tmp_path: Path)
             payload(WIRE, 3, detections(1.0, 5.0) | {"mount_position": np.array([0.0, 2.0, 0.0])}),
             "mount_position[1]: A 0.0 m, B 2.0 m",
         ),
-        (payload(WIRE, 3, detections(np.nan, 5.0)), "B is not a sound message"),
+        (payload(WIRE, 3, detections(np.nan, 5.0)), "B is not a valid message"),
         (payload(WIRE, 3)[:-1] + b"\x01", "mount_rotation[3]: A 0.0"),
     ],
 )
-def test_whatever_differs_is_said(tmp_path: Path, data: bytes, said: str) -> None:
+def test_every_kind_of_difference_is_described(tmp_path: Path, data: bytes, said: str) -> None:
     assert said in text(tmp_path, small_run(), with_message(WIRE, 3, data))
 
 
-def test_what_is_missing_is_said_with_its_side(tmp_path: Path) -> None:
+def test_a_missing_message_is_reported_with_its_side(tmp_path: Path) -> None:
     fewer = [(k, d) for k, d in small_run() if (k, d) != (WIRE, payload(WIRE, 4))]
     found = text(tmp_path, small_run(), fewer)
     assert f"first difference: frame 4, {WIRE}" in found

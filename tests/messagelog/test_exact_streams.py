@@ -1,4 +1,4 @@
-"""Runs in one process are equal to the last byte, whatever must not matter. On a mesh: tests/mesh/test_exactness.py."""
+"""Runs in one process are byte-identical under irrelevant changes. On a mesh: tests/mesh/test_exactness.py."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def av2_log() -> Path:
     return logs[0].parent
 
 
-def test_a_thousand_orders_of_delivery_give_the_same_bytes() -> None:
+def test_a_thousand_delivery_orders_give_the_same_bytes() -> None:
     resolved = tiny("coordinated", "n_adversaries=1", "attack_start_s=0.1", frames=3)
     plain = Run(resolved, encode=False)
     assert plain.messages["attack/adversary_1/report"], "the attack has begun"
@@ -54,7 +54,7 @@ def test_a_thousand_orders_of_delivery_give_the_same_bytes() -> None:
 
 @pytest.mark.parametrize("infrastructure", [1, 2, 5])
 @pytest.mark.parametrize("name", ["coordinated", "uncoordinated"])
-def test_a_run_again_is_the_same_run(tmp_path: Path, name: str, infrastructure: int) -> None:
+def test_repeating_a_run_gives_the_same_bytes(tmp_path: Path, name: str, infrastructure: int) -> None:
     settings = (f"n_infrastructure={infrastructure}", "n_adversaries=1", "attack_start_s=0.2")
     a, b, c = (run(tmp_path / x, name, *settings, seed=seed) for x, seed in (("a", 0), ("b", 0), ("c", 1)))
     assert equal(a, b, taps=True) == len(list(read(a)))
@@ -69,7 +69,7 @@ def test_interposers_that_change_nothing_leave_no_trace(tmp_path: Path, infrastr
     assert compare(plain, tapped, taps=True).only_b.total() == 6 * 2 * (infrastructure + 1)
 
 
-def test_more_agents_change_nothing_for_those_that_are_there(tmp_path: Path) -> None:
+def test_more_agents_change_nothing_for_the_others(tmp_path: Path) -> None:
     runs = {n: run(tmp_path / str(n), "baseline", f"n_infrastructure={n}") for n in (1, 2, 5)}
     said = {
         n: {(m.key, m.frame): m.payload for m in read(folder) if m.message == "pose" or m.message == "clock"}
@@ -79,7 +79,7 @@ def test_more_agents_change_nothing_for_those_that_are_there(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("scene", ["scene_a", "av2_log"])
-def test_recorded_scenes_are_the_same_from_a_copy_elsewhere(
+def test_a_recorded_scene_gives_the_same_run_from_a_copy_in_another_folder(
     tmp_path: Path, request: pytest.FixtureRequest, scene: str
 ) -> None:
     original: Path = request.getfixturevalue(scene)

@@ -1,4 +1,4 @@
-"""What was sent is in the file: every byte, in one order, as far as the file goes."""
+"""A recording holds every byte that was sent, in one order, up to its last whole chunk."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "recording.md"
 
 
 @pytest.mark.parametrize("chunk_bytes", [1 << 20, 2000, 1], ids=["one chunk", "some chunks", "a chunk a message"])
-def test_messages_come_back_in_the_order_of_frame_wire_publisher_and_sequence(
+def test_messages_are_read_in_the_order_of_frame_wire_publisher_and_sequence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_bytes: int
 ) -> None:
     monkeypatch.setattr(writer, "CHUNK_BYTES", chunk_bytes)
@@ -49,7 +49,7 @@ def test_many_messages_of_a_frame_on_a_wire_keep_the_order_of_their_numbers(tmp_
     assert [message.seq for message in read(write(tmp_path / "run.mcap", sent))] == [0, 2, 7, 2**40]
 
 
-def test_a_key_that_is_heard_only_later_is_recorded_as_if_it_had_been_known(tmp_path: Path) -> None:
+def test_a_key_that_is_added_later_is_recorded_like_the_others(tmp_path: Path) -> None:
     hears = {key: heard for key, heard in HEARS.items() if key == "clock"}
     log = MessageLog(tmp_path / "run.mcap")
     log.begin(hears)
@@ -95,7 +95,7 @@ happened = st.one_of(
 
 @settings(deadline=None, max_examples=40)
 @given(events_sent=st.lists(happened, max_size=5))
-def test_how_a_run_changed_is_kept_in_order(tmp_path_factory: pytest.TempPathFactory, events_sent: list[Event]) -> None:
+def test_events_are_kept_in_order(tmp_path_factory: pytest.TempPathFactory, events_sent: list[Event]) -> None:
     path = tmp_path_factory.mktemp("events") / "run.mcap"
     log = MessageLog(path)
     log.begin(HEARS)
@@ -121,7 +121,7 @@ def test_how_a_run_changed_is_kept_in_order(tmp_path_factory: pytest.TempPathFac
         ("steps", {"0": "soon"}),
     ],
 )
-def test_metadata_that_cannot_be_understood_is_named(tmp_path: Path, name: str, metadata: dict[str, str]) -> None:
+def test_invalid_metadata_is_refused_with_its_fault(tmp_path: Path, name: str, metadata: dict[str, str]) -> None:
     path = tmp_path / "run.mcap"
     log = MessageLog(path)
     log.begin(HEARS)
@@ -133,7 +133,7 @@ def test_metadata_that_cannot_be_understood_is_named(tmp_path: Path, name: str, 
         list(read(path))
 
 
-def test_doubles_are_kept_in_the_order_in_which_they_came(tmp_path: Path) -> None:
+def test_duplicates_are_kept_in_their_order_of_arrival(tmp_path: Path) -> None:
     sent = [("clock", payload("clock", 0)), ("agent/a/status", payload("agent/a/status", 0))]
     twice = payload("agent/a/status", 0, {name: [9] for name in ("mobile", "detections", "tracks")})
     found = list(read(write(tmp_path / "run.mcap", [*sent, ("agent/a/status", twice)])))
@@ -172,7 +172,7 @@ def test_other_readers_find_channels_with_metadata_and_schemas(tmp_path: Path) -
         assert message.sequence == header.seq
 
 
-def test_what_is_no_message_is_kept_as_it_is_and_marked(tmp_path: Path) -> None:
+def test_malformed_messages_are_kept_unchanged_and_marked(tmp_path: Path) -> None:
     rubbish = [b"", b"\xc1", payload("agent/a/status", 1)[:-3], payload("clock", 1)]
     sent = [*small_run(3), *(("agent/a/status", data) for data in rubbish)]
     found = list(read(write(tmp_path / "run.mcap", sent)))
@@ -236,7 +236,7 @@ def test_a_process_that_is_killed_leaves_all_its_whole_chunks(tmp_path: Path) ->
     assert {frame for frame in range(60) if ("clock", payload("clock", frame)) in found} >= set(range(50))
 
 
-def test_a_recording_that_had_just_begun_is_empty_and_readable(tmp_path: Path) -> None:
+def test_a_recording_without_messages_is_readable(tmp_path: Path) -> None:
     log = MessageLog(tmp_path / "run.mcap")
     log.begin(HEARS)
     assert list(read(tmp_path / "run.mcap")) == []
@@ -244,7 +244,7 @@ def test_a_recording_that_had_just_begun_is_empty_and_readable(tmp_path: Path) -
     assert list(read(tmp_path / "run.mcap")) == []
 
 
-def test_a_chunk_that_claims_to_hold_more_than_any_can_is_refused_before_it_is_unpacked(
+def test_a_chunk_with_an_impossible_size_is_refused_before_it_is_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write(tmp_path / "run.mcap", small_run())
@@ -269,7 +269,7 @@ def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
     ("make", "said"),
     [
         (lambda folder: folder / "nowhere", "no such folder"),
-        (lambda folder: folder, "no folder of a run"),
+        (lambda folder: folder, "is not the folder of a run"),
         (lambda folder: (folder / "run.json").write_text("{}") and folder, "a run that was not recorded"),
         (
             lambda folder: (folder / "x.mcap").write_text("hello") and folder / "x.mcap",
@@ -278,18 +278,18 @@ def test_a_chunk_that_is_damaged_is_named(tmp_path: Path) -> None:
         (lambda folder: (folder / "x.mcap").write_text("") == 0 and folder / "x.mcap", "does not begin as an MCAP"),
     ],
 )
-def test_what_is_no_recording_is_refused(tmp_path: Path, make, said: str) -> None:
+def test_a_file_that_is_not_a_recording_is_refused(tmp_path: Path, make, said: str) -> None:
     with pytest.raises(RunFolderError, match=said):
         list(read(make(tmp_path)))
 
 
-def test_a_recording_is_never_written_over(tmp_path: Path) -> None:
+def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
     path = write(tmp_path / "run.mcap", small_run())
-    with pytest.raises(RunFolderError, match="cannot be made a recording: File exists"):
+    with pytest.raises(RunFolderError, match="cannot create the recording: File exists"):
         MessageLog(path).begin(HEARS)
 
 
-def test_when_the_disk_is_full_what_is_there_stays_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_stays_readable_when_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writer, "CHUNK_BYTES", 2000)
     log = MessageLog(tmp_path / "run.mcap")
     log.begin(HEARS)

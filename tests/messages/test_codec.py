@@ -1,4 +1,4 @@
-"""Messages survive the wire, and nothing else gets in."""
+"""Encoding and decoding keep messages unchanged; anything else is refused."""
 
 import msgpack
 import numpy as np
@@ -15,7 +15,7 @@ finite = st.floats(-1e5, 1e5)
 
 
 def column_of(column: Column, sizes: dict[str, int], rng: np.random.Generator) -> np.ndarray:
-    """Sound values for a column."""
+    """Valid values for a column."""
     shape = tuple(sizes[size] if isinstance(size, str) else size for size in column.shape)
     if column.dtype == "str":
         return text([f"agent_{i}" for i in range(shape[0])])
@@ -32,7 +32,7 @@ def column_of(column: Column, sizes: dict[str, int], rng: np.random.Generator) -
 
 
 def message_of(schema: str, sizes: dict[str, int], seed: int = 0) -> Message:
-    """A sound message of a schema."""
+    """A valid message of a schema."""
     rng = np.random.default_rng(seed)
     body = {column.name: column_of(column, sizes, rng) for column in SCHEMAS[schema].columns}
     return codec.conform(Header(schema, "someone", 3, 300_000_000, 7), body)
@@ -41,7 +41,9 @@ def message_of(schema: str, sizes: dict[str, int], seed: int = 0) -> Message:
 @pytest.mark.parametrize("schema", sorted(SCHEMAS))
 @given(n=st.integers(0, 12), a=st.integers(1, 5), m=st.integers(0, 3), k=st.integers(0, 3), seed=st.integers(0, 99))
 @settings(max_examples=15)
-def test_every_message_comes_out_as_it_went_in(schema: str, n: int, a: int, m: int, k: int, seed: int) -> None:
+def test_every_message_is_unchanged_by_encoding_and_decoding(
+    schema: str, n: int, a: int, m: int, k: int, seed: int
+) -> None:
     message = message_of(schema, {"n": n, "a": a, "m": m, "k": k}, seed)
     codec.check_values(message)
     payload = codec.encode(message)
@@ -54,7 +56,7 @@ def test_every_message_comes_out_as_it_went_in(schema: str, n: int, a: int, m: i
     assert codec.encode(decoded) == payload
 
 
-def test_what_a_node_receives_cannot_be_written_to() -> None:
+def test_received_columns_are_read_only() -> None:
     decoded = codec.decode(codec.encode(message_of("tracks", {"n": 2})), "tracks")
     with pytest.raises(ValueError, match="read-only"):
         decoded.body["position"][0, 0] = 1.0
@@ -81,14 +83,14 @@ json_like = st.recursive(
 
 @given(st.dictionaries(st.sampled_from(["schema", "version", "source", "frame", "time_ns", "seq", "body"]), json_like))
 @settings(max_examples=300)
-def test_maps_of_anything_are_refused(fields: dict) -> None:
+def test_maps_with_arbitrary_fields_are_refused(fields: dict) -> None:
     with pytest.raises(MessageError):
         codec.decode(msgpack.packb(fields), "tracks")
 
 
 @given(st.integers(0, 400), st.integers(0, 255), st.integers(1, 3))
 @settings(max_examples=300)
-def test_a_damaged_message_is_refused_or_still_sound(place: int, value: int, copies: int) -> None:
+def test_a_damaged_message_is_refused_or_still_valid(place: int, value: int, copies: int) -> None:
     payload = bytearray(codec.encode(message_of("detections", {"n": 3})))
     payload[place : place + copies] = bytes([value]) * copies
     try:
@@ -108,7 +110,7 @@ def test_a_truncated_message_is_refused(cut: int) -> None:
 
 
 def changed(schema: str, change) -> bytes:
-    """The bytes of a sound message, its unpacked form changed."""
+    """The bytes of a valid message after a change of its unpacked form."""
     fields = msgpack.unpackb(codec.encode(message_of(schema, {"n": 3, "a": 2})))
     change(fields)
     return msgpack.packb(fields)
@@ -138,12 +140,12 @@ def changed(schema: str, change) -> bytes:
         (lambda f: f["body"].update(id=["<i8", [3], np.array([4, 4, 5]).tobytes()]), "twice"),
     ],
 )
-def test_what_is_wrong_is_named(change, reason: str) -> None:
+def test_an_invalid_message_is_refused_with_its_fault(change, reason: str) -> None:
     with pytest.raises(MessageError, match=reason):
         codec.decode(changed("tracks", change), "tracks")
 
 
-def test_a_row_number_that_points_nowhere_is_refused() -> None:
+def test_a_reference_to_a_missing_row_is_refused() -> None:
     with pytest.raises(MessageError, match="outside `agents`"):
         codec.decode(
             changed("collated", lambda f: f["body"].update(agent=["<i8", [3], np.array([0, 1, 2]).tobytes()])),
@@ -151,7 +153,7 @@ def test_a_row_number_that_points_nowhere_is_refused() -> None:
         )
 
 
-def test_an_oversized_message_is_refused_unread() -> None:
+def test_an_oversized_message_is_refused_before_decoding() -> None:
     with pytest.raises(MessageError, match="at most"):
         codec.decode(bytes(codec.MAX_BYTES + 1), "clock")
 

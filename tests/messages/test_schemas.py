@@ -1,4 +1,4 @@
-"""The table of message types is whole, and everyone who sends or hears one finds it there."""
+"""The table of message types is complete and covers all ports of shipped nodes."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ OURS = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.name
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
-def test_every_message_type_says_what_its_columns_are(name: str) -> None:
+def test_every_message_type_describes_its_columns(name: str) -> None:
     schema = SCHEMAS[name]
     assert schema.name == name
     assert schema.version >= 1
@@ -45,7 +45,7 @@ def test_every_rotation_must_have_a_length() -> None:
 
 
 @pytest.mark.parametrize("node", OURS, ids=lambda node: node.__name__)
-def test_our_nodes_send_and_hear_messages_that_there_are(node: type[Node]) -> None:
+def test_ports_of_shipped_nodes_have_known_message_types(node: type[Node]) -> None:
     assert node.role
     assert node.__doc__
     assert {*node.inputs.values(), *node.outputs.values()} <= SCHEMAS.keys() | {ANY}
@@ -53,7 +53,7 @@ def test_our_nodes_send_and_hear_messages_that_there_are(node: type[Node]) -> No
         assert callable(getattr(node, f"on_{port}")), schema
 
 
-def test_there_is_one_node_of_ours_for_each_role() -> None:
+def test_each_role_has_one_shipped_node() -> None:
     assert sorted(node.role for node in OURS) == [Path(name).stem for name in bundle.names("nodes")]
 
 

@@ -1,4 +1,4 @@
-"""An adversary changes what it means to change, and leaves no other trace on its wire."""
+"""An adversary makes its intended changes, and leaves no other trace on its wire."""
 
 from typing import Any
 
@@ -62,14 +62,14 @@ def rows(message: Message, columns: tuple[str, ...]) -> list[bytes]:
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_there_is_one_message_for_each_that_comes_with_its_header_as_it_was(worlds, wire: str) -> None:
+def test_every_message_is_forwarded_once_with_its_header_unchanged(worlds, wire: str) -> None:
     for message, sent in play(bench(worlds, wire), wire, 8):
         assert [out.header for out in sent] == [message.header]
         assert sent[0].header.source == ("simulator" if wire == "detections" else "infra_1")
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_rows_that_are_left_alone_keep_their_bytes(worlds, wire: str) -> None:
+def test_untouched_rows_keep_their_bytes(worlds, wire: str) -> None:
     columns = WIRES[wire][1]
     added = removed = 0
     for message, (sent,) in play(bench(worlds, wire), wire, 10):
@@ -84,7 +84,7 @@ def test_rows_that_are_left_alone_keep_their_bytes(worlds, wire: str) -> None:
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_what_belongs_to_the_whole_message_is_left_alone(worlds, wire: str) -> None:
+def test_columns_of_the_whole_message_are_not_changed(worlds, wire: str) -> None:
     whole = {"detections": ("mount_position", "mount_rotation"), "tracks": ("origin", "rotation")}[wire]
     for message, (sent,) in play(bench(worlds, wire), wire, 5):
         for name in whole:
@@ -101,7 +101,7 @@ def test_before_the_attack_begins_the_payload_is_the_same(worlds, wire: str) -> 
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_a_pass_through_relays_the_very_payload_at_once(worlds, wire: str) -> None:
+def test_a_pass_through_forwards_the_same_payload_at_once(worlds, wire: str) -> None:
     adversary = Bench(worlds[wire], "adversary_1", attack=dict(type="PassThrough"))
     key = adversary.key(wire)
     adversary.clock(0)
@@ -113,7 +113,7 @@ def test_a_pass_through_relays_the_very_payload_at_once(worlds, wire: str) -> No
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_a_message_whose_pose_never_comes_is_passed_on_unchanged_at_the_next_clock(worlds, wire: str) -> None:
+def test_a_message_without_a_pose_is_forwarded_unchanged_at_the_next_clock(worlds, wire: str) -> None:
     adversary = bench(worlds, wire)
     play(adversary, wire, 3)
     adversary.clock(3)
@@ -210,7 +210,7 @@ def test_it_reports_what_it_changed_before_and_after(worlds, wire: str) -> None:
                 assert np.abs(after - place).sum(axis=1).min() > 1e-6
 
 
-def test_only_the_evaluator_hears_reports_and_the_truth() -> None:
+def test_only_the_evaluator_receives_reports_and_the_truth() -> None:
     for name in ("baseline", "uncoordinated", "coordinated", "passthrough"):
         wiring = Wiring.from_json(tiny(name).wiring)
         for wire, leg in wiring.legs():
@@ -220,7 +220,7 @@ def test_only_the_evaluator_hears_reports_and_the_truth() -> None:
         assert [end.node for end in wiring.overhearers] == ["evaluator"]
 
 
-def test_an_adversary_on_both_wires_of_its_agent_holds_back_neither() -> None:
+def test_an_adversary_on_both_wires_of_its_agent_delays_neither() -> None:
     def on_both(scenario: dict) -> None:
         scenario["adversaries"] = {"adversary_1": dict(agent="infra_1", attack=ATTACK)}
 
@@ -239,7 +239,7 @@ def on_picture(attack: dict[str, Any]) -> Any:
     return change
 
 
-def test_an_adversary_on_the_downlink_stands_before_its_agent_alone_and_passes_pictures_on_as_they_are() -> None:
+def test_an_idle_adversary_on_the_downlink_forwards_pictures_to_its_agent_unchanged() -> None:
     resolved = tiny(edit=on_picture(dict(type="PassThrough")))
     ports = Wiring.from_json(resolved.wiring).ports
     leg = "cc/picture/@tap/ego/0"
@@ -255,7 +255,7 @@ def test_an_adversary_on_the_downlink_stands_before_its_agent_alone_and_passes_p
     assert run.messages == plain.messages
 
 
-def test_an_attack_on_the_downlink_changes_the_picture_of_its_agent_alone() -> None:
+def test_an_attack_on_the_downlink_changes_only_the_picture_of_its_agent() -> None:
     leg = "cc/picture/@tap/ego/0"
     run, plain = Run(tiny(edit=on_picture(ATTACK | dict(start_s=0.4)))), Run(tiny())
     assert not run.failures
@@ -330,7 +330,7 @@ def test_a_directive_is_followed_from_the_next_frame_on(worlds, directive_first:
 
 
 @pytest.mark.parametrize("directive_first", [True, False])
-def test_a_directive_that_comes_late_waits_for_the_frame_after_it_came(worlds, directive_first: bool) -> None:
+def test_a_late_directive_takes_effect_in_the_frame_after_its_arrival(worlds, directive_first: bool) -> None:
     adversary = coordinated(worlds)
     counts = []
     for frame in range(5):
@@ -345,7 +345,7 @@ def test_a_directive_that_comes_late_waits_for_the_frame_after_it_came(worlds, d
     assert counts == [0, 0, 0, 1, 1]
 
 
-def test_the_coordinator_is_told_what_there_was_before_any_change(worlds) -> None:
+def test_observations_show_the_objects_before_any_change(worlds) -> None:
     adversary = coordinated(worlds)
     for frame in range(3):
         adversary.clock(frame)
@@ -373,7 +373,7 @@ def test_forged_tracks_are_in_the_frame_of_reference_of_the_message(worlds) -> N
     np.testing.assert_array_equal(body["origin"], reference["origin"])
 
 
-def test_its_draws_are_its_own() -> None:
+def test_each_adversary_has_its_own_random_draws() -> None:
     first, second = UncoordinatedAttack(start_s=0.0), UncoordinatedAttack(start_s=0.0)
     for attack, name in ((first, "adversary_1"), (second, "adversary_2")):
         attack.bind(0, name)

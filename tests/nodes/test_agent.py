@@ -55,7 +55,7 @@ def test_every_frame_has_one_message_of_each_estimate_even_if_empty(resolved) ->
 
 
 @pytest.mark.parametrize("lost", [["pose"], ["detections"], ["pose", "detections"]])
-def test_a_frame_whose_sensor_data_were_lost_has_its_messages_at_the_next_clock(resolved, lost: list[str]) -> None:
+def test_a_frame_without_sensor_data_is_published_at_the_next_clock(resolved, lost: list[str]) -> None:
     ego = bench(resolved)
     for frame in range(6):
         frame_of(ego, frame)
@@ -68,7 +68,7 @@ def test_a_frame_whose_sensor_data_were_lost_has_its_messages_at_the_next_clock(
     assert frames_of(ego.heard(TRACKS)) == list(range(8))
 
 
-def test_an_agent_that_does_not_know_where_it_is_says_nothing(resolved) -> None:
+def test_an_agent_without_a_pose_publishes_nothing(resolved) -> None:
     ego = bench(resolved)
     frame_of(ego, 0, "clock", "pose")
     frame_of(ego, 1, "clock", "detections")
@@ -77,7 +77,7 @@ def test_an_agent_that_does_not_know_where_it_is_says_nothing(resolved) -> None:
     assert frames_of(ego.heard(TRACKS)) == [2]
 
 
-def test_sensor_data_later_than_the_next_clock_change_nothing_any_more(resolved) -> None:
+def test_sensor_data_after_the_next_clock_are_ignored(resolved) -> None:
     ego = bench(resolved)
     for frame in range(4):
         frame_of(ego, frame)
@@ -86,7 +86,7 @@ def test_sensor_data_later_than_the_next_clock_change_nothing_any_more(resolved)
     assert ego.send("detections", detections(*[(5.0, 5.0)] * 3), 4) == []
 
 
-def test_sensor_data_that_come_twice_count_once(resolved) -> None:
+def test_duplicate_sensor_data_count_once(resolved) -> None:
     ego = bench(resolved)
     frame_of(ego, 0)
     ego.send("detections", detections((5.0, 5.0)), 0)
@@ -122,7 +122,7 @@ def test_tracks_are_in_the_world_frame(resolved) -> None:
     np.testing.assert_array_equal(last["rotation"], [1.0, 0.0, 0.0, 0.0])
 
 
-def test_tracks_in_the_body_frame_say_where_that_is(resolved) -> None:
+def test_tracks_in_the_body_frame_include_its_origin_and_rotation(resolved) -> None:
     body_frame = {**resolved.nodes["ego"].config["pipeline"], "frame": "body"}
     ego = bench(resolved, pipeline=body_frame)
     where = pose(x=100.0, y=50.0, yaw=np.pi / 2)
@@ -141,7 +141,7 @@ def test_tracks_in_the_body_frame_say_where_that_is(resolved) -> None:
     np.testing.assert_array_equal(mission["rotation"], [1.0, 0.0, 0.0, 0.0])
 
 
-def test_in_the_body_frame_of_an_agent_that_turns_a_car_that_stands_seems_to_move(resolved) -> None:
+def test_in_the_body_frame_of_a_turning_agent_a_parked_car_appears_to_move(resolved) -> None:
     """What it costs to do as the original MAST did."""
     speed = {}
     for frame_of_reference in ("world", "body"):
@@ -159,7 +159,7 @@ def test_in_the_body_frame_of_an_agent_that_turns_a_car_that_stands_seems_to_mov
     assert speed["world"] < 0.1 < 1.0 < speed["body"]
 
 
-def test_the_mission_takes_only_pictures_that_came_in_earlier_frames(resolved) -> None:
+def test_the_mission_uses_only_pictures_from_earlier_frames(resolved) -> None:
     ego = bench(resolved)
     for frame in range(4):
         ego.clock(frame)
@@ -171,7 +171,7 @@ def test_the_mission_takes_only_pictures_that_came_in_earlier_frames(resolved) -
     assert [len(message.body["id"]) for message in ego.heard(TRACKS)] == [0, 0, 0, 0]
 
 
-def test_a_picture_that_comes_late_is_used_from_the_frame_after_it_came(resolved) -> None:
+def test_a_late_picture_is_used_from_the_frame_after_its_arrival(resolved) -> None:
     """Else the mission would depend on whether it came before or after this frame's detections."""
     outcomes = []
     for picture_first in (True, False):
@@ -188,7 +188,7 @@ def test_a_picture_that_comes_late_is_used_from_the_frame_after_it_came(resolved
     assert outcomes == [[0, 0, 0, 1, 1]] * 2
 
 
-def test_the_picture_is_brought_to_the_time_of_the_frame_and_dropped_when_too_old(resolved) -> None:
+def test_the_picture_is_propagated_to_the_frame_and_dropped_when_too_old(resolved) -> None:
     ego = bench(resolved, picture_age_s=0.3)
     for frame in range(7):
         ego.clock(frame)
@@ -211,7 +211,7 @@ def test_a_picture_of_the_future_is_not_used(resolved) -> None:
     assert [len(message.body["id"]) for message in ego.heard(MISSION)] == [0, 0, 0]
 
 
-def test_a_status_comes_with_the_first_frame_and_every_few(resolved) -> None:
+def test_a_status_is_sent_with_the_first_frame_and_then_regularly(resolved) -> None:
     ego = bench(resolved, status_every=3)
     for frame in range(7):
         frame_of(ego, frame)
@@ -227,7 +227,7 @@ def test_a_status_comes_with_the_first_frame_and_every_few(resolved) -> None:
         ({"picture_age_s": -1.0}, "ego: Agent: picture_age_s: found -1.0, expected 0 or more"),
     ],
 )
-def test_parameters_that_make_no_sense_are_refused(resolved, config: dict, reason: str) -> None:
+def test_invalid_parameters_are_refused(resolved, config: dict, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         bench(resolved, **config)
 
@@ -254,7 +254,7 @@ def states(body: dict[str, np.ndarray], first_id: int = 0) -> ObjectStates:
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_an_object_that_both_know_is_one_and_others_are_kept_with_lasting_ids(name: str) -> None:
+def test_objects_in_both_estimates_are_merged_and_ids_persist(name: str) -> None:
     own, common = states(tracks((0.0, 0.0), (20.0, 0.0)), 10), states(picture((0.5, 0.0), (40.0, 0.0)), 30)
     mission = estimator(name).estimate(own, common)
     assert sorted(mission.id.tolist()) == [2 * 10 + 1 + 2, 2 * 30, 2 * 31]
@@ -263,20 +263,20 @@ def test_an_object_that_both_know_is_one_and_others_are_kept_with_lasting_ids(na
 
 @pytest.mark.parametrize("name", ESTIMATORS)
 @pytest.mark.parametrize(("own", "common"), [(0, 2), (2, 0), (0, 0)])
-def test_either_may_be_empty(name: str, own: int, common: int) -> None:
+def test_either_estimate_may_be_empty(name: str, own: int, common: int) -> None:
     places = [(10.0 * i, 0.0) for i in range(2)]
     mission = estimator(name).estimate(states(tracks(*places[:own])), states(picture(*places[:common])))
     assert len(mission) == own + common
 
 
-def test_picture_first_leaves_the_picture_as_it_is_and_fusion_draws_it_nearer() -> None:
+def test_picture_first_keeps_the_picture_and_fusion_averages() -> None:
     own, common = states(tracks((0.0, 0.0))), states(picture((1.0, 0.0)))
     assert estimator("PictureFirst").estimate(own, common).position[0, 0] == 1.0
     assert estimator("OwnAndPicture").estimate(own, common).position[0, 0] == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_either_can_be_chosen_in_a_scenario(name: str) -> None:
+def test_a_scenario_can_choose_either_estimator(name: str) -> None:
     def choose(scenario: dict) -> None:
         scenario["agents"]["*"]["pipeline"]["mission"] = ESTIMATORS[name]
 
@@ -375,7 +375,7 @@ def test_nothing_from_outside_changes_the_safety_critical_estimate(resolved, rec
     assert not alone.host.failures, "and costs it nothing else either"
 
 
-def test_who_attacks_others_does_not_touch_an_agents_own_tracks(resolved, recorded) -> None:
+def test_attacks_on_other_agents_do_not_change_an_agents_own_tracks(resolved, recorded) -> None:
     for name in ("uncoordinated", "coordinated"):
         attacked = Run(tiny(name, "n_adversaries=1", "attack_start_s=0.2"))
         assert attacked.messages["attack/adversary_1/report"], "there was an attack"

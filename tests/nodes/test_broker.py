@@ -1,4 +1,4 @@
-"""The broker brings the tracks of all agents to one time, and waits for nobody longer than it must."""
+"""The broker collates the tracks of all agents at one time, and waits no longer than necessary."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ def bench(resolved, **config: Any) -> Bench:
 
 
 def say(broker: Bench, agent: str, frame: int, *, step: int | None = None, x: float = 0.0, **more: Any):
-    """One track of an agent, in a place of its own."""
+    """Send one track of an agent, at its own position."""
     place = (x, 10.0 * AGENTS.index(agent))
     return broker.send("tracks", tracks(place, **more), frame, subject=agent, step=step)
 
@@ -40,7 +40,7 @@ def summary(messages: Any) -> list[tuple[int, dict[str, float]]]:
     return found
 
 
-def test_a_batch_goes_out_when_everyone_has_spoken(resolved) -> None:
+def test_a_batch_is_emitted_when_all_agents_have_sent_their_tracks(resolved) -> None:
     broker = bench(resolved)
     assert broker.clock(0) == []
     assert say(broker, "infra_2", 0) == []
@@ -66,7 +66,7 @@ def test_tracks_come_out_in_the_world_frame(resolved) -> None:
     assert message.body["yaw"][2] == pytest.approx(np.pi / 2)
 
 
-def test_an_empty_message_is_a_word_too(resolved) -> None:
+def test_an_empty_message_counts(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
     for agent in AGENTS:
@@ -75,7 +75,7 @@ def test_an_empty_message_is_a_word_too(resolved) -> None:
     assert len(said[0][1].body["id"]) == 0
 
 
-def test_who_does_not_speak_is_waited_for_until_the_next_clock(resolved) -> None:
+def test_the_broker_waits_for_a_silent_agent_until_the_next_clock(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
     say(broker, "ego", 0)
@@ -86,7 +86,7 @@ def test_who_does_not_speak_is_waited_for_until_the_next_clock(resolved) -> None
     assert (results["complete"], results["overdue"], results["late"]) == (0, 1, {"infra_2": 1})
 
 
-def test_the_last_word_of_a_silent_agent_is_carried_along_until_it_is_too_old(resolved) -> None:
+def test_the_last_tracks_of_a_silent_agent_are_propagated_until_too_old(resolved) -> None:
     broker = bench(resolved, max_age_s=0.25)
     for agent in AGENTS:
         broker.clock(0) if agent == "ego" else None
@@ -104,7 +104,7 @@ def test_the_last_word_of_a_silent_agent_is_carried_along_until_it_is_too_old(re
     assert 0.1 < spread[0] < spread[1], "and less certain"
 
 
-def test_an_agent_that_has_gone_is_waited_for_no_longer(resolved) -> None:
+def test_the_broker_does_not_wait_for_an_agent_that_has_left(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
     say(broker, "ego", 0)
@@ -115,7 +115,7 @@ def test_an_agent_that_has_gone_is_waited_for_no_longer(resolved) -> None:
     assert summary(say(broker, "infra_1", 1)) == [(1, {"ego": 0.0, "infra_1": 0.0})]
 
 
-def test_a_node_that_is_no_agent_may_come_and_go(resolved) -> None:
+def test_other_nodes_may_join_and_leave(resolved) -> None:
     broker = bench(resolved)
     broker.host.joined("recorder", "recorder")
     broker.clock(0)
@@ -125,7 +125,7 @@ def test_a_node_that_is_no_agent_may_come_and_go(resolved) -> None:
     assert broker.left("recorder", "recorder") == []
 
 
-def test_an_agent_that_comes_back_is_waited_for_again(resolved) -> None:
+def test_the_broker_waits_again_for_an_agent_that_returns(resolved) -> None:
     broker = bench(resolved)
     broker.left("infra_2", "agent")
     broker.host.joined("infra_2", "agent")
@@ -135,7 +135,7 @@ def test_an_agent_that_comes_back_is_waited_for_again(resolved) -> None:
     assert len(say(broker, "infra_2", 0)) == 1
 
 
-def test_a_newcomer_that_nobody_announced_is_waited_for_from_the_frame_after_its_first_status(resolved) -> None:
+def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(resolved) -> None:
     broker = bench(resolved)
     broker.node.agents.discard("infra_2")  # as if it were not yet seen on the mesh
     for frame in (0, 1):
@@ -148,7 +148,7 @@ def test_a_newcomer_that_nobody_announced_is_waited_for_from_the_frame_after_its
     assert summary(say(broker, "infra_2", 1)) == [(1, dict.fromkeys(AGENTS, 0.0))]
 
 
-def test_the_tracks_of_a_newcomer_count_from_the_frame_after_its_first_ones(resolved) -> None:
+def test_the_tracks_of_a_new_agent_count_from_the_frame_after_its_first_ones(resolved) -> None:
     for newcomer_first in (True, False):
         broker = bench(resolved)
         broker.node.agents.discard("infra_2")
@@ -160,7 +160,7 @@ def test_the_tracks_of_a_newcomer_count_from_the_frame_after_its_first_ones(reso
         assert summary(said) == [(0, dict.fromkeys(("ego", "infra_1"), 0.0)), (1, dict.fromkeys(AGENTS, 0.0))]
 
 
-def test_the_status_of_an_agent_that_has_gone_does_not_bring_it_back(resolved) -> None:
+def test_a_late_status_does_not_bring_back_an_agent_that_has_left(resolved) -> None:
     broker = bench(resolved)
     broker.clock(0)
     broker.send("status", STATUS, 0, subject="infra_2")
@@ -170,7 +170,7 @@ def test_the_status_of_an_agent_that_has_gone_does_not_bring_it_back(resolved) -
     assert len(say(broker, "infra_1", 1)) == 1
 
 
-def test_with_a_latency_factor_the_batch_is_of_the_earlier_time(resolved) -> None:
+def test_with_latency_the_batch_is_of_the_earlier_time(resolved) -> None:
     broker = bench(resolved, latency_s=0.2)
     said = []
     for frame in range(5):
@@ -185,7 +185,7 @@ def test_with_a_latency_factor_the_batch_is_of_the_earlier_time(resolved) -> Non
     np.testing.assert_array_equal(batch.body["position"][:, 0], [2.0, 2.0, 2.0])
 
 
-def test_within_the_latency_a_late_message_is_in_time(resolved) -> None:
+def test_a_message_within_the_latency_is_in_time(resolved) -> None:
     broker = bench(resolved, latency_s=0.1)
     broker.clock(0)
     say(broker, "ego", 0)
@@ -204,7 +204,7 @@ def test_patience_waits_for_more_clocks(resolved) -> None:
     assert summary(broker.clock(3)) == [(0, {"ego": 0.0, "infra_1": 0.0})]
 
 
-def test_frames_go_out_in_their_order_even_if_a_later_one_is_complete_first(resolved) -> None:
+def test_frames_are_emitted_in_order_even_if_a_later_one_is_complete_first(resolved) -> None:
     broker = bench(resolved, patience=3)
     broker.clock(0)
     for agent in ("ego", "infra_1"):
@@ -224,7 +224,7 @@ def test_without_agents_there_is_an_empty_batch_every_frame(resolved) -> None:
     assert summary(broker.clock(1)) == [(1, {})]
 
 
-def test_what_overflows_and_what_comes_late_is_counted(resolved) -> None:
+def test_overflowing_and_late_messages_are_counted(resolved) -> None:
     broker = bench(resolved, latency_s=0.5, capacity=2)
     for frame in range(4):
         broker.clock(frame)
@@ -233,7 +233,7 @@ def test_what_overflows_and_what_comes_late_is_counted(resolved) -> None:
 
 
 @pytest.mark.parametrize("column", ["position", "velocity", "size", "covariance", "origin"])
-def test_an_absurd_track_does_not_spoil_the_batch_of_all(resolved, column: str) -> None:
+def test_an_implausible_track_is_rejected_without_affecting_the_batch(resolved, column: str) -> None:
     broker = bench(resolved, max_age_s=1.0)
     for frame in range(4):
         broker.clock(frame)
@@ -253,16 +253,14 @@ def test_an_absurd_track_does_not_spoil_the_batch_of_all(resolved, column: str) 
 
 
 def say_at(broker: Bench, agent: str, frame: int, offset_s: float, **more: Any):
-    """A word of an agent whose clock is off."""
+    """Send tracks of an agent with a wrong clock."""
     key = broker.key("tracks", agent)
     time_ns = frame * PERIOD_NS + round(offset_s * 1e9)
     return broker.deliver(key, broker.message(key, tracks((0.0, 0.0), **more), frame, time_ns=time_ns))
 
 
 @pytest.mark.parametrize("offset_s", [-0.2, -0.03, 0.03, 0.2])
-def test_an_agent_whose_clock_is_off_completes_its_batch_and_counts_at_the_time_it_says(
-    resolved, offset_s: float
-) -> None:
+def test_an_agent_with_a_wrong_clock_completes_its_batch_at_the_time_it_reports(resolved, offset_s: float) -> None:
     broker = bench(resolved, max_age_s=0.25)
     for frame in range(4, 8):
         broker.clock(frame)
@@ -277,9 +275,7 @@ def test_an_agent_whose_clock_is_off_completes_its_batch_and_counts_at_the_time_
 
 
 @pytest.mark.parametrize("offset_s", [-0.3, 0.3, 1e6])
-def test_a_clock_that_is_off_by_more_than_a_word_may_be_old_costs_the_agent_its_say_and_nobody_else(
-    resolved, offset_s: float
-) -> None:
+def test_a_clock_error_beyond_max_age_excludes_only_that_agent(resolved, offset_s: float) -> None:
     broker = bench(resolved, max_age_s=0.25)
     for frame in range(4, 7):
         broker.clock(frame)
@@ -292,7 +288,7 @@ def test_a_clock_that_is_off_by_more_than_a_word_may_be_old_costs_the_agent_its_
     assert summary(said) == [(7, dict.fromkeys(AGENTS, 0.0))], "when it is right again, it is heard again"
 
 
-def test_a_doubled_message_changes_nothing(resolved) -> None:
+def test_a_duplicate_message_changes_nothing(resolved) -> None:
     outcomes = []
     for copies in (1, 3):
         broker = bench(resolved, patience=1)
@@ -309,7 +305,7 @@ def test_a_doubled_message_changes_nothing(resolved) -> None:
     assert outcomes[0] == outcomes[1], "nor is any of them late"
 
 
-def test_what_a_dead_agent_said_last_goes_by_time_not_at_once_and_not_never(resolved) -> None:
+def test_the_last_tracks_of_a_dead_agent_expire_by_age(resolved) -> None:
     broker = bench(resolved, max_age_s=0.25)
     ages = []
     for frame in range(6):
@@ -325,7 +321,7 @@ def test_what_a_dead_agent_said_last_goes_by_time_not_at_once_and_not_never(reso
 
 @given(st.data())
 @settings(max_examples=60)
-def test_every_order_of_delivery_gives_the_same_batches(resolved, data: st.DataObject) -> None:
+def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObject) -> None:
     """Messages of a frame in any order, some lost, some a frame late, through the host as on a mesh."""
     configs = [{}, {"latency_s": 0.1}, {"latency_s": 0.2, "patience": 1}, {"patience": 1}, {"max_age_s": 0.1}]
     config = data.draw(st.sampled_from(configs))
@@ -368,6 +364,6 @@ def test_every_order_of_delivery_gives_the_same_batches(resolved, data: st.DataO
         ({"max_age_s": -1.0}, "max_age_s: found -1.0, expected 0 or more"),
     ],
 )
-def test_parameters_that_make_no_sense_are_refused(resolved, config: dict, reason: str) -> None:
+def test_invalid_parameters_are_refused(resolved, config: dict, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         bench(resolved, **config)

@@ -32,7 +32,7 @@ def test_there_is_one_picture_for_each_batch_about_the_same_frame(resolved) -> N
         assert (message.header.frame, message.header.time_ns) == (frame, frame * PERIOD_NS)
 
 
-def test_two_agents_tracks_of_one_object_are_one_object_with_the_support_of_two(resolved) -> None:
+def test_tracks_of_one_object_by_two_agents_become_one_object_with_support_two(resolved) -> None:
     centre = Bench(resolved, "command_center")
     for frame in range(5):
         centre.clock(frame)
@@ -45,7 +45,7 @@ def test_two_agents_tracks_of_one_object_are_one_object_with_the_support_of_two(
     assert ids[0] == ids[1], "they keep their ids"
 
 
-def test_a_batch_of_nothing_gives_a_picture_of_nothing(resolved) -> None:
+def test_an_empty_batch_gives_an_empty_picture(resolved) -> None:
     centre = Bench(resolved, "command_center")
     for frame, empty in enumerate((batch(), batch((), ()))):
         centre.clock(frame)
@@ -64,8 +64,8 @@ def test_a_second_batch_of_a_frame_is_a_duplicate(resolved) -> None:
 
 @pytest.mark.parametrize("scale", [1.0, 100.0, 1e6, 1e8])
 @pytest.mark.parametrize("seed", range(3))
-def test_whatever_agents_say_of_their_tracks_there_is_a_picture(resolved, seed: int, scale: float) -> None:
-    """Covariances that are none, sizes and scores below zero, absurd speeds: what a compromised agent may send."""
+def test_implausible_tracks_still_give_a_picture(resolved, seed: int, scale: float) -> None:
+    """Invalid covariances, negative sizes and scores, absurd speeds, as a compromised agent may send them."""
     rng = np.random.default_rng(seed)
     centre = Bench(resolved, "command_center")
     for frame in range(8):
@@ -94,7 +94,7 @@ def test_whatever_agents_say_of_their_tracks_there_is_a_picture(resolved, seed: 
         assert np.hypot(*(places - [0.05, 0.0]).T).min() < 1.0, "and the honest agents' car is in it"
 
 
-def test_a_batch_that_comes_late_is_about_its_own_frame(resolved) -> None:
+def test_the_picture_of_a_late_batch_is_about_its_own_frame(resolved) -> None:
     centre = Bench(resolved, "command_center")
     centre.clock(0)
     centre.clock(1)

@@ -1,4 +1,4 @@
-"""The coordinator gives all its adversaries one plan, and goes on without those that have gone."""
+"""The coordinator sends all its adversaries one plan, and does not wait for those that have left."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def observe(coordinator: Bench, adversary: int, frame: int, *, step: int | None 
     return coordinator.send("observations", body, frame, subject=f"adversary_{adversary}", step=step)
 
 
-def test_everyone_gets_the_same_plan_when_all_have_spoken(resolved) -> None:
+def test_all_adversaries_get_the_same_plan_when_all_have_reported(resolved) -> None:
     coordinator = Bench(resolved, "coordinator")
     coordinator.clock(0)
     assert observe(coordinator, 2, 0) == []
@@ -45,7 +45,7 @@ def test_everyone_gets_the_same_plan_when_all_have_spoken(resolved) -> None:
         np.testing.assert_array_equal(column, second.body[name])
 
 
-def test_the_order_in_which_they_speak_changes_nothing(resolved) -> None:
+def test_the_order_of_observations_changes_nothing(resolved) -> None:
     outcomes = []
     for order in ((1, 2), (2, 1)):
         coordinator = Bench(resolved, "coordinator")
@@ -58,7 +58,7 @@ def test_the_order_in_which_they_speak_changes_nothing(resolved) -> None:
     assert len(outcomes[0]) == 8
 
 
-def test_of_a_silent_adversary_nothing_is_awaited_beyond_the_next_clock(resolved) -> None:
+def test_the_coordinator_waits_for_a_silent_adversary_until_the_next_clock(resolved) -> None:
     coordinator = Bench(resolved, "coordinator")
     coordinator.clock(0)
     assert observe(coordinator, 1, 0) == []
@@ -68,7 +68,7 @@ def test_of_a_silent_adversary_nothing_is_awaited_beyond_the_next_clock(resolved
     assert [key for key, _ in observe(coordinator, 2, 1)] == list(DIRECTIVES), "it may speak again"
 
 
-def test_a_dead_adversary_is_waited_for_no_longer_until_it_comes_back(resolved) -> None:
+def test_the_coordinator_does_not_wait_for_a_dead_adversary_until_it_returns(resolved) -> None:
     coordinator = Bench(resolved, "coordinator")
     coordinator.clock(0)
     coordinator.left("adversary_2", "adversary")
@@ -79,7 +79,7 @@ def test_a_dead_adversary_is_waited_for_no_longer_until_it_comes_back(resolved) 
     assert len(observe(coordinator, 2, 1)) == 2
 
 
-def test_an_adversary_that_is_not_there_yet_is_not_waited_for(resolved) -> None:
+def test_the_coordinator_does_not_wait_for_an_adversary_that_has_not_joined(resolved) -> None:
     without = replace(resolved, nodes={name: spec for name, spec in resolved.nodes.items() if name != "adversary_2"})
     coordinator = Bench(without, "coordinator")
     assert coordinator.node.adversaries == {"adversary_1", "adversary_2"}
@@ -91,8 +91,8 @@ def test_an_adversary_that_is_not_there_yet_is_not_waited_for(resolved) -> None:
     assert len(observe(coordinator, 2, 1)) == 2
 
 
-def test_others_adversaries_are_not_waited_for(resolved) -> None:
-    """A pass-through or an uncoordinated adversary in the same run says nothing to a coordinator."""
+def test_the_coordinator_does_not_wait_for_adversaries_of_others(resolved) -> None:
+    """A pass-through or an uncoordinated adversary in the same run sends no observations."""
     coordinator = Bench(resolved, "coordinator", adversaries=["adversary_1"])
     coordinator.clock(0)
     assert observe(coordinator, 2, 0) == [], "nor listened to"
@@ -113,7 +113,7 @@ def test_a_run_in_which_one_adversary_is_not_directed_is_not_delayed() -> None:
     assert first == 3, "the frame after the first plan, which is of frame 2"
 
 
-def test_a_run_goes_on_when_nothing_is_ever_seen() -> None:
+def test_a_run_continues_without_any_observation() -> None:
     def blind(scenario: dict) -> None:
         scenario["coordinator"]["adversaries"] = []
 

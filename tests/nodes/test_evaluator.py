@@ -1,4 +1,4 @@
-"""The evaluator hears everything and says nothing; what it has heard becomes the metrics of the run."""
+"""The evaluator receives all messages and publishes none; its results are the metrics of the run."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_every_estimate_of_every_agent_is_scored(resolved) -> None:
     assert found["same_as"] == dict.fromkeys(AGENTS, same)
 
 
-def test_tracks_of_another_frame_of_reference_are_brought_to_the_world(resolved) -> None:
+def test_tracks_in_another_frame_of_reference_are_converted_to_the_world_frame(resolved) -> None:
     def turned(frame: int, evaluator: Bench) -> None:
         reference = {
             "origin": np.array([10.0, -10.0, 0.0]),
@@ -121,7 +121,7 @@ def test_latency_is_the_scene_time_between_a_frame_and_its_picture(resolved) -> 
     assert metrics(evaluator)["latency_ms"]["sim_to_picture"] == {"p50": 200.0, "p95": 200.0, "p99": 200.0}
 
 
-def test_a_late_picture_scores_as_what_it_was_about_and_as_what_the_agent_held_when_it_arrived(resolved) -> None:
+def test_a_late_picture_is_scored_for_its_own_frame_and_for_the_frame_of_its_arrival(resolved) -> None:
     """Everything moves 1.5 m a frame; the picture is right about its frame, and comes three frames later."""
     evaluator = Bench(resolved, "evaluator", skip_first=0, skip_last=0)
     for frame in range(20):
@@ -135,7 +135,7 @@ def test_a_late_picture_scores_as_what_it_was_about_and_as_what_the_agent_held_w
     assert found["picture_on_arrival"]["fp"]["mean"] == 17 / 20
 
 
-def test_a_malformed_estimate_is_none(resolved) -> None:
+def test_a_malformed_estimate_is_ignored(resolved) -> None:
     def broken(frame: int, evaluator: Bench) -> None:
         evaluator.host.deliver("cc/picture", b"rubbish", frame)
         evaluator.host.deliver("agent/ego/tracks", b"\x80", frame)
@@ -167,7 +167,7 @@ def test_own_tracks_are_scored_as_they_were_computed_and_as_the_broker_received_
     ]
 
 
-def test_what_is_passed_on_unchanged_is_the_same_estimate(intercepted) -> None:
+def test_a_message_that_is_forwarded_unchanged_is_the_same_estimate(intercepted) -> None:
     evaluator = Bench(intercepted, "evaluator")
     for frame in range(3):
         evaluator.hear("clock", {}, frame)
@@ -178,14 +178,14 @@ def test_what_is_passed_on_unchanged_is_the_same_estimate(intercepted) -> None:
     assert metrics(evaluator)["same_as"]["infra_1"]["received"] == "local"
 
 
-def test_attacks_on_others_do_not_change_an_agents_own_figures() -> None:
+def test_attacks_on_others_do_not_change_an_agents_own_metrics() -> None:
     plain, attacked = Run(tiny()), Run(tiny("uncoordinated", "n_adversaries=1", "attack_start_s=0.2"))
     found = [run.results["evaluator"]["metrics"]["agents"] for run in (plain, attacked)]
     assert found[0]["ego"]["local"] == found[1]["ego"]["local"]
     assert found[0]["infra_1"]["local"] != found[1]["infra_1"]["local"]
 
 
-def test_an_attack_on_what_an_agent_sends_changes_nothing_in_what_it_computed() -> None:
+def test_an_attack_on_an_agents_output_does_not_change_its_own_estimate() -> None:
     plain, attacked = Run(tiny()), Run(tiny("coordinated", "n_adversaries=1", "attack_start_s=0.2"))
     found = [run.results["evaluator"]["metrics"]["agents"]["infra_1"] for run in (plain, attacked)]
     assert found[0]["local"] == found[1]["local"]
@@ -207,7 +207,7 @@ def moved(frame: int, evaluator: Bench) -> None:
     evaluator.hear("agent/infra_1/detections", body | {"position": shifted}, frame)
 
 
-def test_what_an_adversary_changed_is_measured_in_the_world_frame_though_it_says_nothing(resolved) -> None:
+def test_unreported_changes_of_an_adversary_are_measured_in_the_world_frame(resolved) -> None:
     evaluator = heard(resolved, 2, at=moved)
     outcome = evaluator.host.finish()
     table = outcome["tables"]["attacks"]
@@ -244,7 +244,7 @@ LIE = (0, 8, (0.0, 0.0, 0.0), (-40.0, 8.0, 1.0))
     ("changes", "verdict", "unreported", "unfounded"),
     [((TRUE,), "agrees", 0, 0), ((TRUE, LIE), "disagrees", 0, 2), ((LIE,), "disagrees", 1, 2)],
 )
-def test_reports_are_labels_where_they_are_true_and_contradictions_where_they_are_not(
+def test_true_reports_are_labels_and_false_ones_are_contradictions(
     resolved, changes, verdict: str, unreported: int, unfounded: int
 ) -> None:
     def told(frame: int, evaluator: Bench) -> None:
@@ -297,18 +297,18 @@ def blamed(linked, *, at: Any = None, passes: Any = None, frames: int = 30, **co
     return metrics(evaluator)["agents"]["ego"]["picture"]
 
 
-def test_what_is_missed_while_everything_gets_through_is_natural(linked) -> None:
+def test_a_miss_without_any_loss_is_natural(linked) -> None:
     found = blamed(linked)
     assert found["causes"]["fn"] == {"fusion": 5}
     assert found["fn_split"] == {"fault": 0.0, "attack": 0.0, "natural": pytest.approx(5 / 30)}
     assert found["fp_split"] == {"fault": 0.0, "attack": 0.0, "natural": 0.0}
 
 
-def test_what_a_link_dropped_is_the_faults_whether_or_not_the_link_says_so(linked) -> None:
+def test_a_miss_after_a_dropped_message_is_due_to_the_fault_even_if_unreported(linked) -> None:
     assert blamed(linked, passes=lambda frame: not 15 <= frame < 18)["causes"]["fn"] == {"link or fault": 5}
 
 
-def test_what_a_killed_agent_would_have_seen_is_the_faults_and_until_it_is_back_in_the_picture(linked) -> None:
+def test_misses_while_an_agent_is_killed_are_due_to_the_fault(linked) -> None:
     def killed(frame: int, agent: str, evaluator: Bench) -> bool | None:
         if agent == "ego" and frame == 12:
             evaluator.left("infra_1", "agent")
@@ -319,7 +319,7 @@ def test_what_a_killed_agent_would_have_seen_is_the_faults_and_until_it_is_back_
     assert blamed(linked, at=killed)["causes"]["fn"] == {"link or fault": 5}
 
 
-def test_an_agent_that_nobody_hears_for_long_is_cut_off_and_for_a_moment_is_late_at_most(linked) -> None:
+def test_a_long_silence_counts_as_cut_off_and_a_short_one_as_late(linked) -> None:
     def unheard(first: int, last: int) -> Any:
         return lambda frame, agent, evaluator: agent != "infra_1" or not first <= frame <= last
 
@@ -341,7 +341,7 @@ def test_the_parameters_of_attribution_change_what_is_blamed(linked) -> None:
     assert blamed(linked, attribution=dict(begin_s=3.0))["causes"]["fn"] == {"lag": 5}
 
 
-def test_a_run_without_links_has_nothing_to_blame_on_them() -> None:
+def test_a_run_without_links_attributes_nothing_to_faults() -> None:
     found = Run(tiny()).results["evaluator"]
     assert "link or fault" not in found["tables"]["objects"]["cause"]
     for of_agent in found["metrics"]["agents"].values():
@@ -353,12 +353,12 @@ def test_a_run_without_links_has_nothing_to_blame_on_them() -> None:
 # -- the node ----------------------------------------------------------------------------------------------------------
 
 
-def test_it_says_nothing() -> None:
+def test_it_publishes_nothing() -> None:
     for name in ("baseline", "uncoordinated", "coordinated"):
         assert not Wiring.from_json(tiny(name).wiring).ports("evaluator").outputs
 
 
-def test_it_hears_no_more_than_it_needs() -> None:
+def test_it_subscribes_to_no_more_than_it_needs() -> None:
     evaluator = Bench(tiny(), "evaluator")
     evaluator.node.on_everything = lambda message, context: pytest.fail(message.key)
     for key in ("agent/ego/pose", "agent/ego/detections", "agent/ego/status", "cc/collated"):
@@ -367,7 +367,7 @@ def test_it_hears_no_more_than_it_needs() -> None:
 
 
 @pytest.mark.parametrize("order", range(5))
-def test_its_results_do_not_depend_on_the_order_in_which_messages_come(order: int) -> None:
+def test_its_results_do_not_depend_on_the_delivery_order(order: int) -> None:
     attacked = tiny("uncoordinated", "n_adversaries=2", "attack_start_s=0.2", "fraction_translations=0.5")
     assert Run(attacked, shuffle=order).packed == Run(attacked).packed
 
@@ -391,6 +391,6 @@ def test_its_results_are_the_same_whether_messages_are_bytes_or_not() -> None:
         ({"metrics": [{"type": "LongestMiss"}, {"type": "LongestMiss"}]}, "metrics: found 'longest_miss' twice"),
     ],
 )
-def test_parameters_that_make_no_sense_are_refused(resolved, config: dict[str, Any], message: str) -> None:
+def test_invalid_parameters_are_refused(resolved, config: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         Bench(resolved, "evaluator", **config)

@@ -1,4 +1,4 @@
-"""The link node: passes on what comes, as its rules have it, and tells the evaluator alone what it did."""
+"""The link node: applies its rules to messages, and reports their fates to the evaluator only."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SAID = {"mobile": [1], "detections": [3], "tracks": [2]}
 
 
 def world(up: list[dict[str, Any]], down: list[dict[str, Any]] | None = None, **more: Any) -> Resolved:
-    """Our baseline with a link on the ego."""
+    """The shipped baseline with a link on the ego."""
 
     def edit(content: dict[str, Any]) -> None:
         content["links"] = {"ego": dict(up=up, down=down or [])}
@@ -65,7 +65,7 @@ def rows(link: Bench) -> list[tuple[Any, ...]]:
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_a_link_without_rules_passes_everything_on_as_it_came(encode: bool) -> None:
+def test_a_link_without_rules_forwards_everything_unchanged(encode: bool) -> None:
     link = bench(encode=encode)
     for key, port, body in (
         (TRACKS, "tracks", tracks((1.0, 2.0))),
@@ -79,7 +79,7 @@ def test_a_link_without_rules_passes_everything_on_as_it_came(encode: bool) -> N
     assert rows(link) == []
 
 
-def test_what_the_agent_says_and_what_it_hears_have_rules_of_their_own() -> None:
+def test_messages_from_and_to_the_agent_have_separate_rules() -> None:
     link = bench(dict(type="Cut"), down=[dict(type="Flood", copies=2)])
     assert link.send("tracks", tracks((1.0, 2.0)), 0) == []
     assert [key for key, _ in link.send("picture", picture(), 0)] == [PICTURE] * 3
@@ -87,7 +87,7 @@ def test_what_the_agent_says_and_what_it_hears_have_rules_of_their_own() -> None
     assert rows(link) == [(1, "tracks", 0, 0, "dropped", 0), (1, "picture", 0, 0, "duplicated", 0)]
 
 
-def test_a_message_leaves_so_many_frames_later_as_its_delay_has_whole_frames() -> None:
+def test_a_delay_is_rounded_down_to_whole_frames() -> None:
     link = bench(dict(type="Delay", mean_s=0.25, distribution="constant"))
     assert link.send("tracks", tracks((1.0, 2.0)), 0) == []
     assert link.clock(1)[0][0] == REPORT
@@ -96,13 +96,13 @@ def test_a_message_leaves_so_many_frames_later_as_its_delay_has_whole_frames() -
     assert rows(link) == [(1, "tracks", 0, 0, "delayed", 0)]
 
 
-def test_a_delay_within_a_frame_is_no_delay_in_lock_step() -> None:
+def test_a_delay_within_a_frame_has_no_effect_in_lock_step() -> None:
     link = bench(dict(type="Delay", mean_s=0.099, distribution="constant"))
     assert [key for key, _ in link.send("tracks", tracks((1.0, 2.0)), 0)] == [TRACKS]
     assert link.clock(1) == []
 
 
-def test_every_report_is_about_the_step_before_and_in_one_order() -> None:
+def test_every_report_is_about_the_previous_step_and_sorted() -> None:
     link = bench(dict(type="Cut"), down=[dict(type="Cut")])
     for frame in range(3):
         link.send("picture", picture(), frame)
@@ -113,7 +113,7 @@ def test_every_report_is_about_the_step_before_and_in_one_order() -> None:
     ]
 
 
-def test_where_the_agent_is_counts_from_the_next_frame_on_whatever_comes_first() -> None:
+def test_the_agents_position_takes_effect_in_the_next_frame_in_any_order() -> None:
     limit = dict(type="RangeLimit", range_m=50.0, gateways=[[0.0, 0.0, 0.0]])
     for pose_first in (True, False):
         link, passed = bench(limit), []
@@ -128,7 +128,7 @@ def test_where_the_agent_is_counts_from_the_next_frame_on_whatever_comes_first()
         assert passed == [True, True, False, True]
 
 
-def test_a_wrong_clock_and_a_wrong_pose_change_the_header_time_and_the_frame_of_reference_alone() -> None:
+def test_a_wrong_clock_and_pose_change_only_the_header_time_and_the_frame_of_reference() -> None:
     link = bench(dict(type="ClockSkew", offset_s=0.03), dict(type="PoseError", bias_m=[2.0, -1.0]))
     body = tracks((1.0, 2.0))
     ((_, found),) = link.send("tracks", body, 0)
@@ -185,14 +185,14 @@ rules = st.lists(st.sampled_from(sorted(ANY_RULE)), max_size=5).map(
 )
 
 
-def test_every_rule_of_ours_takes_part_in_the_tests_below() -> None:
+def test_the_tests_below_cover_every_shipped_rule() -> None:
     ours = {name for name, rule in known_types(Rule).items() if rule.__module__.startswith("mast_zenoh.")}
     assert ours == ANY_RULE.keys()
 
 
 @given(up=rules, down=rules, shuffle=st.integers(0, 1000), encode=st.booleans())
 @settings(max_examples=12)
-def test_no_rules_make_a_run_depend_on_the_order_of_delivery_nor_on_bytes(
+def test_with_any_rules_a_run_does_not_depend_on_delivery_order_or_encoding(
     up: list[dict], down: list[dict], shuffle: int, encode: bool
 ) -> None:
     resolved = world(up, down, frames=10)
@@ -202,7 +202,7 @@ def test_no_rules_make_a_run_depend_on_the_order_of_delivery_nor_on_bytes(
     assert not plain.failures
 
 
-def test_a_link_of_everything_at_once_gives_the_same_run_in_any_order() -> None:
+def test_a_link_with_all_rules_gives_the_same_run_in_any_order() -> None:
     every = [dict(type=name, **given_) for name, given_ in ANY_RULE.items()]
     resolved = world(every, every)
     plain = Run(resolved)
@@ -226,7 +226,7 @@ def test_links_without_rules_leave_no_trace_but_on_their_own_legs() -> None:
 
 @given(payload=st.binary(max_size=200))
 @settings(max_examples=60)
-def test_bytes_that_are_no_message_are_passed_on_as_they_are_and_do_no_harm(payload: bytes) -> None:
+def test_malformed_bytes_are_forwarded_unchanged(payload: bytes) -> None:
     link = _broken_link()
     for port in ("tracks", "picture", "pose"):
         link.host.deliver(link.key(port), payload, 0)
@@ -247,7 +247,7 @@ def _broken_link() -> Bench:
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_a_malformed_body_passes_a_network_that_does_not_look_at_it(encode: bool) -> None:
+def test_a_malformed_body_passes_a_link_that_does_not_decode_it(encode: bool) -> None:
     link = bench(dict(type="ClockSkew", offset_s=1.0), dict(type="PoseError", bias_m=[1.0, 0.0]), encode=encode)
     key, body = link.key("tracks"), tracks((1.0, 2.0))
     body["position"] = np.full((1, 3), np.nan)
@@ -261,7 +261,7 @@ def test_a_malformed_body_passes_a_network_that_does_not_look_at_it(encode: bool
     assert not link.host.failures
 
 
-def test_the_results_say_what_became_of_how_many() -> None:
+def test_the_results_count_the_fates_of_messages() -> None:
     link = bench(dict(type="Cut"), down=[dict(type="Loss", probability=0.0)])
     for _ in range(3):
         link.send("tracks", tracks(), 0)
@@ -271,7 +271,7 @@ def test_the_results_say_what_became_of_how_many() -> None:
 
 
 @pytest.mark.parametrize("attack", ["none", "uncoordinated", "coordinated"])
-def test_in_a_realistic_network_what_stands_is_wired_and_what_moves_is_not(attack: str) -> None:
+def test_in_a_realistic_network_static_agents_are_wired_and_mobile_ones_wireless(attack: str) -> None:
     resolved = tiny("realistic_network", f"attack={attack}")
     rules = {name: spec.config["rules_up"] for name, spec in resolved.nodes.items() if spec.role == "link"}
     ranged = {name: any(rule["type"] == "RangeLimit" for rule in its) for name, its in rules.items()}
@@ -299,7 +299,7 @@ OWN_MAP = {
 }
 
 
-def test_a_map_of_ones_own_puts_a_link_on_another_wire() -> None:
+def test_a_users_map_can_insert_a_link_into_another_wire() -> None:
     def edit(content: dict[str, Any]) -> None:
         content["nodes"] = {"loose": dict(role="link", agent="ego", rules_up=[dict(type="Cut", at=0.3, until=0.6)])}
         content["keyexpr"] = dict(map="testbed.toml", rewrites=[OWN_MAP])
@@ -311,7 +311,7 @@ def test_a_map_of_ones_own_puts_a_link_on_another_wire() -> None:
     assert came == [frame for frame in sent if not 3 <= frame < 6]
 
 
-def test_a_link_of_ones_own_has_ports_of_its_own(tmp_path: Path) -> None:
+def test_a_user_defined_link_can_have_other_ports(tmp_path: Path) -> None:
     (tmp_path / "my_link.py").write_text(
         textwrap.dedent(
             """
@@ -345,9 +345,7 @@ def test_a_link_of_ones_own_has_ports_of_its_own(tmp_path: Path) -> None:
     gaps_us=st.lists(st.integers(1, 4000), min_size=12, max_size=12),
 )
 @settings(max_examples=40)
-def test_in_real_time_messages_leave_in_order_however_close_they_come(
-    delays_ms: list[float], gaps_us: list[int]
-) -> None:
+def test_in_real_time_messages_leave_in_order(delays_ms: list[float], gaps_us: list[int]) -> None:
     starts = [1e-3 * i for i in range(len(delays_ms) + 1)]  # each message has a delay of its own
     rules = [
         dict(type="Delay", mean_s=ms * 1e-3, distribution="constant", at=at, until=until)
@@ -377,7 +375,7 @@ def test_in_real_time_a_message_leaves_when_its_delay_is_over() -> None:
 
 
 class _RealTime:
-    """The ego's link on a clock of the test's own, which goes on by 1 ns whenever somebody looks at it."""
+    """The ego's link on a test clock, which advances by 1 ns at every reading."""
 
     def __init__(self, rules: list[dict[str, Any]]) -> None:
         resolved = world(rules)
@@ -405,7 +403,7 @@ class _RealTime:
         return [codec.decode(payload, "tracks").header.seq for payload in out if isinstance(payload, bytes)]
 
 
-def test_a_frame_is_as_long_as_the_clock_says() -> None:
+def test_the_length_of_a_frame_is_that_of_the_clock() -> None:
     link = bench(dict(type="Delay", mean_s=0.15, distribution="constant"))
     link.send("tracks", tracks(), 0)
     clock = link.message(link.key("clock"), {}, 1, time_ns=2 * PERIOD_NS)  # frames of 0.2 s

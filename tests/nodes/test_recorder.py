@@ -1,4 +1,4 @@
-"""The recorder writes down what was sent, and changes nothing by being there."""
+"""The recorder records all messages, and does not influence the run."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def test_it_has_every_byte_that_was_sent_on_every_key(tmp_path: Path, encode: bo
     assert found == {key: payloads for key, payloads in said.messages.items() if payloads}
 
 
-def test_the_others_say_and_find_the_same_with_it_and_without(tmp_path: Path) -> None:
+def test_it_changes_no_message_and_no_result_of_other_nodes(tmp_path: Path) -> None:
     plain = Run(resolved(record=False))
     outcome = InProcess(resolved().in_folder(tmp_path)).run()
     for name, result in plain.results.items():
         assert results.pack(outcome[name]) == results.pack(result)
 
 
-def test_it_is_there_when_asked_for_unless_the_scenario_says_no() -> None:
+def test_it_is_added_on_request_unless_the_scenario_disables_it() -> None:
     assert "recorder" in resolved().nodes
     assert "recorder" not in resolved(record=False).nodes
     path, content = scenario.load("baseline")
@@ -65,7 +65,7 @@ def test_it_is_there_when_asked_for_unless_the_scenario_says_no() -> None:
         scenario.resolve(path, content, frames=2, record=True)
 
 
-def test_run_json_says_how_many_messages_were_recorded(tmp_path: Path) -> None:
+def test_run_json_has_the_number_of_recorded_messages(tmp_path: Path) -> None:
     ended = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
     record = json.loads((ended.folder / "run.json").read_text())
     assert record["recorded"] == {"messages": len(list(read(ended.folder))), "malformed": 0, "lost": 0}
@@ -74,7 +74,7 @@ def test_run_json_says_how_many_messages_were_recorded(tmp_path: Path) -> None:
     assert not (without.folder / "messages.mcap").exists()
 
 
-def test_what_could_not_be_written_is_noted_in_run_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_messages_are_noted_in_run_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from mcap.writer import Writer
 
     def full(self: Writer) -> None:

@@ -1,4 +1,4 @@
-"""The simulator replays a scene frame by frame, and tells nobody but the evaluator the truth."""
+"""The simulator replays a scene frame by frame, and sends the truth to the evaluator only."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_a_frame_is_a_clock_and_then_the_truth_and_every_agents_pose_and_detecti
         assert {message.header.source for _, message in said} == {"simulator"}
 
 
-def test_it_ends_with_the_scene_or_with_the_frames_asked_for(resolved) -> None:
+def test_it_ends_with_the_scene_or_after_the_requested_frames(resolved) -> None:
     for limit, expected in ((None, 5), (3, 3), (5, 5), (9, 5)):
         simulator = Bench(resolved, "simulator", frames=limit)
         frames = 0
@@ -45,7 +45,7 @@ def test_it_ends_with_the_scene_or_with_the_frames_asked_for(resolved) -> None:
         assert advance(simulator) == (False, [])
 
 
-def test_what_it_says_is_what_was_recorded(resolved) -> None:
+def test_it_publishes_the_recorded_data(resolved) -> None:
     recording = TinyScene(n_infrastructure=2).record(0, 5)
     simulator = Bench(resolved, "simulator")
     for frame in range(5):
@@ -72,7 +72,7 @@ def test_a_scene_that_begins_late_begins_at_time_zero(resolved) -> None:
     assert [advance(simulator)[1][0][1].header.time_ns for _ in range(3)] == [0, PERIOD_NS, 2 * PERIOD_NS]
 
 
-def test_the_truth_is_on_one_key_which_only_the_evaluator_hears() -> None:
+def test_the_truth_is_on_one_key_that_only_the_evaluator_receives() -> None:
     for name in ("baseline", "uncoordinated", "coordinated", "passthrough"):
         wiring = Wiring.from_json(tiny(name).wiring)
         carrying = [leg for wire, leg in wiring.legs() if wire.message == "truth"]
@@ -81,7 +81,7 @@ def test_the_truth_is_on_one_key_which_only_the_evaluator_hears() -> None:
         assert [end.node for end in wiring.overhearers] == ["evaluator"]
 
 
-def test_no_message_to_an_agent_depends_on_how_much_truth_there_is(resolved) -> None:
+def test_messages_to_agents_do_not_depend_on_the_truth(resolved) -> None:
     """What agents get is made of the recording's detections alone: without truth, it is the same."""
     recording = TinyScene(n_infrastructure=2).record(0, 5)
     blank = type(recording)(
@@ -102,7 +102,7 @@ def test_no_message_to_an_agent_depends_on_how_much_truth_there_is(resolved) -> 
         assert payloads[0] == payloads[1]
 
 
-def test_a_run_plays_as_many_frames_as_asked() -> None:
+def test_a_run_plays_the_requested_number_of_frames() -> None:
     for frames in (1, 3):
         run = Run(tiny(frames=frames))
         assert len(run.messages["clock"]) == frames

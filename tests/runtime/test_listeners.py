@@ -161,7 +161,7 @@ def test_a_listener_stands_before_the_branches() -> None:
         ({"wire": "agent/*/pose", "role": "adversary"}, "missing input"),
         (listen("agent/*/pose", "poses", role=["adversary"]), r"role: found \['adversary'\], expected a string"),
         (listen("agent/*/pose", "poses", node=3), "node: found 3, expected a string"),
-        (listen("agent/infra_1/tracks", "tracks"), "adversary_1 publishes or passes on 'agent/infra_1/tracks': it wo"),
+        (listen("agent/infra_1/tracks", "tracks"), "adversary_1 publishes or forwards 'agent/infra_1/tracks': it wo"),
         (listen("agent/ego/tracks", "tracks", "agent"), "ego has no input port 'tracks'"),
         (listen("agent/{agent}/pose", "poses"), "adversary_1 hears 'agent/infra_1/pose' already, on its port 'pose'"),
         (listen("agent/{agent}/pose", "pose", leg="source"), "hears 'agent/infra_1/pose' already"),
@@ -337,14 +337,14 @@ def test_a_node_put_on_a_wire_while_a_run_goes_on_stands_before_its_listeners() 
 def test_a_listener_at_the_source_keeps_its_key_while_a_run_goes_on() -> None:
     at_source = {"listen": [listen("agent/*/tracks", "tracks", "defence", leg="source")]}
     wiring = resolve(world(guard=DEFENCE), at_source)
-    with pytest.raises(WiringError, match="guard would hear the source of 'agent/ego/tracks' on another key"):
+    with pytest.raises(WiringError, match="guard listens at the source of 'agent/ego/tracks'"):
         insert(wiring, "mallory", Place("agent/ego/tracks", "in", "out"))
     intercepted = resolve(world(guard=DEFENCE, first=adversary("ego")), {"insert": [ON_TRACKS]}, at_source)
     chain = insert(intercepted, "mallory", Place("agent/ego/tracks", "in", "out"))
     assert chain.ports("guard") == intercepted.ports("guard")
     assert remove(chain, "mallory") == intercepted
     for both in (chain, intercepted):
-        with pytest.raises(WiringError, match="guard would hear the source of 'agent/ego/tracks' on another key"):
+        with pytest.raises(WiringError, match="guard listens at the source of 'agent/ego/tracks'"):
             remove(both, "first")
 
 

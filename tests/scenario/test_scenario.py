@@ -1,4 +1,4 @@
-"""A scenario is a Python file of plain dicts; what is wrong in it is told before anything starts."""
+"""A scenario is a Python file of plain dicts; errors in it are reported before any process starts."""
 
 import inspect
 import json
@@ -105,7 +105,7 @@ def test_a_launch_time_parameter_has_the_type_of_its_default(
         ("=3", "no such launch-time parameter"),
     ],
 )
-def test_a_wrong_setting_is_refused_with_the_nearest(tmp_path: Path, setting: str, reason: str) -> None:
+def test_an_invalid_setting_is_refused_with_the_nearest_name(tmp_path: Path, setting: str, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         load(mine(tmp_path), [setting])
 
@@ -118,14 +118,14 @@ def at(content: Any, path: str) -> Any:
 
 @pytest.mark.parametrize("spelling", ["commandcenter", "command_center"])
 @pytest.mark.parametrize("key", ["commandcenter", "command_center"])
-def test_a_dotted_key_reaches_into_the_scenario(tmp_path: Path, key: str, spelling: str) -> None:
+def test_a_dotted_key_sets_a_value_in_the_scenario(tmp_path: Path, key: str, spelling: str) -> None:
     _, content = load(mine(tmp_path, key), [f"{spelling}.pipeline.clustering.assign_radius=3.5", "run.seed=4"])
     assert at(content, "command_center.pipeline.clustering.assign_radius") == 3.5
     assert at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D", "the rest stays"
     assert content["run"] == {"seed": 4}, "a part that the file does not have is begun"
 
 
-def test_what_is_set_for_one_is_not_set_for_another(tmp_path: Path) -> None:
+def test_a_setting_changes_one_node_only(tmp_path: Path) -> None:
     """Scenario files may use one dict in many places; our own do."""
     for _ in range(2):
         _, content = load("uncoordinated", ["adversaries.adversary_1.attack.start_s=1.0", "agents.*.status_every=3"])
@@ -146,7 +146,7 @@ def test_what_is_set_for_one_is_not_set_for_another(tmp_path: Path) -> None:
         ("agents.ego.pipeline.frame=body", r"no 'ego' there; known: \*"),
     ],
 )
-def test_a_dotted_key_that_leads_nowhere_names_the_nearest(tmp_path: Path, setting: str, reason: str) -> None:
+def test_an_unknown_dotted_key_is_refused_with_the_nearest_name(tmp_path: Path, setting: str, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         load(mine(tmp_path), [setting])
 
@@ -165,7 +165,9 @@ def test_a_dotted_key_that_leads_nowhere_names_the_nearest(tmp_path: Path, setti
         ("broker.latency=1.0", r"mine.py: broker\.latency: .*did you mean 'latency_s'"),
     ],
 )
-def test_a_last_step_that_nobody_takes_is_refused_with_its_path(tmp_path: Path, setting: str, reason: str) -> None:
+def test_an_unknown_last_part_of_a_dotted_key_is_refused_with_its_path(
+    tmp_path: Path, setting: str, reason: str
+) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         resolved(mine(tmp_path), setting)
 
@@ -188,7 +190,7 @@ def test_both_spellings_at_once_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(Path(name).stem for name in bundle.names("scenarios")))
-def test_our_scenarios_resolve(name: str) -> None:
+def test_shipped_scenarios_resolve(name: str) -> None:
     _, function = loading.function("scenarios", name, "scenario")
     wanted = {"n_infrastructure": 2, "n_mobile": 0}
     path, content = load(name, [f"{k}={v}" for k, v in wanted.items() if k in inspect.signature(function).parameters])
@@ -221,7 +223,7 @@ def test_more_adversaries_than_agents_are_refused() -> None:
         tiny("uncoordinated", "n_adversaries=3", infrastructure=2)
 
 
-def test_a_node_file_beside_the_scenario_wins_over_ours(tmp_path: Path) -> None:
+def test_a_node_file_beside_the_scenario_overrides_the_shipped_one(tmp_path: Path) -> None:
     ours = (bundle.ROOT / "nodes" / "broker.py").read_text()
     (tmp_path / "broker.py").write_text(
         ours.replace("class Broker(Node):", "class MyBroker(Node):").replace("main(Broker)", "main(MyBroker)")
@@ -252,7 +254,7 @@ class MyTracker(KalmanBoxTracker3D):
 """
 
 
-def test_a_users_own_algorithms_can_be_named_by_their_type(tmp_path: Path) -> None:
+def test_user_defined_algorithms_can_be_named_by_type(tmp_path: Path) -> None:
     text = (
         OWN_ALGORITHMS
         + LISTING.replace('type="KalmanBoxTracker3D"', 'type="MyTracker", twice=True')
@@ -292,7 +294,7 @@ class OneAgent(Pipeline):
 
 
 @pytest.mark.parametrize("key", ["commandcenter", "command_center"])
-def test_the_command_centre_takes_a_users_own_pipeline(tmp_path: Path, key: str) -> None:
+def test_the_command_centre_takes_a_user_defined_pipeline(tmp_path: Path, key: str) -> None:
     text = OWN_PIPELINE + REST.replace("=commandcenter", "=dict(pipeline=dict(type='OneAgent', believed='infra_2'))")
     found = resolved(written(tmp_path, text % key), frames=6)
     run = Run(found)
@@ -304,7 +306,7 @@ def test_the_command_centre_takes_a_users_own_pipeline(tmp_path: Path, key: str)
         np.testing.assert_array_equal(picture.body["id"], np.sort(told.body["id"]))
 
 
-def test_a_users_own_algorithm_may_stand_in_the_file_of_a_users_own_node(tmp_path: Path) -> None:
+def test_a_user_defined_algorithm_may_be_in_the_file_of_a_user_defined_node(tmp_path: Path) -> None:
     ours = (bundle.ROOT / "nodes" / "adversary.py").read_text()
     own = OWN_ALGORITHMS.split("class MyTracker")[0]
     head, main = ours.split('if __name__ == "__main__"')
@@ -323,7 +325,7 @@ def test_a_users_own_algorithm_may_stand_in_the_file_of_a_users_own_node(tmp_pat
     assert type(build_node(found.nodes["eve"], "eve").attack).__name__ == "Shy"
 
 
-# -- what is wrong is refused ----------------------------------------------------------------------------------------
+# -- errors are refused ----------------------------------------------------------------------------------------
 
 
 def changed(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
@@ -380,15 +382,15 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "an adversary called like an agent": (
         lambda s: s["adversaries"].update(ego=dict(agent="ego", attack=dict(type="PassThrough"))),
-        "ego: there is a node of this name already",
+        "ego: another node has this name already",
     ),
     "an adversary called like the evaluator": (
         lambda s: s["adversaries"].update(evaluator=dict(agent="ego", attack=dict(type="PassThrough"))),
-        "evaluator: there is a node of this name already",
+        "evaluator: another node has this name already",
     ),
     "a node called like another": (
         lambda s: s.update(nodes=dict(broker=dict(role="broker"))),
-        "broker: there is a node of this name already",
+        "broker: another node has this name already",
     ),
     "a node that is no dict": (lambda s: s.update(nodes=dict(tap=3)), "nodes.tap: found 3, expected a dict"),
     "a run's key": (lambda s: s["run"].update(speed=2), "run.speed: unknown key"),
@@ -440,7 +442,7 @@ def refused(change: Callable[[dict[str, Any]], Any]) -> MastError:
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_what_is_wrong_in_a_scenario_is_told_with_its_place(what: str) -> None:
+def test_an_error_in_a_scenario_is_reported_with_its_path(what: str) -> None:
     change, reason = WRONG[what]
     error = refused(change)
     assert type(error) is ConfigurationError
@@ -450,7 +452,7 @@ def test_what_is_wrong_in_a_scenario_is_told_with_its_place(what: str) -> None:
 
 
 @pytest.mark.parametrize("what", WRONG_NODES)
-def test_what_is_wrong_with_a_node_is_told_with_its_place(what: str) -> None:
+def test_an_error_in_a_node_is_reported_with_its_path(what: str) -> None:
     change, reason = WRONG_NODES[what]
     error = refused(change)
     assert error.exit_code == 12
@@ -459,7 +461,7 @@ def test_what_is_wrong_with_a_node_is_told_with_its_place(what: str) -> None:
 
 
 @pytest.mark.parametrize("what", WRONG_WIRING)
-def test_what_is_wrong_with_the_wiring_is_told_with_its_place(what: str) -> None:
+def test_an_error_in_the_wiring_is_reported_with_its_path(what: str) -> None:
     change, reason = WRONG_WIRING[what]
     error = refused(change)
     assert error.exit_code == 11
@@ -484,12 +486,14 @@ def test_rewrites_are_a_list() -> None:
         ),
     ],
 )
-def test_a_scenario_function_that_fails_is_told_with_its_file(tmp_path: Path, text: str, reason: str) -> None:
+def test_an_exception_in_the_scenario_function_is_reported_with_its_file(
+    tmp_path: Path, text: str, reason: str
+) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         load(written(tmp_path, text))
 
 
-def test_what_is_given_at_launch_wins_over_the_file() -> None:
+def test_launch_options_override_the_scenario_file() -> None:
     path, content = load("baseline", ["run.seed=3", "run.mode=realtime"])
     content["scene"] = TINY
     assert (resolve(path, content, frames=2).seed, resolve(path, content, frames=2, seed=5).seed) == (3, 5)
@@ -499,7 +503,7 @@ def test_what_is_given_at_launch_wins_over_the_file() -> None:
         resolve(path, content, frames=2, spede=1)
 
 
-def test_a_scene_takes_the_options_that_are_given() -> None:
+def test_a_scene_takes_the_options_that_are_set() -> None:
     known = dict(scene_index=1, n_infrastructure=3, n_mobile=2)
     choose = scenario.choose_scene
     assert choose("intersection", **known) == dict(type="Intersection", **known)
@@ -517,7 +521,7 @@ def test_a_scene_takes_the_options_that_are_given() -> None:
         ("intersection:2", dict(scene_index=1), "scene: scene_index is 1, but 2 in 'intersection:2'"),
     ],
 )
-def test_an_option_that_a_scene_does_not_take_or_contradicts_is_refused(scene: Any, option: Any, reason: str) -> None:
+def test_an_unknown_or_contradictory_scene_option_is_refused(scene: Any, option: Any, reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
         scenario.choose_scene(scene, **option)
 
@@ -525,7 +529,7 @@ def test_an_option_that_a_scene_does_not_take_or_contradicts_is_refused(scene: A
 @pytest.mark.parametrize(
     "name", ["baseline", "uncoordinated", "passthrough", "chaos", "attack_during_partition", "realistic_network"]
 )
-def test_numbers_of_agents_are_launch_time_parameters_of_our_scenarios(name: str) -> None:
+def test_numbers_of_agents_are_launch_time_parameters_of_shipped_scenarios(name: str) -> None:
     _, content = load(name, ["n_infrastructure=3", "n_mobile=1"])
     agents = ("ego", "mobile_1", "infra_1", "infra_2", "infra_3")
     assert scenario.agents_of(content["scene"]) == agents
@@ -535,7 +539,7 @@ def test_numbers_of_agents_are_launch_time_parameters_of_our_scenarios(name: str
         resolved(name, "n_infrastructure=many")
 
 
-def test_an_agents_own_name_wins_over_a_pattern() -> None:
+def test_an_agents_name_overrides_a_pattern() -> None:
     def choose(content: dict[str, Any]) -> None:
         content["agents"] = {
             name: AGENT | {"status_every": n} for name, n in (("*", 1), ("infra_*", 2), ("infra_2", 3))
@@ -545,7 +549,7 @@ def test_an_agents_own_name_wins_over_a_pattern() -> None:
     assert [found.nodes[name].config["status_every"] for name in ("ego", "infra_1", "infra_2")] == [1, 2, 3]
 
 
-def test_pictures_are_scored_for_as_long_as_agents_go_on_with_them() -> None:
+def test_pictures_are_scored_for_as_long_as_agents_use_them() -> None:
     def hold(content: dict[str, Any]) -> None:
         content["agents"]["infra_*"] = AGENT | {"picture_age_s": 1.5}
 
@@ -583,18 +587,18 @@ def test_agents_count_as_cut_off_when_their_tracks_are_too_old_for_the_broker() 
     ]
 
 
-def test_an_agent_is_told_by_the_scene_what_it_is() -> None:
+def test_an_agent_gets_its_sensor_and_mobility_from_the_scene() -> None:
     found = tiny()
     ego, pole = (build_node(found.nodes[name], name) for name in ("ego", "infra_1"))
     assert (ego.mobile, pole.mobile) == (True, False)
     assert (ego.lidar.azimuth_min_deg, pole.lidar.azimuth_min_deg) == (-180.0, -45.0)
 
 
-# -- there and back --------------------------------------------------------------------------------------------------
+# -- written and read back --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["baseline", "uncoordinated", "coordinated", "passthrough"])
-def test_the_resolved_scenario_written_and_read_plays_the_same_run(
+def test_a_resolved_scenario_that_is_written_and_read_gives_the_same_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = tiny(name, *(() if name in ("baseline", "passthrough") else ("n_adversaries=1", "attack_start_s=0.2")))
@@ -608,7 +612,7 @@ def test_the_resolved_scenario_written_and_read_plays_the_same_run(
     assert first.packed == second.packed
 
 
-def test_the_scene_is_prepared_once_and_the_recording_goes_with_the_run(tmp_path: Path) -> None:
+def test_the_scene_is_prepared_once_and_stored_with_the_run(tmp_path: Path) -> None:
     found = tiny(frames=3)
     found.write(tmp_path)
     recording = scenes.Recording.load(tmp_path / RECORDING)
@@ -616,7 +620,7 @@ def test_the_scene_is_prepared_once_and_the_recording_goes_with_the_run(tmp_path
     assert found.to_json()["nodes"]["simulator"]["config"]["recording"] == RECORDING
 
 
-def test_every_node_is_built_anew_each_time() -> None:
+def test_every_run_builds_new_nodes() -> None:
     found = tiny("passthrough")
     first, second = (build_node(found.nodes["adversary_0"], "adversary_0") for _ in range(2))
     assert first is not second
@@ -626,7 +630,7 @@ def test_every_node_is_built_anew_each_time() -> None:
     assert pipelines[0].tracker is not pipelines[1].tracker, "agents of one configuration share nothing"
 
 
-def test_a_node_to_which_no_wire_leads_is_refused(tmp_path: Path) -> None:
+def test_a_node_without_any_wire_to_it_is_refused(tmp_path: Path) -> None:
     (tmp_path / "judge.py").write_text(
         "from mast_zenoh.node import Node\n\n\nclass Judge(Node):\n    role = 'evaluator'\n"
         "    inputs = {'picture': 'picture'}\n\n    def __init__(self, agents: tuple[str, ...]): ...\n\n"
@@ -638,5 +642,5 @@ def test_a_node_to_which_no_wire_leads_is_refused(tmp_path: Path) -> None:
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n\n\n"
         "def scenario():\n    return baseline() | dict(name='own', evaluator=dict(file='judge.py'))\n"
     )
-    with pytest.raises(WiringError, match=r"evaluator would hear nothing: .*\(picture\); .* of the type '\*'"):
+    with pytest.raises(WiringError, match=r"evaluator would receive nothing: .*\(picture\); .* of the type '\*'"):
         resolved(file)

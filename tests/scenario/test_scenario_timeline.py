@@ -1,4 +1,4 @@
-"""Links, faults and attacks of a scenario: who gets a link, what its rules are, and what happens to whom and when."""
+"""Links, faults and attacks of a scenario: which agents get links, with which rules, and the timeline."""
 
 import json
 import logging
@@ -40,10 +40,10 @@ def links(resolved: Resolved) -> dict[str, dict[str, Any]]:
 PARTITION = dict(type="Partition", at=0.3, until=0.6, nodes=["infra_1"])
 
 
-# -- who gets a link -------------------------------------------------------------------------------------------------
+# -- which agents get a link ------------------------------------------------------------------------------------------
 
 
-def test_a_scenario_without_links_and_faults_has_nothing_of_them() -> None:
+def test_a_scenario_without_links_and_faults_has_no_link_nodes() -> None:
     plain, empty = world(), world(links={}, faults=[], hosts={})
     assert plain.to_json() == empty.to_json()
     assert plain.wiring == empty.wiring
@@ -92,14 +92,14 @@ def test_an_agent_that_no_pattern_matches_has_no_link() -> None:
     ]
 
 
-def test_a_profile_may_have_more_rules_and_faults_come_behind_them() -> None:
+def test_faults_come_after_the_rules_of_a_profile_and_of_a_link() -> None:
     own = dict(type="perfect", up=[dict(type="Loss", probability=0.1)])
     found = world(links={"infra_1": own}, faults=[PARTITION])
     assert [rule["type"] for rule in links(found)["link_infra_1"]["rules_up"]] == ["Loss", "Cut"]
     assert [rule["type"] for rule in links(found)["link_infra_1"]["rules_down"]] == ["Cut"]
 
 
-def test_radio_reaches_from_the_agents_that_stand_still() -> None:
+def test_radio_range_is_measured_from_static_agents() -> None:
     found = world(links={"ego": "wireless_v2x"})
     (limit,) = (rule for rule in links(found)["link_ego"]["rules_up"] if rule["type"] == "RangeLimit")
     assert len(limit["gateways"]) == 2
@@ -135,21 +135,21 @@ def test_attacks_faults_and_links_are_on_one_timeline() -> None:
     ]
 
 
-def test_adversaries_that_begin_together_are_one_band_and_those_that_do_nothing_none() -> None:
+def test_adversaries_that_begin_together_share_a_band_and_idle_ones_have_none() -> None:
     (band,) = world("uncoordinated", "n_adversaries=2", "attack_start_s=0.5").timeline
     assert band["nodes"] == ["adversary_1", "adversary_2"]
     assert world("passthrough").timeline == ()
     assert world("uncoordinated", "n_adversaries=1").timeline == (), "at 4 s the run is over"
 
 
-def test_a_fault_after_the_end_is_told_of(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_after_the_end_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "mast.scenario"):
         found = world(faults=[dict(PARTITION, at=5.0, until=6.0)])
     assert found.timeline == ()
     assert "faults[0]: begins after the last frame" in caplog.text
 
 
-def test_all_of_it_is_in_scenario_json() -> None:
+def test_links_faults_and_timeline_are_in_scenario_json() -> None:
     faults = [PARTITION, dict(type="Kill", at=0.3, node="infra_2", restart_after=0.2)]
     found = world(links={"*": "wired"}, faults=faults)
     again = Resolved.from_json(json.loads(json.dumps(found.to_json())), found.wiring)
@@ -157,7 +157,7 @@ def test_all_of_it_is_in_scenario_json() -> None:
     assert again.nodes["link_infra_1"].config == found.nodes["link_infra_1"].config
 
 
-def test_hosts_are_handed_on() -> None:
+def test_hosts_are_part_of_the_resolved_scenario() -> None:
     def real(scenario: dict[str, Any]) -> None:
         scenario["hosts"] = dict(west=dict(nodes=["infra_*"]))
         scenario["faults"] = [dict(type="HostPartition", at=0.5, until=0.7, hosts=["west"]), PARTITION]
@@ -168,7 +168,7 @@ def test_hosts_are_handed_on() -> None:
     assert [band["backend"] for band in found.timeline] == ["links", "network"]
 
 
-def test_a_fault_of_the_users_own_is_named_like_ours(tmp_path: Path) -> None:
+def test_a_user_defined_fault_is_named_like_a_shipped_one(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "faults.md").read_text()
     example = page.split("## A fault of your own")[1].split("```python\n")[1].split("```")[0]
     (tmp_path / "mine.py").write_text(
@@ -185,7 +185,7 @@ def test_a_fault_of_the_users_own_is_named_like_ours(tmp_path: Path) -> None:
     assert not Run(found).failures
 
 
-# -- the same in every order -----------------------------------------------------------------------------------------
+# -- delivery order -----------------------------------------------------------------------------------------
 
 EVERYTHING = [
     dict(type="Loss", at=0.1, until=0.6, nodes="agent", probability=0.3),
@@ -197,7 +197,7 @@ EVERYTHING = [
 ]
 
 
-def test_orders_of_delivery_do_not_change_what_faults_do() -> None:
+def test_delivery_order_does_not_change_the_effect_of_faults() -> None:
     found = world("uncoordinated", *ATTACKED, faults=EVERYTHING)
     plain = Run(found)
     for shuffle in range(10):
@@ -249,11 +249,11 @@ def test_orders_of_delivery_do_not_change_what_faults_do() -> None:
         ),
         (
             dict(faults=[PARTITION], nodes=dict(link_infra_1=dict(role="link", agent="infra_1"))),
-            "link_infra_1: there is a node of this name already",
+            "link_infra_1: another node has this name already",
         ),
     ],
 )
-def test_a_wrong_timeline_is_refused_with_its_place(keys: dict[str, Any], reason: str) -> None:
+def test_an_invalid_timeline_is_refused_with_its_path(keys: dict[str, Any], reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason) as caught:
         world(**keys)
     assert str(Path("scenarios") / "baseline.py") in str(caught.value)

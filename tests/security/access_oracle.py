@@ -1,4 +1,4 @@
-"""Zenoh's access control as its documentation has it, to ask an `access_control` what it lets pass."""
+"""Zenoh's access control as documented, to query what an `access_control` permits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The router's rules give every node what the wiring gives it, and nothing else."""
+"""The router's rules give every node the rights of its wiring, and no others."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MESSAGES = (
 
 @st.composite
 def wirings(draw: st.DrawFn) -> Wiring:
-    """Wires with their chains and listeners, and sometimes a node that overhears all."""
+    """Wires with chains and listeners, and sometimes a node that overhears all keys."""
     wires = []
     for number in range(draw(st.integers(0, 5))):
         chain = draw(st.permutations(NODES[:4]))
@@ -75,7 +75,7 @@ EXPRESSIONS = st.one_of(
 
 @settings(max_examples=40)
 @given(wirings())
-def test_on_each_key_its_ends_may_do_what_the_wiring_gives_and_nobody_anything_else(wiring: Wiring) -> None:
+def test_only_the_ends_of_a_leg_have_rights_on_its_key(wiring: Wiring) -> None:
     access = rules(wiring)
     says = {(leg.key, leg.publisher.node) for _, leg in wiring.legs()}
     hears = {(key, subscriber) for key, _, subscriber in wiring.flows()}
@@ -93,7 +93,7 @@ def test_on_each_key_its_ends_may_do_what_the_wiring_gives_and_nobody_anything_e
 
 @settings(max_examples=200)
 @given(wirings(), EXPRESSIONS, st.sampled_from(MESSAGES), st.sampled_from(["ingress", "egress"]))
-def test_what_the_wiring_does_not_give_is_refused(wiring: Wiring, expression: str, message: str, flow: str) -> None:
+def test_rights_outside_the_wiring_are_denied(wiring: Wiring, expression: str, message: str, flow: str) -> None:
     try:
         zenoh.KeyExpr(expression)
     except zenoh.ZError:
@@ -110,8 +110,10 @@ def test_what_the_wiring_does_not_give_is_refused(wiring: Wiring, expression: st
 
 
 @given(wirings(), st.sampled_from(NODES[1:]), st.sampled_from(MESSAGES), EXPRESSIONS)
-def test_a_node_that_does_not_drive_controls_nobody(wiring: Wiring, node: str, message: str, expression: str) -> None:
-    """Whatever it may send below @control or alive/ is about itself."""
+def test_a_node_that_does_not_drive_cannot_control_others(
+    wiring: Wiring, node: str, message: str, expression: str
+) -> None:
+    """All that it may send below @control or alive/ is about itself."""
     access = rules(wiring)
     controls = ("epoch", "stop", "act", "counts/*", "result/*", "leave/*", *(f"leave/{other}" for other in NODES))
     for key in controls:
@@ -136,7 +138,7 @@ def test_a_node_that_does_not_drive_controls_nobody(wiring: Wiring, node: str, m
         assert not allows(access, NAMES[node], "ingress", message, f"{PREFIX}/{wild}")
 
 
-def test_the_driver_and_the_launcher_may_do_what_steers_a_run_and_no_more() -> None:
+def test_the_driver_and_the_launcher_have_the_rights_to_control_a_run_and_no_others() -> None:
     access = rules(Wiring(()))
 
     def may(node: str, message: str, key: str) -> bool:
@@ -161,7 +163,7 @@ def test_the_driver_and_the_launcher_may_do_what_steers_a_run_and_no_more() -> N
 
 
 @pytest.mark.parametrize("key", ["mast/other/w/0", "@/*/router/**", "**", "w/0"])
-def test_nothing_outside_the_run_is_allowed_to_anybody(key: str) -> None:
+def test_no_process_has_rights_outside_the_run(key: str) -> None:
     wiring = Wiring((Wire("w/0", "", "clock", (Leg("w/0", Endpoint("n0", "a"), (Endpoint("n1", "b"),)),)),))
     access = rules(wiring)
     for common_name in (*NAMES.values(), "n0.other", "n0", "", "@authority.r"):
@@ -170,7 +172,7 @@ def test_nothing_outside_the_run_is_allowed_to_anybody(key: str) -> None:
 
 
 @pytest.mark.parametrize(("source", "key"), [(False, "w/0"), (True, "w/0/@tap/0")])
-def test_a_listener_may_hear_the_key_of_its_leg_and_nothing_else_of_the_wire(source: bool, key: str) -> None:
+def test_a_listener_may_subscribe_to_the_key_of_its_leg_only(source: bool, key: str) -> None:
     ends = [Endpoint(name, "port") for name in ("n0", "n1", "n2")]
     legs = (Leg("w/0/@tap/0", ends[0], (ends[1],)), Leg("w/0", ends[1], (ends[2],)))
     access = rules(Wiring((Wire("w/0", "", "clock", legs, listeners=(Listener(Endpoint("n3", "port"), source),)),)))
@@ -185,7 +187,7 @@ def test_a_listener_may_hear_the_key_of_its_leg_and_nothing_else_of_the_wire(sou
     assert not may("ingress", "declare_subscriber", "w/**")
 
 
-def test_the_rules_of_a_real_scenario_name_no_wildcard_but_those_of_control() -> None:
+def test_the_rules_of_a_shipped_scenario_have_wildcards_only_below_control() -> None:
     path, loaded = scenario.load("coordinated", ["n_infrastructure=3", "n_adversaries=2"])
     resolved = scenario.resolve(path, loaded, frames=2, record=True)
     names = {name: f"{name}.r" for name in (*resolved.nodes, LAUNCHER)}

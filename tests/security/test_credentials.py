@@ -1,4 +1,4 @@
-"""Certificates: whose, how long, for what, and who can read the keys."""
+"""Certificates: their subject, validity and usage, and the permissions of key files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_certificate_is_for_one_node_of_one_run_and_short_lived() -> None:
     assert list(usage) == [ExtendedKeyUsageOID.CLIENT_AUTH], "a node cannot pass itself off as the router"
 
 
-def test_the_routers_certificate_names_its_hosts_and_is_no_clients() -> None:
+def test_the_routers_certificate_names_its_hosts_and_is_not_valid_for_clients() -> None:
     certificate = parsed(Authority("r").issue(ROUTER, ["127.0.0.1", "::1", "router"]))
     names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert [str(name.value) for name in names] == ["127.0.0.1", "::1", "router"]
@@ -42,7 +42,7 @@ def test_the_routers_certificate_names_its_hosts_and_is_no_clients() -> None:
     assert list(usage) == [ExtendedKeyUsageOID.SERVER_AUTH]
 
 
-def test_what_one_authority_signed_is_not_another_ones_though_both_say_they_are_the_same_runs() -> None:
+def test_a_certificate_of_another_authority_with_the_same_name_is_not_trusted() -> None:
     one, other = Authority("r"), Authority("r")
     with pytest.raises(InvalidSignature):
         parsed(one.issue("a")).verify_directly_issued_by(x509.load_pem_x509_certificate(other.pem))
@@ -55,7 +55,7 @@ def test_common_names_fit_and_differ(run: str, node: str) -> None:
     assert all(0 < len(name) <= 64 for name in names)
 
 
-def test_keys_are_nobody_elses_to_read_and_are_not_shown(tmp_path: Path) -> None:
+def test_only_the_user_can_read_keys_and_the_repr_omits_them(tmp_path: Path) -> None:
     credentials = Authority("r").issue("a")
     folder = credentials.write(tmp_path / "a")
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
@@ -65,7 +65,7 @@ def test_keys_are_nobody_elses_to_read_and_are_not_shown(tmp_path: Path) -> None
     assert secret not in repr(credentials) + str(credentials)
 
 
-def test_credentials_without_a_certificate_are_trust_alone(tmp_path: Path) -> None:
+def test_credentials_without_a_certificate_hold_only_the_authority(tmp_path: Path) -> None:
     credentials = Authority("r").issue("a").without_certificate()
     folder = credentials.write(tmp_path / "a")
     assert [path.name for path in folder.iterdir()] == ["ca.pem"]
@@ -87,7 +87,7 @@ def deployed(level: str, folder: Path | None = None) -> Deployment:
     )
 
 
-def test_of_a_deployment_only_the_nodes_keys_are_on_disk_and_then_they_are_gone(tmp_path: Path) -> None:
+def test_only_the_nodes_keys_are_on_disk_until_the_deployment_closes(tmp_path: Path) -> None:
     with deployed("acl") as deployment:
         assert deployment.folder is not None
         assert stat.S_IMODE(deployment.folder.stat().st_mode) == 0o700
@@ -98,7 +98,7 @@ def test_of_a_deployment_only_the_nodes_keys_are_on_disk_and_then_they_are_gone(
     assert not deployment.folder.exists()
 
 
-def test_an_open_deployment_is_nothing_at_all() -> None:
+def test_an_open_deployment_makes_no_credentials() -> None:
     with deployed("open") as deployment:
         assert (deployment.folder, deployment.authority, deployment.router, deployment.arguments("a")) == (
             *(None, None, {}),
@@ -106,7 +106,7 @@ def test_an_open_deployment_is_nothing_at_all() -> None:
         )
 
 
-def test_each_level_asks_for_more_than_the_one_before() -> None:
+def test_each_level_requires_more_than_the_one_before() -> None:
     credentials = Authority("r").issue(ROUTER, ["h"])
     tls = {level: router_settings(level, credentials, {"enabled": True}) for level in LEVELS}
     assert tls["open"] == {}
@@ -117,7 +117,7 @@ def test_each_level_asks_for_more_than_the_one_before() -> None:
     assert all(tls[level]["transport/link/protocols"] == ["tls"] for level in LEVELS[1:]), "no way back to TCP"
 
 
-def test_a_level_that_there_is_not_is_refused_with_the_nearest() -> None:
+def test_an_unknown_level_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(ConfigurationError, match="'mtls'"):
         router_settings("mtsl", Authority("r").issue(ROUTER, ["h"]))
     with pytest.raises(ConfigurationError, match="no access rules"):

@@ -1,4 +1,4 @@
-"""Why a certificate is refused is said in a sentence that names the file or the host."""
+"""Explains why a certificate is refused in a sentence that names the file or the host."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FACTS = Facts(
 )
 
 
-def test_sound_credentials_need_no_explanation() -> None:
+def test_valid_credentials_have_no_reasons() -> None:
     assert list(reasons(FACTS)) == []
 
 
@@ -54,16 +54,16 @@ def test_sound_credentials_need_no_explanation() -> None:
         ({"router": Router(certificate=THEIRS, verdict="SOMETHING_NEW")}, "SOMETHING_NEW"),
     ],
 )
-def test_each_fault_is_said_once(changed: dict, said: str) -> None:
+def test_each_fault_is_explained_once(changed: dict, said: str) -> None:
     (sentence,) = reasons(replace(FACTS, **changed))
     assert said in sentence
 
 
-def test_sound_files_need_no_explanation(tmp_path: Path) -> None:
+def test_valid_files_have_no_reasons(tmp_path: Path) -> None:
     assert explain(Authority("r").issue("a").write(tmp_path / "a")) == []
 
 
-def test_what_is_wrong_with_files_is_seen(tmp_path: Path) -> None:
+def test_faults_of_files_are_found(tmp_path: Path) -> None:
     authority, now = Authority("r"), datetime.now(UTC)
 
     def of(credentials: Credentials) -> list[str]:
@@ -74,8 +74,8 @@ def test_what_is_wrong_with_files_is_seen(tmp_path: Path) -> None:
     assert "not valid before" in "".join(of(authority.issue("a", begins=now + HOUR)))
     assert "another authority" in "".join(of(Credentials(authority.pem, other.certificate, other.key)))
     assert "does not belong" in "".join(of(Credentials(authority.pem, good.certificate, other.key)))
-    assert "no certificate in PEM" in "".join(of(Credentials(authority.pem, b"nonsense", good.key)))
-    assert "no private key in PEM" in "".join(of(Credentials(authority.pem, good.certificate, b"nonsense")))
+    assert "not a PEM certificate" in "".join(of(Credentials(authority.pem, b"nonsense", good.key)))
+    assert "not a PEM private key" in "".join(of(Credentials(authority.pem, good.certificate, b"nonsense")))
     assert "key.pem: is missing" in "".join(of(Credentials(authority.pem, good.certificate)))
     assert "ca.pem: is missing" in "".join(explain(tmp_path / "nowhere"))
     folder = good.write(tmp_path / "wide")
@@ -85,7 +85,7 @@ def test_what_is_wrong_with_files_is_seen(tmp_path: Path) -> None:
 
 @pytest.fixture
 def port(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., str]]:
-    """Starts a server that answers whoever connects with some bytes, and closes the connection or keeps it."""
+    """Start a server that answers every client with some bytes, and closes the connection or keeps it."""
     monkeypatch.setattr(diagnosis, "_CONNECT_S", 0.3)
     with ExitStack() as stack:
 
@@ -108,7 +108,7 @@ def port(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., str]]:
         yield serve
 
 
-def test_a_router_that_does_not_answer_a_handshake_may_be_busy_and_is_worth_another_try(
+def test_a_router_that_does_not_answer_a_handshake_may_be_busy_and_is_tried_again(
     port: Callable[..., str],
 ) -> None:
     (reason,) = explain(Authority("r").issue("a"), port())
@@ -116,7 +116,7 @@ def test_a_router_that_does_not_answer_a_handshake_may_be_busy_and_is_worth_anot
     assert "accepted a connection, but no TLS handshake within 0.3 s: it is busy or does not speak TLS" in reason
 
 
-def test_a_router_that_ends_the_connection_in_the_handshake_is_worth_another_try(port: Callable[..., str]) -> None:
+def test_a_router_that_closes_the_connection_in_the_handshake_is_tried_again(port: Callable[..., str]) -> None:
     (reason,) = explain(Authority("r").issue("a"), port(closes=True))
     assert UNREACHED in reason
     assert "closed the connection during the TLS handshake: it is busy or does not speak TLS" in reason
@@ -127,7 +127,7 @@ def test_a_router_that_answers_something_else_does_not_speak_tls(port: Callable[
     assert explain(Authority("r").issue("a"), port(answer)) == ["the router at 127.0.0.1 does not speak TLS"]
 
 
-def test_an_alert_in_the_handshake_is_the_routers_word_about_us(port: Callable[..., str]) -> None:
+def test_an_alert_in_the_handshake_is_the_routers_verdict(port: Callable[..., str]) -> None:
     alert = bytes([21, 3, 3, 0, 2, 2, 48])  # fatal, unknown_ca
     (reason,) = explain(Authority("r").issue("a"), port(alert))
     assert "refuses us: another authority has issued ours" in reason

@@ -1,4 +1,4 @@
-"""`mast run --secure`: with a level, without one, and where it cannot be."""
+"""`mast run --secure`: with a level, without one, and refused where it is not possible."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mast_zenoh.launch import run as launcher
 
 @pytest.fixture
 def chosen(monkeypatch: pytest.MonkeyPatch):
-    """Runs `mast run` up to where the run would begin: (the level that it would have, what was said)."""
+    """Run `mast run` until just before the run begins: (its level, the console output)."""
     levels: list[str] = []
 
     def run(*_: object, secure: str, **__: object) -> None:
@@ -45,20 +45,20 @@ def test_the_level_may_be_left_out(chosen, words: tuple[str, ...], level: str) -
 
 
 @pytest.mark.parametrize("words", [("--runtime", "inproc"), ("--endpoint", "tcp/127.0.0.1:1"), ("--secure=tlss",)])
-def test_where_there_is_nothing_to_secure_it_is_refused(chosen, words: tuple[str, ...]) -> None:
+def test_the_option_is_refused_where_there_is_no_mesh(chosen, words: tuple[str, ...]) -> None:
     levels, said = chosen("baseline", "--secure", *words)
     assert levels == []
     assert "--secure" in said
 
 
 @pytest.mark.parametrize("level", ["aclx", "ACL", "mtsl"])
-def test_a_level_that_is_misspelt_is_no_scenario(level: str) -> None:
+def test_a_misspelt_level_is_not_taken_for_a_scenario(level: str) -> None:
     ended = CliRunner().invoke(app.app, ["run", "baseline", "--secure", level])
     assert isinstance(ended.exception, ConfigurationError)
     assert f"security level: found {level!r}" in str(ended.exception)
 
 
-def test_a_study_of_an_outsider_has_no_trials() -> None:
+def test_a_study_of_an_outsider_refuses_trials() -> None:
     ended = CliRunner().invoke(app.app, ["study", "rogue", "--trials", "3"])
     assert ended.exit_code == 2
     assert "once at each level" in ended.output

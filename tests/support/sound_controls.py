@@ -62,7 +62,7 @@ CODECS: dict[str, tuple[Callable[[bytes], Any], bytes]] = {
     "piece": (files.decode_fetch, packed({"do": "piece", "path": "scenario.json", "offset": 0})),
     "file": (files.decode_file, packed({"path": "messages.mcap", "offset": 0, "piece": b"abc"})),
     "belongings": (
-        files.decode_belongings,
+        files.decode_node_files,
         packed({"files": {"scenario.json": 17}, "without": ["eve"], "written": ["messages.mcap"]}),
     ),
     "clock's answer": (files.decode_clock, packed({"now_ns": 1_700_000_000_000_000_000})),

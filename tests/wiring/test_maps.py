@@ -66,7 +66,7 @@ def test_a_placeholder_makes_one_wire_for_each_node_of_its_role() -> None:
     assert set(wiring.ports("broker").inputs) == {"agent/ego/tracks", "agent/infra_1/tracks"}
 
 
-def test_an_inserted_node_hears_the_tap_and_speaks_on_the_old_key() -> None:
+def test_an_inserted_node_subscribes_to_the_tap_and_publishes_on_the_old_key() -> None:
     nodes = {"simulator": SIMULATOR, "ego": AGENT, "infra_1": AGENT, "adversary_1": interposer(agent="infra_1")}
     wiring = resolve(nodes, insertion())
     tap = "agent/infra_1/detections/@tap/0"
@@ -118,7 +118,7 @@ def test_chains_of_any_length_stay_connected_and_invisible(agents: list[str], ch
         ({"wire": [dict(MAP["wire"][0], key="a/*/b")]}, "not a valid key expression"),
         ({"wire": [dict(MAP["wire"][0], key="a/@b")]}, "not a valid key expression"),
         ({"wire": [dict(MAP["wire"][0], key="{agent}/{broker}")]}, "2 placeholders"),
-        ({"wire": [dict(MAP["wire"][0])]}, "has a publisher already"),
+        ({"wire": [dict(MAP["wire"][0])]}, "already has a publisher"),
         ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulator.detection"})]}, "did you mean 'detections'"),
         ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulater.detections"})]}, "did you mean 'simulator'"),
         ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulator"})]}, "expected role.port"),
@@ -129,7 +129,7 @@ def test_chains_of_any_length_stay_connected_and_invisible(agents: list[str], ch
         ({"insert": [dict(insertion()["insert"][0], role="agent")]}, "has no input port 'seen'"),
     ],
 )
-def test_a_wrong_map_is_refused_with_file_entry_and_reason(source: dict, reason: str) -> None:
+def test_an_invalid_map_is_refused_with_file_entry_and_reason(source: dict, reason: str) -> None:
     nodes = {"simulator": SIMULATOR, "ego": AGENT, "infra_1": AGENT, "broker": BROKER}
     with pytest.raises(WiringError, match=reason) as caught:
         resolve(nodes, source)
@@ -142,7 +142,7 @@ def test_a_node_twice_on_one_wire_is_a_loop() -> None:
         resolve(nodes, insertion(), insertion())
 
 
-def test_a_name_that_is_no_chunk_is_refused() -> None:
+def test_a_name_that_is_not_a_key_chunk_is_refused() -> None:
     with pytest.raises(WiringError, match="one chunk"):
         resolve({"simulator": SIMULATOR, "a/b": AGENT})
 
@@ -176,7 +176,7 @@ def test_the_wiring_is_printed_as_text_and_drawn_with_its_rewrites() -> None:
     assert 'simulator -.->|"agent/ego/detections/@tap/0"| adversary_1' in drawn
 
 
-def test_a_node_that_hears_every_key_hears_tap_legs_too_and_stands_on_no_wire() -> None:
+def test_a_node_that_hears_every_key_also_hears_tap_legs_and_is_on_no_wire() -> None:
     ear = node("recorder", inputs="everything:*")
     nodes = {"simulator": SIMULATOR, "ego": AGENT, "adversary_1": interposer(agent="ego"), "broker": BROKER}
     without, wiring = resolve(nodes, insertion()), resolve({**nodes, "ear": ear}, insertion())
@@ -193,7 +193,7 @@ def test_a_node_that_hears_every_key_hears_tap_legs_too_and_stands_on_no_wire() 
 
 
 @pytest.mark.parametrize("more", [dict(outputs="tracks:tracks"), dict(inputs="everything:* clock:clock")])
-def test_who_hears_every_key_has_no_other_port(more: dict[str, str]) -> None:
+def test_a_node_that_hears_every_key_has_no_other_port(more: dict[str, str]) -> None:
     ear = node("recorder", **(dict(inputs="everything:*") | more))
-    with pytest.raises(WiringError, match=r"node 'ear': who hears every key on one port \('everything'\) has no other"):
+    with pytest.raises(WiringError, match=r"node 'ear': a node that hears every key \('everything'\) has no other"):
         resolve({"simulator": SIMULATOR, "ego": AGENT, "broker": BROKER, "ear": ear})

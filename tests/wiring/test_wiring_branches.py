@@ -1,4 +1,4 @@
-"""A rewrite with `to` stands before one subscriber alone: the others, and what stands on the trunk, notice nothing."""
+"""A rewrite with `to` affects one subscriber only; other subscribers and the trunk stay unchanged."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def resolve(nodes: dict[str, NodeOptions], *rewrites: dict) -> Wiring:
     return maps.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *rewrites))], nodes)
 
 
-def test_a_link_before_the_broker_is_heard_by_the_broker_alone() -> None:
+def test_only_the_broker_receives_from_a_link_before_the_broker() -> None:
     nodes = world("ego", "infra_1", link_1=node("link", *PORTS, agent="infra_1"))
     wiring = resolve(nodes, up())
     leg = "agent/infra_1/tracks/@tap/broker/0"
@@ -77,7 +77,7 @@ def test_a_link_before_the_broker_is_heard_by_the_broker_alone() -> None:
     assert "agent/ego/tracks" in wiring.ports("broker").inputs, "who has no link is heard as before"
 
 
-def test_each_link_stands_before_the_agent_that_its_option_names() -> None:
+def test_each_link_is_inserted_before_the_agent_that_its_option_names() -> None:
     links = {f"link_{name}": node("link", *PORTS, agent=name) for name in ("ego", "infra_1")}
     wiring = resolve(world("ego", "infra_1", "infra_2", **links), down())
     for name in ("ego", "infra_1"):
@@ -88,7 +88,7 @@ def test_each_link_stands_before_the_agent_that_its_option_names() -> None:
     assert wiring.ports("cc").outputs["picture", ""] == "cc/picture"
 
 
-def test_an_adversary_on_the_trunk_is_before_the_branches_whichever_rewrite_comes_first() -> None:
+def test_an_adversary_on_the_trunk_is_before_the_branches_in_any_order_of_rewrites() -> None:
     sitting = dict(link_1=node("link", *PORTS, agent="ego"), bad=node("adversary", *PORTS, agent="ego"))
     nodes = world("ego", **sitting)
     for rewrites in ((up(), up("adversary", None)), (up("adversary", None), up())):
@@ -100,7 +100,7 @@ def test_an_adversary_on_the_trunk_is_before_the_branches_whichever_rewrite_come
         assert wire.interposers == ("bad", "link_1")
 
 
-def test_several_nodes_on_one_branch_stand_in_the_order_of_the_rewrites() -> None:
+def test_several_nodes_on_one_branch_are_in_the_order_of_the_rewrites() -> None:
     nodes = world("ego", link_1=node("link", *PORTS, agent="ego"), bad=node("adversary", *PORTS, agent="ego"))
     for first, second in (("link_1", "bad"), ("bad", "link_1")):
         wiring = resolve(nodes, *(up(nodes[name].role) for name in (first, second)))
@@ -116,19 +116,19 @@ def test_several_nodes_on_one_branch_stand_in_the_order_of_the_rewrites() -> Non
 @pytest.mark.parametrize(
     ("rewrite", "reason"),
     [
-        (up(to="brokre"), "file_1.toml: insert 1: to: no role 'brokre' hears .*did you mean 'broker'"),
-        (up(to="agent"), "no role 'agent' hears the wire 'agent/{agent}/tracks'; known: broker, evaluator"),
-        (up(to=["broker"]), "no role .* hears the wire"),
-        (up(to=""), "no role '' hears the wire"),
+        (up(to="brokre"), "file_1.toml: insert 1: to: no role 'brokre' subscribes to .*did you mean 'broker'"),
+        (up(to="agent"), "no role 'agent' subscribes to the wire 'agent/{agent}/tracks'; known: broker, evaluator"),
+        (up(to=["broker"]), "no role .* subscribes to the wire"),
+        (up(to=""), "no role '' subscribes to the wire"),
     ],
 )
-def test_a_rewrite_before_a_role_that_does_not_hear_the_wire_is_refused(rewrite: dict, reason: str) -> None:
+def test_a_rewrite_for_a_role_that_does_not_subscribe_to_the_wire_is_refused(rewrite: dict, reason: str) -> None:
     with pytest.raises(WiringError, match=reason):
         resolve(world("ego", link_1=node("link", *PORTS, agent="ego")), rewrite)
 
 
-def test_a_link_before_one_of_several_must_say_which() -> None:
-    with pytest.raises(WiringError, match="'cc/picture' is for ego, infra_1: an option `agent` must say"):
+def test_a_link_before_one_of_several_subscribers_must_name_it() -> None:
+    with pytest.raises(WiringError, match="'cc/picture' leads to ego, infra_1: the option `agent` of link_1 must"):
         resolve(world("ego", "infra_1", link_1=node("link", *PORTS)), down())
     assert resolve(world("ego", link_1=node("link", *PORTS)), down()).ports("ego").inputs.keys() == {
         "cc/picture/@tap/ego/0"
@@ -218,7 +218,7 @@ def test_branches_are_printed_drawn_and_overheard() -> None:
     assert [leg.get("before") for leg in told["legs"]] == [None, "broker"]
 
 
-def test_our_network_map_leaves_the_evaluator_alone() -> None:
+def test_the_shipped_network_map_does_not_affect_the_evaluator() -> None:
     entries = maps.load(bundle.ROOT / "keyexpr_maps" / "network.toml")["insert"]
     assert {(entry["wire"], entry["to"]) for entry in entries} == {
         ("agent/{agent}/tracks", "broker"),

@@ -1,4 +1,4 @@
-"""The nodes of a run as containers, which are there already: this starts, watches, pauses, cuts off and ends them."""
+"""The nodes of a run as existing containers: starts, watches, pauses, disconnects and ends them."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from mast_zenoh.launch.supervisor import Child, Supervisor
 
 _AT_A_TIME = 4  # commands to the engine
 _LOG_GRACE_S = 5.0  # from the end of a container to the end of its log
-_END_S = 30.0  # from a SIGKILL to the end of a container, at most
+_END_S = 30.0  # longest time from a SIGKILL to the end of a container
 
 
 class Container(Child):
-    """A node's container; see Child."""
+    """A node's container."""
 
     def __init__(self, name: str, spec: NodeSpec, container: str) -> None:
         super().__init__(name, spec)
@@ -32,23 +32,21 @@ class Container(Child):
         self.code: int | None = None
         self.ended_now = threading.Event()
         self.log: subprocess.Popen[bytes] | None = None
-        self.networks: dict[str, list[str]] = {}  # that it was taken off, and how it was known there
+        self.networks: dict[str, list[str]] = {}  # that it was disconnected from, with the options to reconnect
 
     @property
     def exit(self) -> int | None:
-        """See Child."""
         return None if self.code is None else _signed(self.code)
 
     def where(self) -> dict[str, Any]:
-        """See Child."""
         return {"container": self.container}
 
 
 class Containers(Supervisor[Container]):
-    """A context: entered, it knows of every container that ends.
+    """The containers of one run; a context manager that notices every container that ends while it is entered.
 
-    label: `KEY=VALUE` that all containers of the run have; container: a node's container's name
-    logs:  folder for what the nodes say; router: the name of the router's container
+    label: `KEY=VALUE` of all containers of the run; container: gives the name of a node's container
+    logs:  folder for the nodes' output; router: name of the router's container
     """
 
     def __init__(self, label: str, container: Callable[[str], str], logs: Path, router: str) -> None:
@@ -70,11 +68,11 @@ class Containers(Supervisor[Container]):
             self.dispose(child)
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
-        """See Supervisor. Raises EngineError for a node that has no container."""
+        """Start a node; raises EngineError for a node without a container."""
         self.start_all({name: spec}, without)
 
     def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
-        """See Supervisor; several at a time."""
+        """Start nodes, several at a time."""
         children = []
         for name, spec in specs.items():
             self.without[name] = sorted(without)
@@ -99,7 +97,7 @@ class Containers(Supervisor[Container]):
             docker("start", child.container)
         except EngineError as error:
             child.notes.append(str(error))
-            child.code = 125  # as `docker run` says it
+            child.code = 125  # as from `docker run`
             child.ended_now.set()
             with (self._logs / f"{child.name}.log").open("a") as log:
                 log.write(f"{error}\n")
@@ -114,8 +112,7 @@ class Containers(Supervisor[Container]):
             )
 
     def end_now(self, child: Container) -> None:
-        """See Supervisor."""
-        self.resume([child])  # who stands still cannot be killed
+        self.resume([child])  # a paused container cannot be killed
         docker("kill", child.container, check=False)
         if not child.ended_now.wait(_END_S):
             raise EngineError(f"the container {child.container} does not end")
@@ -128,15 +125,14 @@ class Containers(Supervisor[Container]):
             docker("unpause", child.container, check=False)
 
     def disconnect(self, child: Container) -> None:
-        """See Supervisor."""
-        told = docker("inspect", "--format", "{{json .NetworkSettings.Networks}}", child.container)
-        child.networks = {network: connected_as(how) for network, how in json.loads(told).items()}
+        networks = docker("inspect", "--format", "{{json .NetworkSettings.Networks}}", child.container)
+        child.networks = {network: connected_as(settings) for network, settings in json.loads(networks).items()}
         child.cut_off = True
         for network in child.networks:
             docker("network", "disconnect", network, child.container)
 
     def connect(self, children: Iterable[Container]) -> None:
-        """See Supervisor. What does not succeed is noted."""
+        """Reconnect nodes to their networks; failures are noted."""
         for child in children:
             if not child.cut_off:
                 continue
@@ -148,28 +144,26 @@ class Containers(Supervisor[Container]):
                     child.notes.append(f"not on {network} again: {error}")
 
     def wait(self, child: Container, seconds: float) -> bool:
-        """See Supervisor."""
         return child.ended_now.wait(seconds)
 
     def running(self) -> list[Container]:
-        """See Supervisor. Raises EngineError when the router has ended: nodes that leave for that are not to blame."""
+        """The nodes that run; raises EngineError if the router has ended, which makes nodes leave."""
         if self._router_code is not None:
             raise router_ended("the router", _signed(self._router_code), ROUTER)
         return super().running()
 
     def newly_ended(self) -> list[Container]:
-        """See Supervisor; what they have said last is in their logs."""
+        """Nodes that have ended since the last call; their logs are complete."""
         ended = super().newly_ended()
         for child in ended:
             self._await_log(child)
         return ended
 
     def dispose(self, child: Container) -> None:
-        """See Supervisor."""
         self._await_log(child)
 
     def end(self, grace_s: float) -> None:
-        """End all: those that stand still or are cut off go on; SIGTERM, wait, SIGKILL."""
+        """Resume and reconnect all nodes, then end them: SIGTERM, wait, SIGKILL."""
         self.resume(super().running())
         self.connect(super().running())
         for word in ("TERM", "KILL"):
@@ -203,23 +197,23 @@ class Containers(Supervisor[Container]):
 
 
 def _signed(code: int) -> int:
-    """Docker's exit code as Python has it: what a signal has ended says 128 and its number."""
+    """Docker's exit code in Python's form: negative for a signal, where Docker adds 128."""
     return code if code <= 128 else 128 - code
 
 
-def connected_as(how: Mapping[str, Any]) -> list[str]:
-    """Options of `docker network connect` that give a container the names and addresses it has on a network.
+def connected_as(settings: Mapping[str, Any]) -> list[str]:
+    """Options of `docker network connect` that restore a container's names and addresses on a network.
 
-    how: what `docker inspect` says of it there; an address is given again only if it was asked for
+    settings: its part of `docker inspect`; only addresses that were requested are restored
     """
-    asked = how.get("IPAMConfig") or {}
-    addresses = (("--ip", asked.get("IPv4Address")), ("--ip6", asked.get("IPv6Address")))
+    requested = settings.get("IPAMConfig") or {}
+    addresses = (("--ip", requested.get("IPv4Address")), ("--ip6", requested.get("IPv6Address")))
     words = [word for option, address in addresses if address for word in (option, address)]
-    return [*words, *(word for alias in how.get("Aliases") or () for word in ("--alias", alias))]
+    return [*words, *(word for alias in settings.get("Aliases") or () for word in ("--alias", alias))]
 
 
 class _Events:
-    """Hears from the engine which containers of a run die, from when it is started."""
+    """Reports the containers of a run that end, from the Docker engine's events."""
 
     def __init__(self, label: str, died: Callable[[str, int], None]) -> None:
         self._label = label
@@ -230,18 +224,18 @@ class _Events:
         self._thread = threading.Thread(target=self._listen, name="container events")
 
     def start(self) -> None:
-        """From now on."""
+        """Start listening."""
         self._thread.start()
 
     def close(self) -> None:
-        """No more."""
+        """Stop listening."""
         self._closed = True
         if self._process is not None:
             self._process.kill()
         self._thread.join()
 
     def _listen(self) -> None:
-        """The command may end before we do, when the engine is started again: then it is begun anew."""
+        """Run `docker events`, again if it ends because the engine was restarted."""
         words = ["docker", "events", "--filter", f"label={self._label}", "--filter", "event=die"]
         while not self._closed:
             since = ["--since", f"{self._since:.6f}"]
@@ -260,6 +254,6 @@ class _Events:
                 for line in lines:
                     event = json.loads(line)
                     self._since = event["timeNano"] * 1e-9 + 2e-6  # not this one again
-                    told = event["Actor"]["Attributes"]
-                    self._died(told["name"], int(told["exitCode"]))
+                    attributes = event["Actor"]["Attributes"]
+                    self._died(attributes["name"], int(attributes["exitCode"]))
             threading.Event().wait(0.0 if self._closed else 0.5)

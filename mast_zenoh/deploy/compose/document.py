@@ -1,7 +1,7 @@
 """A resolved scenario as a compose file: a router, and a service for every node. Pure.
 
-Nodes have nothing of the host but their credentials, and reach nothing but the router: two networks of the run's own,
-without a way out, `wired` for what stands still and `wireless` for mobile agents and what sits on their wires.
+Nodes have no access to the host except to their credentials, and reach only the router: the run has two networks
+without external access, `wired` for static nodes and `wireless` for mobile agents and interposers on their wires.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
 
 
 def project(run: str) -> str:
-    """What Compose calls all of a run: lower case letters, digits, `_` and `-`."""
+    """The Compose project of a run: lower case letters, digits, `_` and `-`."""
     return "mast-" + re.sub(r"[^a-z0-9_-]", "-", run.lower())
 
 
@@ -54,12 +54,12 @@ def document(
 ) -> dict[str, Any]:
     """The compose file of a run as plain values.
 
-    user:     UID:GID of all processes inside; on a secure mesh the credentials must be theirs
+    user:     UID:GID of all processes inside; on a secure mesh it must own the credentials
     environment: variables of all processes inside, besides the image's own
-    patience_s: how long everybody stays without a launcher, s; who is cut off for a time, by that much longer
-    cpus, memory: at most, for each container
+    patience_s: how long nodes run without a launcher, s; disconnected nodes get their longest disconnection on top
+    cpus, memory: limits of each container
 
-    Raises ConfigurationError for a node's name that is none in Compose.
+    Raises ConfigurationError for a node's name that Compose does not allow.
     """
     check_names(resolved)
     endpoint = levels.endpoint(secure, f"tcp/{ROUTER}:{PORT}")
@@ -94,11 +94,11 @@ def document(
     files: dict[str, str] = {}
 
     def secrets(service: str, names: tuple[str, ...]) -> list[dict[str, str]]:
-        told = []
+        entries = []
         for name in names:
             files[f"{service}_{name}"] = f"./{CREDENTIALS}/{service}/{name}"
-            told.append({"source": f"{service}_{name}", "target": name})
-        return told
+            entries.append({"source": f"{service}_{name}", "target": name})
+        return entries
 
     services[ROUTER] = {
         "<<": Merged("node"),
@@ -110,7 +110,7 @@ def document(
     }
     if secure != "open":
         services[ROUTER]["secrets"] = secrets(ROUTER, (ROUTER_SETTINGS,))
-    shown = (AUTHORITY, CONTROL) if secure == "tls" else (AUTHORITY, CERTIFICATE, KEY, CONTROL)
+    credential_files = (AUTHORITY, CONTROL) if secure == "tls" else (AUTHORITY, CERTIFICATE, KEY, CONTROL)
     for name in resolved.nodes:
         waits = ["--patience", f"{patience_s + cut_s(resolved, name):g}"]
         command = ["--name", name, "--run", run, "--endpoint", endpoint, *waits]
@@ -123,7 +123,7 @@ def document(
             "networks": ["wireless" if is_mobile(resolved, name) else "wired"],
         }
         if secure != "open":
-            services[name]["secrets"] = secrets(name, shown)
+            services[name]["secrets"] = secrets(name, credential_files)
     networks = {name: {"internal": True, "labels": {LABEL: run}} for name in ("wired", "wireless")}
     content = {
         "x-node": common,
@@ -136,35 +136,35 @@ def document(
 def text(resolved: Resolved, run: str, **options: Any) -> str:
     """The compose file of a run; the options are those of `document`."""
     secure = options.get("secure", "open")
-    told = (
+    comment = (
         f"# The run {run} of the scenario {resolved.name}, security level {secure}. `mast deploy up` has written this\n"
         "# and starts it: a node gets what it needs from the launcher, over the mesh, and gives back what it found.\n"
     )
-    return told + dump(document(resolved, run, **options))
+    return comment + dump(document(resolved, run, **options))
 
 
 def check_names(resolved: Resolved) -> None:
-    """Raise ConfigurationError for a node that cannot be a service."""
+    """Raise ConfigurationError for a node whose name cannot be that of a service."""
     for name in resolved.nodes:
         if not _NAME.fullmatch(name) or name == ROUTER:
-            what = "the router's name" if name == ROUTER else "no name for a container"
-            raise ConfigurationError(f"node {name!r}: {what}; expected letters, digits, `_`, `.` and `-`")
+            problem = "the router's name" if name == ROUTER else "no name for a container"
+            raise ConfigurationError(f"node {name!r}: {problem}; expected letters, digits, `_`, `.` and `-`")
 
 
 def is_mobile(resolved: Resolved, name: str) -> bool:
-    """Whether a node is a mobile agent, or sits on the wires of one."""
+    """Whether a node is a mobile agent, or an interposer on the wires of one."""
     spec = resolved.nodes[name]
     agent = resolved.nodes.get(str(spec.config.get("agent")))
-    return _moves(spec) or (agent is not None and _moves(agent))
+    return _is_mobile_agent(spec) or (agent is not None and _is_mobile_agent(agent))
 
 
 def cut_s(resolved: Resolved, name: str) -> float:
-    """s of wall-clock time, the longest for which the scenario takes a node off its networks."""
+    """The longest time for which the scenario disconnects a node, s of wall-clock time."""
     steps = [step for step in resolved.steps if step.node == name]
     pairs = [pair for pair in pairwise(steps) if pair[0].action == "disconnect"]
     frames = max((after.frame - before.frame for before, after in pairs), default=0)
     return frames * resolved.period_ns * 1e-9 / resolved.rate
 
 
-def _moves(spec: NodeSpec) -> bool:
+def _is_mobile_agent(spec: NodeSpec) -> bool:
     return spec.role == "agent" and bool(spec.config.get("mobile"))

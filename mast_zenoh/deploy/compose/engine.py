@@ -33,8 +33,8 @@ _REMOVED_S = 20.0  # for networks and volumes to be free, and gone
 class Compose(Engine):
     """Containers of this machine.
 
-    image:      that they are made from; see `image.build`
-    patience_s: how long they stay when the launcher has gone, s
+    image:      image of the containers, see `image.build`
+    patience_s: how long they run without the launcher, s
     """
 
     name = "compose"
@@ -45,14 +45,12 @@ class Compose(Engine):
         self.patience_s = patience_s
 
     def check(self, resolved: Resolved, secure: str) -> None:
-        """See Engine."""
         engine.check()
         command()
         image.check(self.image)
         document.check_names(resolved)
 
     def join(self, context: RunContext, stack: ExitStack) -> Mesh:
-        """See Engine."""
         run, folder = context.run_id, context.folder
         context.record["deployment"] = {"engine": self.name, "image": self.image, "label": f"{document.LABEL}={run}"}
         run_folder.write_json(folder / "run.json", context.record)
@@ -87,31 +85,29 @@ class Compose(Engine):
 
     @classmethod
     def status(cls, folder: Path, record: dict[str, Any]) -> list[dict[str, str]]:
-        """See Engine."""
         label = record["deployment"]["label"]
         lines = docker("ps", "--all", "--filter", f"label={label}", "--format", "{{.Names}}\t{{.Status}}").splitlines()
-        found = (line.partition("\t") for line in sorted(lines))
+        rows = (line.partition("\t") for line in sorted(lines))
         start = len(document.container(record["id"], ""))
-        return [{"node": name[start:], "state": state, "where": name} for name, _, state in found]
+        return [{"node": name[start:], "state": state, "where": name} for name, _, state in rows]
 
     @classmethod
     def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """See Engine. What containers have said that are gone is in the run folder."""
-        there = {entry["node"]: entry["where"] for entry in cls.status(folder, record)}
-        names = [node] if node else sorted(path.stem for path in (folder / "logs").glob("*.log")) or list(there)
-        if follow and node in there:
-            subprocess.run(["docker", "logs", "--follow", there[node]], check=False, stdin=subprocess.DEVNULL)
+        """What containers have said that are gone is in the run folder."""
+        containers = {entry["node"]: entry["where"] for entry in cls.status(folder, record)}
+        names = [node] if node else sorted(path.stem for path in (folder / "logs").glob("*.log")) or list(containers)
+        if follow and node in containers:
+            subprocess.run(["docker", "logs", "--follow", containers[node]], check=False, stdin=subprocess.DEVNULL)
             return
         for name in names:
             path = folder / "logs" / f"{name}.log"
             lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
-            if not lines and name in there:
-                lines = docker("logs", there[name], check=False).splitlines()
+            if not lines and name in containers:
+                lines = docker("logs", containers[name], check=False).splitlines()
             sys.stdout.writelines(f"{name}  {line}\n" for line in lines)
 
     @classmethod
     def down(cls, folder: Path, record: dict[str, Any]) -> None:
-        """See Engine."""
         shutil.rmtree(folder / document.CREDENTIALS, ignore_errors=True)
         label = f"label={record['deployment']['label']}"
         if containers := docker("ps", "--all", "--quiet", "--filter", label).split():
@@ -125,7 +121,7 @@ class Compose(Engine):
 
 
 def command() -> list[str]:
-    """What calls Compose here; raises EngineError where there is none."""
+    """The command of Compose on this machine; raises EngineError if there is none."""
     if shutil.which("docker-compose"):
         return ["docker-compose"]
     try:
@@ -136,12 +132,12 @@ def command() -> list[str]:
 
 
 def _user() -> str:
-    """Whose the processes inside are: ours, so that they can read what is ours alone, unless we are root."""
+    """UID:GID of the processes inside: this user's, so that they can read its credentials, unless it is root."""
     return f"{os.getuid()}:{os.getgid()}" if os.getuid() else image.USER
 
 
 def _hand_over(folder: Path, router: dict[str, Any], user: str) -> None:
-    """Write the router's settings, its key in them, and give all credentials to the user inside."""
+    """Write the router's settings, which hold its key, and make the user inside the owner of all credentials."""
     credentials.write_settings(folder, router)
     if not os.getuid():
         uid, gid = map(int, user.split(":"))
@@ -150,18 +146,18 @@ def _hand_over(folder: Path, router: dict[str, Any], user: str) -> None:
 
 
 def _published(router: str) -> str:
-    """Address and port on this machine at which the router is reached."""
+    """Address and port of the router on this machine."""
     deadline = time.monotonic() + _ROUTER_S
-    while not (found := docker("port", router, f"{document.PORT}/tcp", check=False).split()):
+    while not (addresses := docker("port", router, f"{document.PORT}/tcp", check=False).split()):
         if time.monotonic() > deadline:
-            said = docker("logs", "--tail", "1", router, check=False).strip()
-            raise EngineError(f"the router's container {router} does not run{f': {said}' if said else ''}")
+            last_line = docker("logs", "--tail", "1", router, check=False).strip()
+            raise EngineError(f"the router's container {router} does not run{f': {last_line}' if last_line else ''}")
         threading.Event().wait(0.2)
-    return found[0]
+    return addresses[0]
 
 
 def _keep_log(router: str, path: Path) -> None:
-    """What the router has said, which nobody needs before the end."""
+    """Write the router's log at the end of the run."""
     done = subprocess.run(
         ["docker", "logs", router], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False, timeout=60
     )

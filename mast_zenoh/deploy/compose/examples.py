@@ -1,4 +1,4 @@
-"""The compose files in deploy/compose/: what `mast deploy up` would write for some of our scenarios."""
+"""The compose files in deploy/compose/, as `mast deploy up` would write them for some shipped scenarios."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from mast_zenoh import scenario
 from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.image import TAG
 
-#: Name of the example: of which scenario it is, and at which level of security.
+#: Scenario and security level of each example.
 EXAMPLES = {
     "baseline": ("baseline", "open"),
     "uncoordinated": ("uncoordinated", "acl"),
@@ -17,7 +17,7 @@ EXAMPLES = {
 
 def example(name: str) -> str:
     """The text of an example."""
-    of, secure = EXAMPLES[name]
-    path, loaded = scenario.load(of)
+    scenario_name, secure = EXAMPLES[name]
+    path, loaded = scenario.load(scenario_name)
     resolved = scenario.resolve(path, loaded, record=True)
     return document.text(resolved, f"{name}-example", image=TAG, secure=secure)

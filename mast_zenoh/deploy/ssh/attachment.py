@@ -1,4 +1,4 @@
-"""The launcher's end of one host's warden: attached as long as it can be, and again when the connection was lost."""
+"""The launcher's connection to one host's warden, which is restored after a loss."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from mast_zenoh.deploy.ssh.connection import connected, heard
+from mast_zenoh.deploy.ssh.connection import connected, messages_of
 from mast_zenoh.deploy.ssh.hostsfile import Host
 from mast_zenoh.deploy.ssh.relay import NOT_THERE
 from mast_zenoh.errors import EngineError
 
 _ALIVE_EVERY_S = 2.0
 _AGAIN_S = 0.5
-_NOT_STARTED = 127  # as a shell says it
+_NOT_STARTED = 127  # as from a shell
 
 
 def attaching(place: Mapping[str, Any]) -> str:
-    """The command that attaches to a warden on its host; place: what run.json says of the run there."""
+    """The command that attaches to a warden on its host; place: the host's entry in run.json."""
     words = [place["python"], "-m", "mast_zenoh.deploy.ssh.relay", place["run_folder"]]
     return shlex.join(["env", f"PYTHONPATH={place['release']}", *words])
 
 
 class Attachment:
-    """One warden, as the launcher sees it. What it is told is told again until it has answered.
+    """The launcher's view of one warden. Commands are repeated until it has answered.
 
-    command: as `attaching` says it
-    changed: notified whenever something is known that was not before; shared by all hosts of a run
-    on_log:  told of what a process has said: name, offset in its log, bytes
-    reattached: how often; trouble: why it is not attached, as far as that is known
-    lost_since: when the connection was lost, on the monotonic clock; None while there is one; gone: no warden is there
+    command: the command from `attaching`
+    changed: notified after every change of the known state; shared by all hosts of a run
+    on_log:  called with new output of a process: name, offset in its log, bytes
+    reattached: number of reconnections; trouble: why it is not attached, if known
+    lost_since: when the connection was lost, on the monotonic clock; None while connected; gone: there is no warden
     """
 
     def __init__(
@@ -66,35 +66,35 @@ class Attachment:
     # -- from the launcher's thread ------------------------------------------------------------------------------
 
     def tell(self, do: str, **more: Any) -> str:
-        """Have it do something, as soon as it can be told; the id of the command."""
+        """Queue a command for the warden; returns the command's id."""
         with self._changed:
-            which = next(self._ids)
-            self._unanswered[which] = {"id": which, "do": do, **more}
+            command_id = next(self._ids)
+            self._unanswered[command_id] = {"id": command_id, "do": do, **more}
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._wake.set)
-        return which
+        return command_id
 
-    def answer(self, which: str, seconds: float) -> dict[str, Any] | None:
-        """What it has answered; None when it has not within so many seconds, or cannot any more."""
+    def answer(self, command_id: str, seconds: float) -> dict[str, Any] | None:
+        """The answer to a command; None if there is none within `seconds`, or the warden is gone."""
         with self._changed:
-            self._changed.wait_for(lambda: which in self._answers or self.gone, seconds)
-            return self._answers.get(which)
+            self._changed.wait_for(lambda: command_id in self._answers or self.gone, seconds)
+            return self._answers.get(command_id)
 
     def leave(self, grace_s: float) -> None:
-        """Have it end all, remove its folder, and go."""
+        """Command the warden to end all nodes, remove its folder, and exit."""
         self._last = self.tell("leave", grace_s=grace_s)
 
     def has_left(self, seconds: float) -> bool:
-        """Whether nothing is there any more, within so many seconds."""
+        """Wait until the warden is gone; False after `seconds`."""
         with self._changed:
             return self._changed.wait_for(lambda: self.gone, max(0.0, seconds))
 
     def state(self, name: str, start: str) -> dict[str, Any] | None:
-        """What is known of a process, if it is that which the command `start` has started."""
+        """The known state of a process, if the command with the id `start` has started it."""
         with self._changed:
-            found = self.states.get(name)
-            if found is not None and found["start"] == start:
-                return found
+            state_ = self.states.get(name)
+            if state_ is not None and state_["start"] == start:
+                return state_
             answer = self._answers.get(start)
         if answer is None:
             return None
@@ -108,7 +108,7 @@ class Attachment:
     # -- in the event loop ---------------------------------------------------------------------------------------
 
     async def stay(self) -> None:
-        """The life of the attachment, until it is cancelled or there is nobody to be attached to."""
+        """Keep the connection until it is cancelled or the warden is gone."""
         import asyncssh
 
         self._loop = asyncio.get_running_loop()
@@ -127,16 +127,16 @@ class Attachment:
     async def _attend(self, process: Any) -> None:
         import asyncssh
 
-        def say(*said: dict[str, Any]) -> None:
-            process.stdin.write("".join(json.dumps(each) + "\n" for each in said))
+        def send(*messages: dict[str, Any]) -> None:
+            process.stdin.write("".join(json.dumps(message) + "\n" for message in messages))
 
         with self._changed:
-            waiting = dict(self._unanswered)
-        say({"as": "launcher", "logs": self._offsets}, *waiting.values())
-        sending = asyncio.create_task(self._send(say, set(waiting)))
+            pending = dict(self._unanswered)
+        send({"as": "launcher", "logs": self._offsets}, *pending.values())
+        sending = asyncio.create_task(self._send(send, set(pending)))
         try:
-            async for said in heard(process):
-                self._take(said)
+            async for message in messages_of(process):
+                self._take(message)
             done = await process.wait(timeout=_AGAIN_S)
             if done.exit_status == NOT_THERE or self._last in self._answers:
                 with self._changed:
@@ -147,29 +147,29 @@ class Attachment:
         finally:
             sending.cancel()
 
-    async def _send(self, say: Callable[..., None], sent: set[str]) -> None:
+    async def _send(self, send: Callable[..., None], sent: set[str]) -> None:
         while True:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), _ALIVE_EVERY_S)
             self._wake.clear()
             with self._changed:
-                waiting = {which: said for which, said in self._unanswered.items() if which not in sent}
-            sent |= waiting.keys()
-            say(*waiting.values(), {"do": "alive"})
+                pending = {id_: command for id_, command in self._unanswered.items() if id_ not in sent}
+            sent |= pending.keys()
+            send(*pending.values(), {"do": "alive"})
 
-    def _take(self, said: dict[str, Any]) -> None:
-        if "log" in said:
-            piece = said["text"].encode("latin-1")
-            if said["offset"] == self._offsets.get(said["log"], 0):
-                self._offsets[said["log"]] = said["offset"] + len(piece)
-                self._on_log(said["log"], said["offset"], piece)
+    def _take(self, message: dict[str, Any]) -> None:
+        if "log" in message:
+            piece = message["text"].encode("latin-1")
+            if message["offset"] == self._offsets.get(message["log"], 0):
+                self._offsets[message["log"]] = message["offset"] + len(piece)
+                self._on_log(message["log"], message["offset"], piece)
         with self._changed:
             if self.lost_since is not None:
                 self.lost_since = None
                 self.reattached += 1
-            if "node" in said:
-                self.states[said["node"]] = said
-            if "answer" in said:
-                self._unanswered.pop(said["answer"], None)
-                self._answers[said["answer"]] = said
+            if "node" in message:
+                self.states[message["node"]] = message
+            if "answer" in message:
+                self._unanswered.pop(message["answer"], None)
+                self._answers[message["answer"]] = message
             self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""SSH to a host: what goes wrong in words; programs, files. The event loop has a thread of its own."""
+"""SSH to a host: readable errors, programs, files. The event loop runs in its own thread."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ T = TypeVar("T")
 _CONNECT_S = 10.0
 _LOGIN_S = 30.0
 _PROGRAM_S = 300.0
-_KEEPALIVE_S = 3.0  # three of them without an answer: the connection is lost
+_KEEPALIVE_S = 3.0  # after three without an answer the connection is lost
 _POLL_S = 0.05
 
 
 class Loop:
-    """An event loop in a thread, and who waits for what is done there: a context.
+    """An event loop in a thread, and waiting for its tasks; a context manager.
 
-    signals: those that have come; one more ends the waiting
+    signals: the signals received so far; another one ends the waiting
     """
 
     def __init__(self, signals: Sequence[int] = ()) -> None:
@@ -57,21 +57,21 @@ class Loop:
         await asyncio.gather(*others, return_exceptions=True)
 
     def begin(self, coroutine: Coroutine[Any, Any, T]) -> concurrent.futures.Future[T]:
-        """Have something done there; a cancelled future cancels it."""
+        """Start a coroutine; cancelling the future cancels it."""
         return asyncio.run_coroutine_threadsafe(coroutine, self._loop)
 
     def run(self, coroutine: Coroutine[Any, Any, T], *, whole: bool = False) -> T:
-        """Have something done there, and wait for it. Raises Interrupted when a signal comes meanwhile.
+        """Run a coroutine, and wait for it. Raises Interrupted if a signal arrives meanwhile.
 
-        whole: what must not be half done is finished before
+        whole: after a signal, wait until the coroutine has finished
         """
-        before, future = len(self._signals), self.begin(coroutine)
+        n_signals, future = len(self._signals), self.begin(coroutine)
         while True:
             with contextlib.suppress(concurrent.futures.TimeoutError):
                 return future.result(_POLL_S)
             if future.done():
                 return future.result()  # its own TimeoutError
-            if len(self._signals) > before:
+            if len(self._signals) > n_signals:
                 if whole:
                     future.result()
                 future.cancel()
@@ -79,7 +79,7 @@ class Loop:
 
 
 async def together(*coroutines: Coroutine[Any, Any, T]) -> list[T]:
-    """All at the same time; the first error is raised when all are done, so that nothing is half done."""
+    """Run all concurrently; the first error is raised after all have finished."""
     results = await asyncio.gather(*coroutines, return_exceptions=True)
     for result in results:
         if isinstance(result, BaseException):
@@ -89,7 +89,7 @@ async def together(*coroutines: Coroutine[Any, Any, T]) -> list[T]:
 
 @contextlib.asynccontextmanager
 async def connected(host: Host) -> AsyncIterator[asyncssh.SSHClientConnection]:
-    """A connection; its host key is one that is known, or EngineError says what is wrong, as for all else."""
+    """Open a connection to a host with a known key; raises EngineError for any failure."""
     try:
         import asyncssh
     except ImportError:
@@ -127,26 +127,26 @@ def _why(error: BaseException, known_hosts: Path, key: Path | None) -> str:
 
     if isinstance(error, asyncssh.HostKeyNotVerifiable):
         return (
-            f"its host key is not the one in {known_hosts} ({error.reason}): somebody else may answer there, or it is "
-            "new; compare its fingerprint (ssh-keygen -lf on the host), then add what ssh-keyscan says"
+            f"its host key is not the one in {known_hosts} ({error.reason}): the host is new, or another one answers; "
+            "compare its fingerprint (ssh-keygen -lf on the host), then add the output of ssh-keyscan"
         )
     if isinstance(error, asyncssh.PermissionDenied):
-        return f"does not let us in with {key or 'any key of the agent or of ~/.ssh'}: put the public key there"
+        return f"does not let us in with {key or 'any key of the agent or of ~/.ssh'}: add the key to authorized_keys"
     if isinstance(error, (asyncssh.KeyImportError, asyncssh.KeyEncryptionError)):
-        return f"key: {key}: {error}; a key with a passphrase belongs into the SSH agent"
+        return f"key: {key}: {error}; load a key with a passphrase into the SSH agent"
     if isinstance(error, TimeoutError):
         return f"out of reach: no answer within {_CONNECT_S:.0f} s"
     return f"out of reach: {getattr(error, 'strerror', None) or error or type(error).__name__}"
 
 
 async def run(
-    ssh: asyncssh.SSHClientConnection, host: Host, words: Sequence[str], given: str = "", seconds: float = _PROGRAM_S
+    ssh: asyncssh.SSHClientConnection, host: Host, words: Sequence[str], input_: str = "", seconds: float = _PROGRAM_S
 ) -> str:
-    """What a program there says on standard output; raises EngineError when it fails."""
+    """Run a program on the host; returns its standard output, raises EngineError if it fails."""
     import asyncssh
 
     try:
-        done = await ssh.run(shlex.join(words), input=given, timeout=seconds, errors="replace")
+        done = await ssh.run(shlex.join(words), input=input_, timeout=seconds, errors="replace")
     except (asyncssh.Error, OSError) as error:
         raise EngineError(f"{host.called}: {words[0]}: {error or type(error).__name__}") from None
     if done.exit_status == 127:
@@ -157,32 +157,32 @@ async def run(
     return str(done.stdout)
 
 
-async def heard(process: asyncssh.SSHClientProcess[str]) -> AsyncIterator[dict[str, Any]]:
-    """The lines of JSON that a process writes; one that a lost connection has cut off does not count."""
+async def messages_of(process: asyncssh.SSHClientProcess[str]) -> AsyncIterator[dict[str, Any]]:
+    """The lines of JSON that a process writes, without a last line that a lost connection has cut off."""
     async for line in process.stdout:
         if line.endswith("\n"):
             yield json.loads(line)
 
 
 async def ask(ssh: asyncssh.SSHClientConnection, host: Host, *words: str) -> dict[str, Any]:
-    """What `onhost` says there. Raises EngineError."""
-    said = await run(ssh, host, [host.python, "-", *words], Path(onhost.__file__).read_text(encoding="utf-8"))
+    """Run `onhost` on the host; returns its answer. Raises EngineError."""
+    output = await run(ssh, host, [host.python, "-", *words], Path(onhost.__file__).read_text(encoding="utf-8"))
     try:
-        answer: dict[str, Any] = json.loads(said.strip().rpartition("\n")[2])
+        answer: dict[str, Any] = json.loads(output.strip().rpartition("\n")[2])
     except ValueError:
-        raise EngineError(f"{host.called}: {host.python} said {said.strip()[-200:]!r}, expected JSON") from None
+        raise EngineError(f"{host.called}: {host.python} printed {output.strip()[-200:]!r}, expected JSON") from None
     return answer
 
 
 async def make_folder(sftp: asyncssh.SFTPClient, path: str) -> None:
-    """A new folder that nobody else may enter."""
+    """Make a folder that only its owner may enter."""
     import asyncssh
 
     await sftp.mkdir(path, asyncssh.SFTPAttrs(permissions=0o700))
 
 
 async def write_file(sftp: asyncssh.SFTPClient, path: str, content: bytes) -> None:
-    """A new file that nobody else may read, from its first byte on."""
+    """Write a new file that only its owner may read, from its first byte on."""
     import asyncssh
 
     async with sftp.open(path, "xb", asyncssh.SFTPAttrs(permissions=0o600)) as file:

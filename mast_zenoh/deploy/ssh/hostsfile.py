@@ -1,4 +1,4 @@
-"""hosts.toml: which hosts there are, how to reach them, and which nodes of a run go where. Pure, but for reading it."""
+"""hosts.toml: the hosts, how to reach them, and the placement of a run's nodes. Pure, except for reading it."""
 
 from __future__ import annotations
 
@@ -34,14 +34,15 @@ _KINDS: dict[type, str] = {
 
 @dataclass(frozen=True)
 class Host:
-    """How to reach a host, and what is put there.
+    """How to reach a host, and which nodes run there.
 
     address:     name or address, port: of its SSH server
-    user:        who to log in as; empty: whoever runs `mast`
-    key:         file of the private key; empty: those of the SSH agent and the usual files
-    known_hosts: file with the keys of hosts; a host whose key is not in there is refused
-    python:      program there, 3.11 or newer; folder: for what we bring there, below the home unless absolute
-    nodes: names of nodes, with * and ?; roles: roles of which it takes its share; spread: whether of the rest too
+    user:        login name; empty: that of the user who runs `mast`
+    key:         file of the private key; empty: keys of the SSH agent and the usual files
+    known_hosts: file with the keys of hosts; a host whose key is missing there is refused
+    python:      its Python, 3.11 or newer; folder: for installed files, below the home unless absolute
+    nodes: names of nodes, with * and ?; roles: roles of which it runs a share; spread: whether it also runs a share of
+           the remaining nodes
     """
 
     name: str
@@ -58,16 +59,16 @@ class Host:
 
     @property
     def called(self) -> str:
-        """As errors name it."""
+        """The host's name and address, for error messages."""
         return f"host {self.name} ({self.user + '@' if self.user else ''}{self.address}:{self.port})"
 
 
 @dataclass(frozen=True)
 class Hosts:
-    """What hosts.toml says.
+    """The content of hosts.toml.
 
-    router_on: name of a host, or LAUNCHER; address: by which hosts reach the router, empty: found out; port: 0: any
-    patience_s: for so long nodes go on without a launcher, and the host's supervisor too
+    router_on: name of a host, or LAUNCHER; address: the router's, as hosts reach it, empty: detected; port: 0: any
+    patience_s: how long nodes and the host's supervisor run without a launcher
     """
 
     place: str
@@ -78,13 +79,13 @@ class Hosts:
     patience_s: float = 30.0
 
     def placed(self, nodes: Mapping[str, NodeSpec]) -> dict[str, str]:
-        """The host of every node: whoever names it, else who has its role, else those that take the rest, in turn.
+        """The host of every node: the host that names it, else hosts with its role, else the spread hosts, in turn.
 
-        Takes the rest: who says `spread`; if nobody does, who names nothing; if all do, everybody.
-        Raises ConfigurationError for a name that is not in the scenario or is at two hosts, and for what is no role. A
-        pattern or a role that nothing has is nothing: hosts serve many scenarios.
+        Spread hosts are those with `spread`; if there are none, those without nodes and roles; else all.
+        Raises ConfigurationError for a name that is not in the scenario or is on two hosts, and for an unknown role.
+        Patterns and roles without nodes are allowed: hosts serve many scenarios.
         """
-        found: dict[str, str] = {}
+        host_of: dict[str, str] = {}
         for host in self.hosts.values():
             for index, pattern in enumerate(host.nodes):
                 where = f"{self.place}: hosts.{host.name}.nodes[{index}]"
@@ -92,17 +93,17 @@ class Hosts:
                 if not matching and not _WILD.search(pattern):
                     raise ConfigurationError(f"{where}: no node {pattern!r}{nearest(pattern, nodes)}")
                 for name in matching:
-                    if found.setdefault(name, host.name) != host.name:
-                        raise ConfigurationError(f"{where}: {name} is at {found[name]} already, expected one host")
+                    if host_of.setdefault(name, host.name) != host.name:
+                        raise ConfigurationError(f"{where}: {name} is already on {host_of[name]}, expected one host")
         by_role = {role: cycle(hosts) for role, hosts in self._claims(nodes).items()}
-        every = list(self.hosts)
+        all_hosts = list(self.hosts)
         spread = [h.name for h in self.hosts.values() if h.spread]
-        silent = [h.name for h in self.hosts.values() if not (h.nodes or h.roles)]
-        rest = cycle(spread or silent or every)
+        unassigned = [h.name for h in self.hosts.values() if not (h.nodes or h.roles)]
+        remaining_hosts = cycle(spread or unassigned or all_hosts)
         for name, spec in nodes.items():
-            if name not in found:
-                found[name] = next(by_role.get(spec.role, rest))
-        return {name: found[name] for name in nodes}
+            if name not in host_of:
+                host_of[name] = next(by_role.get(spec.role, remaining_hosts))
+        return {name: host_of[name] for name in nodes}
 
     def _claims(self, nodes: Mapping[str, NodeSpec]) -> dict[str, list[str]]:
         roles = {*ROLES, *(spec.role for spec in nodes.values())}
@@ -117,17 +118,17 @@ class Hosts:
 
 
 def read(path: Path) -> Hosts:
-    """The hosts in a file; raises ConfigurationError, naming the file and the path inside it."""
+    """Read a hosts file; raises ConfigurationError, naming the file and the path inside it."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "is not UTF-8"
-        raise ConfigurationError(f"{path}: {reason}; docs/deploy.md says what such a file holds") from None
+        raise ConfigurationError(f"{path}: {reason}; docs/deploy.md describes this file") from None
     return parse(text, str(path))
 
 
 def parse(text: str, place: str) -> Hosts:
-    """The hosts in a text; raises ConfigurationError, naming the place and the path inside it."""
+    """Parse a hosts file's text; raises ConfigurationError, naming the place and the path inside it."""
     try:
         data = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -159,16 +160,16 @@ def _host(name: str, table: Any, defaults: Mapping[str, Any], place: str) -> Hos
         )
     if not isinstance(table, dict):
         raise ConfigurationError(f"{place}: hosts.{name}: found {table!r}, expected a table: [hosts.{name}]")
-    own = _known(table, {"address": str, **_REACH, **_PLACE}, place, where)
-    if not own.get("address"):
+    entries = _known(table, {"address": str, **_REACH, **_PLACE}, place, where)
+    if not entries.get("address"):
         raise ConfigurationError(f"{place}: {where}address: missing; expected a name or an address")
-    merged: dict[str, Any] = {**defaults, **own}
+    merged: dict[str, Any] = {**defaults, **entries}
     _port(merged, place, where, least=1)
     for key in ("folder", "python", "known_hosts"):
         if merged.get(key) == "" or "\0" in merged.get(key, ""):
-            raise ConfigurationError(f"{place}: {where}{key}: found {merged[key]!r}, expected something to go by")
-    told: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in merged.items()}
-    return Host(name, **told)
+            raise ConfigurationError(f"{place}: {where}{key}: found {merged[key]!r}, expected a path or a program")
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in merged.items()}
+    return Host(name, **values)
 
 
 def _known(table: Mapping[str, Any], kinds: Mapping[str, type], place: str, where: str) -> dict[str, Any]:

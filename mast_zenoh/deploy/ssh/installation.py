@@ -1,10 +1,10 @@
-"""What nodes need, on a host: an environment of other packages, made once for each set of versions, and our own wheel.
+"""Installs packages on a host: an environment of third-party packages, once per set of versions, and our own wheel.
 
     FOLDER/environments/KEY/      a virtual environment with the wheels of third parties
     FOLDER/releases/KEY/          this package, as it is here
     FOLDER/runs/RUN/HOST/         a run's supervisor, while it lasts
 
-The wheels come from here: a host needs no index, no pip and no compiler, and all have the versions that we have.
+The launcher sends the wheels: a host needs no index, no pip and no compiler, and all hosts have the same versions.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mast_zenoh.errors import DiskFull, EngineError, VersionMismatch
 if TYPE_CHECKING:
     import asyncssh
 
-#: What an environment takes (250 MB were measured), a release, and what a run writes.
+#: Disk space for an environment (250 MB were measured), a release, and the files of a run.
 _NEEDED_BYTES = {"environment": 400 << 20, "release": 16 << 20, "run": 64 << 20}
 
 _OLDEST = (3, 11)
@@ -32,18 +32,18 @@ _OLDEST = (3, 11)
 
 @dataclass(frozen=True)
 class Installed:
-    """Where things are on a host: absolute paths there; python: of the environment."""
+    """Absolute paths on a host; python: the environment's."""
 
     folder: str
     python: str
     release: str
 
 
-class Cargo:
-    """What is brought: our own wheel, built into a folder, and the names of all others."""
+class Packages:
+    """The packages to install: our own wheel, built into a folder, and the names of all others."""
 
     def __init__(self, folder: Path) -> None:
-        self.version = release.version_string()  # of the very sources that are packed
+        self.version = release.version_string()  # of the sources in the wheel
         self.wheel = wheel.build(folder)
         self.release = hashlib.sha256(self.wheel.read_bytes()).hexdigest()[:12]
         self._requirements = wheel.requirements()
@@ -54,65 +54,67 @@ class Cargo:
         return f"{python}-{machine}-{digest}"
 
 
-async def probe(ssh: asyncssh.SSHClientConnection, host: Host, cargo: Cargo) -> dict[str, Any]:
-    """What the host is and has; raises EngineError, DiskFull or VersionMismatch for one that cannot take nodes."""
-    said = await connection.run(ssh, host, [host.python, "-c", _WHICH])
-    python, machine = said.split()
+async def probe(ssh: asyncssh.SSHClientConnection, host: Host, packages: Packages) -> dict[str, Any]:
+    """Properties and installed packages of a host; raises EngineError, DiskFull or VersionMismatch if unsuitable."""
+    output = await connection.run(ssh, host, [host.python, "-c", _PRINT_PLATFORM])
+    python, machine = output.split()
     if tuple(map(int, python.split("."))) < _OLDEST:
-        wanted = ".".join(map(str, _OLDEST))
-        raise EngineError(f"{host.called}: {host.python} is Python {python}, expected {wanted} or newer (python)")
-    environment = cargo.environment(python, machine)
-    found = await connection.ask(ssh, host, "probe", host.folder, environment, cargo.release)
-    if found["system"] != "Linux":
-        raise EngineError(f"{host.called}: runs {found['system']}, expected Linux")
-    if found["refused"]:
-        raise EngineError(f"{host.called}: {found['folder']}: {found['refused']} (folder)")
-    lacks = [kind for kind in ("environment", "release") if not found[kind]]
-    needed = sum(_NEEDED_BYTES[kind] for kind in (*lacks, "run"))
-    if found["free"] < needed:
-        raise DiskFull(f"{host.called}: {found['folder']} has {_mib(found['free'])} free, needs {_mib(needed)}")
-    if not lacks:
-        _compare(host, cargo, found["version"], found["folder"])
-    return {**found, "python": python, "key": environment, "lacks": lacks}
+        oldest = ".".join(map(str, _OLDEST))
+        raise EngineError(f"{host.called}: {host.python} is Python {python}, expected {oldest} or newer (python)")
+    environment = packages.environment(python, machine)
+    facts = await connection.ask(ssh, host, "probe", host.folder, environment, packages.release)
+    if facts["system"] != "Linux":
+        raise EngineError(f"{host.called}: runs {facts['system']}, expected Linux")
+    if facts["refused"]:
+        raise EngineError(f"{host.called}: {facts['folder']}: {facts['refused']} (folder)")
+    missing = [kind for kind in ("environment", "release") if not facts[kind]]
+    needed = sum(_NEEDED_BYTES[kind] for kind in (*missing, "run"))
+    if facts["free"] < needed:
+        raise DiskFull(f"{host.called}: {facts['folder']} has {_mib(facts['free'])} free, needs {_mib(needed)}")
+    if not missing:
+        _compare(host, packages, facts["version"], facts["folder"])
+    return {**facts, "python": python, "key": environment, "lacks": missing}
 
 
-async def install(ssh: asyncssh.SSHClientConnection, host: Host, cargo: Cargo) -> Installed:
-    """All that nodes need, if it is not there yet; raises what `probe` raises."""
-    found = await probe(ssh, host, cargo)
-    base = found["folder"]
-    environment = f"{base}/environments/{found['key']}"
-    target = f"{base}/releases/{cargo.release}"
-    if "environment" in found["lacks"]:
+async def install(ssh: asyncssh.SSHClientConnection, host: Host, packages: Packages) -> Installed:
+    """Install missing packages; raises what `probe` raises."""
+    facts = await probe(ssh, host, packages)
+    folder = facts["folder"]
+    environment = f"{folder}/environments/{facts['key']}"
+    target = f"{folder}/releases/{packages.release}"
+    if "environment" in facts["lacks"]:
         wheels = wheel.third_party(
-            wheel.cache(found["python"], found["machine"]), python=found["python"], machine=found["machine"]
+            wheel.cache(facts["python"], facts["machine"]), python=facts["python"], machine=facts["machine"]
         )
-        await _bring(ssh, host, wheels, environment, venv=True)
-    if "release" in found["lacks"]:
-        await _bring(ssh, host, [cargo.wheel], target, venv=False)
-    if found["lacks"]:
-        said = await connection.ask(ssh, host, "verify", environment, target)
-        _compare(host, cargo, said["version"], base)
-    return Installed(base, f"{environment}/bin/python", target)
+        await _copy_and_unpack(ssh, host, wheels, environment, venv=True)
+    if "release" in facts["lacks"]:
+        await _copy_and_unpack(ssh, host, [packages.wheel], target, venv=False)
+    if facts["lacks"]:
+        answer = await connection.ask(ssh, host, "verify", environment, target)
+        _compare(host, packages, answer["version"], folder)
+    return Installed(folder, f"{environment}/bin/python", target)
 
 
-async def _bring(ssh: asyncssh.SSHClientConnection, host: Host, wheels: list[Path], target: str, *, venv: bool) -> None:
+async def _copy_and_unpack(
+    ssh: asyncssh.SSHClientConnection, host: Host, wheels: list[Path], target: str, *, venv: bool
+) -> None:
     import asyncssh
 
     new = f"{target}.{secrets.token_hex(4)}"
     try:
         async with ssh.start_sftp_client() as sftp:
-            await connection.make_folder(sftp, new)  # or its wheels could be exchanged
-            await sftp.put([str(each) for each in wheels], new)
+            await connection.make_folder(sftp, new)  # otherwise its wheels could be replaced
+            await sftp.put([str(path) for path in wheels], new)
         await connection.ask(ssh, host, "unpack", new, target, "1" if venv else "0")
     except (asyncssh.Error, OSError) as error:
         await connection.run(ssh, host, ["rm", "-rf", new])
         raise EngineError(f"{host.called}: {target}: {error}") from None
 
 
-def _compare(host: Host, cargo: Cargo, theirs: str, folder: str) -> None:
-    if theirs != cargo.version:
+def _compare(host: Host, packages: Packages, theirs: str, folder: str) -> None:
+    if theirs != packages.version:
         raise VersionMismatch(
-            f"{host.called}: its copy is mast-zenoh {theirs}, the launcher {cargo.version}: remove {folder} there"
+            f"{host.called}: its copy is mast-zenoh {theirs}, the launcher {packages.version}: remove {folder} there"
         )
 
 
@@ -120,4 +122,4 @@ def _mib(count: int) -> str:
     return f"{count >> 20} MiB"
 
 
-_WHICH = "import platform, sys; print('%d.%d' % sys.version_info[:2], platform.machine())"
+_PRINT_PLATFORM = "import platform, sys; print('%d.%d' % sys.version_info[:2], platform.machine())"

@@ -1,4 +1,4 @@
-"""The nodes of a run on hosts that are reached by SSH: the hosts' wardens start, watch, pause, kill and end them."""
+"""The nodes of a run on hosts with SSH, which the hosts' wardens start, watch, pause, kill and end."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.security.credentials import ROUTER
 
-#: From a command to its answer: a lost connection must have come back by then.
+#: From a command to its answer: a lost connection must be restored by then.
 _ANSWER_S = 30.0
 
-#: From SIGTERM to SIGKILL: a node hands in what it has, over a network.
+#: From SIGTERM to SIGKILL: a node hands in its results over a network.
 _GRACE_S = 5.0
 
 
 class RemoteNode(Child):
-    """A node's process on a host; see Child. start: id of the command that has started it last."""
+    """A node's process on a host; start: id of the command that started it last."""
 
     def __init__(self, name: str, spec: NodeSpec, attachment: Attachment) -> None:
         super().__init__(name, spec)
@@ -33,22 +33,21 @@ class RemoteNode(Child):
 
     @property
     def exit(self) -> int | None:
-        """See Child. Whose host has lost its supervisor has ended with it."""
+        """Exit code; a node whose host has lost its supervisor counts as killed."""
         return exit_of(self.attachment, self.name, self.start)
 
     def where(self) -> dict[str, Any]:
-        """See Child."""
-        found = self.attachment.state(self.name, self.start)
-        return {"host": self.attachment.host.name, "pid": found["pid"] if found else None}
+        state = self.attachment.state(self.name, self.start)
+        return {"host": self.attachment.host.name, "pid": state["pid"] if state else None}
 
 
 class RemoteNodes(Supervisor[RemoteNode]):
     """The nodes of a run on all its hosts.
 
-    attachments: by host; placed: the host of each node; a node that comes later goes to the first
-    command: of a node, as its host runs it: words, and environment
-    logs: folder for what they say; changed: notified by the attachments
-    router: its host, and id of the command that has started it; None: it is not on any host
+    attachments: by host; placed: the host of each node; a node that is added later runs on the first host
+    command: gives the command of a node on its host, and the environment
+    logs: folder for the nodes' output; changed: notified by the attachments
+    router: its host, and id of the command that started it; None: it is not on any host
     """
 
     def __init__(
@@ -69,7 +68,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
         self._changed = changed
 
     def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
-        """See Supervisor; waits until the hosts have started them."""
+        """Start nodes, and wait until the hosts have started them."""
         super().start_all(specs, without)
         deadline = time.monotonic() + _ANSWER_S
         for name in specs:
@@ -77,7 +76,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
             child.attachment.answer(child.start, max(0.0, deadline - time.monotonic()))
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
-        """See Supervisor; does not wait for the host."""
+        """Start a node without waiting for the host."""
         child = RemoteNode(name, spec, self._attachments[self._placed.get(name, next(iter(self._attachments)))])
         self.children[name] = child
         (self._logs / f"{name}.log").touch()
@@ -89,7 +88,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
         child.start = child.attachment.tell("start", name=child.name, argv=list(argv), env=env)
 
     def end_now(self, child: RemoteNode) -> None:
-        """See Supervisor. Raises EngineError when the host does not answer."""
+        """Kill a node, and wait until it has ended; raises EngineError if the host does not answer."""
         self._signal([child], signal.SIGKILL)
         if not self.wait(child, _ANSWER_S):
             raise EngineError(f"{child.name} does not end")
@@ -101,15 +100,14 @@ class RemoteNodes(Supervisor[RemoteNode]):
         self._signal(children, signal.SIGCONT)
 
     def wait(self, child: RemoteNode, seconds: float) -> bool:
-        """See Supervisor."""
         with self._changed:
             return self._changed.wait_for(lambda: child.exit is not None, seconds)
 
     def dispose(self, child: RemoteNode) -> None:
-        """See Supervisor. Its host keeps nothing of it but its log."""
+        """Do nothing: the host keeps only the log."""
 
     def running(self) -> list[RemoteNode]:
-        """See Supervisor. Raises EngineError when the router has ended: nodes that leave for that are not to blame."""
+        """The nodes that run; raises EngineError if the router has ended, which makes nodes leave."""
         if self._router is not None:
             attachment, start = self._router
             code = exit_of(attachment, ROUTER, start)
@@ -118,26 +116,26 @@ class RemoteNodes(Supervisor[RemoteNode]):
         return super().running()
 
     def end(self, grace_s: float) -> None:
-        """See Supervisor. What a host that is out of reach still runs ends by itself, and is noted."""
-        asked = {}
+        """What a host that is out of reach still runs ends by itself, and is noted."""
+        commands = {}
         for child in super().running():
             child.notes.append("told to leave by SIGTERM")
-            if child.attachment not in asked:
-                asked[child.attachment] = child.attachment.tell("end", grace_s=max(grace_s, _GRACE_S))
+            if child.attachment not in commands:
+                commands[child.attachment] = child.attachment.tell("end", grace_s=max(grace_s, _GRACE_S))
         deadline = time.monotonic() + max(grace_s, _GRACE_S) * 2
-        for attachment, which in asked.items():
-            attachment.answer(which, max(0.0, deadline - time.monotonic()))
+        for attachment, command_id in commands.items():
+            attachment.answer(command_id, max(0.0, deadline - time.monotonic()))
         for child in super().running():
             child.notes.append(f"{child.attachment.host.called} is out of reach")
 
     def _signal(self, children: Iterable[RemoteNode], number: int) -> None:
-        """Send a signal, and wait until the hosts have done so. Raises EngineError when one does not answer."""
-        named: dict[Attachment, list[str]] = {}
+        """Send a signal, and wait until the hosts have done so. Raises EngineError if one does not answer."""
+        names_on: dict[Attachment, list[str]] = {}
         for child in children:
-            named.setdefault(child.attachment, []).append(child.name)
-        asked = {a: a.tell("signal", names=names, number=int(number)) for a, names in named.items()}
-        for attachment, which in asked.items():
-            if attachment.answer(which, _ANSWER_S) is None and not attachment.gone:
+            names_on.setdefault(child.attachment, []).append(child.name)
+        commands = {a: a.tell("signal", names=names, number=int(number)) for a, names in names_on.items()}
+        for attachment, command_id in commands.items():
+            if attachment.answer(command_id, _ANSWER_S) is None and not attachment.gone:
                 raise EngineError(f"{attachment.host.called}: has not answered within {_ANSWER_S:.0f} s")
 
 

@@ -1,4 +1,4 @@
-"""Standard input and output of this process become the socket of a run's warden: `python -m … FOLDER`."""
+"""Connects standard input and output of this process to the socket of a run's warden: `python -m … FOLDER`."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from pathlib import Path
 
 from mast_zenoh.deploy.ssh.warden import CONTROL
 
-NOT_THERE = 7  #: exit code where no warden answers
+NOT_THERE = 7  #: exit code if no warden answers
 
 _PIECE = 1 << 16
 
 
 def attach(folder: Path) -> None:
     """Relay until either side ends."""
-    there = socket.socket(socket.AF_UNIX)
+    warden = socket.socket(socket.AF_UNIX)
     try:
-        os.chdir(folder)  # a socket's path may not be long
-        there.connect(CONTROL)
+        os.chdir(folder)  # the path of a socket is limited in length
+        warden.connect(CONTROL)
     except OSError:
         sys.stderr.write(f"no supervisor of this run at {folder}\n")
         sys.exit(NOT_THERE)
@@ -37,8 +37,8 @@ def attach(folder: Path) -> None:
         sys.stdout.buffer.write(piece)
         sys.stdout.buffer.flush()
 
-    threading.Thread(target=relay, args=(lambda size: os.read(0, size), there.sendall)).start()
-    relay(there.recv, to_output)
+    threading.Thread(target=relay, args=(lambda size: os.read(0, size), warden.sendall)).start()
+    relay(warden.recv, to_output)
 
 
 if __name__ == "__main__":

@@ -1,20 +1,20 @@
-"""The supervisor of one run on one host: a process of its own, in a session of its own; a lost connection is nothing.
+"""The supervisor of one run on one host: a separate process and session, which survives a lost connection.
 
     python -m mast_zenoh.deploy.ssh.warden FOLDER PATIENCE      goes to the background when it is ready
 
-It has one folder: `control` (its socket), logs/, tmp/NODE, and what the launcher puts there. Lines of JSON, both ways:
+It has one folder: `control` (its socket), logs/, tmp/NODE, and the launcher's files. Lines of JSON, both ways:
 
-    {"as": "launcher", "logs": {name: offset}}    once, by who stays; logs go on from these offsets
+    {"as": "launcher", "logs": {name: offset}}    once, by a client that stays; logs continue at these offsets
     {"id", "do": "start", name, argv, env}        {"id", "do": "signal", names, number}
-    {"id", "do": "end", grace_s}                  all go on that stand still; SIGTERM, and SIGKILL after the grace
+    {"id", "do": "end", grace_s}                  resume stopped nodes; SIGTERM, and SIGKILL after the grace period
     {"id", "do": "leave", grace_s}                the same, then it removes its folder and ends
     {"id", "do": "state"}                         {"do": "alive"}
 
     {"warden": pid}   {"answer": id, …}   {"node": name, "start": id, "pid", "exit"}   {"log": name, "offset", "text"}
 
-A command with an id that it knows is answered and not done again: who has lost the connection asks again. It leaves by
-itself when no sign of the launcher has come for PATIENCE seconds: neither a line, nor, from a node, the launcher's
-liveliness token (a node keeps $TMPDIR/mast-up while it sees it). Its own death takes the nodes with it.
+A command with a known id is answered but not repeated: a launcher that lost the connection sends it again. The warden
+leaves by itself without a sign of the launcher for PATIENCE seconds: neither a line, nor the launcher's liveliness
+token at a node (a node keeps $TMPDIR/mast-up while it sees it). If the warden dies, its nodes die too.
 """
 
 from __future__ import annotations
@@ -40,26 +40,26 @@ _TICK_S = 0.2
 _TOUCH_EVERY_S = 15.0
 _LAST_GRACE_S = 3.0
 _PIECE = 1 << 16
-_MOST_WAITING = 1 << 20  # bytes for one connection; logs wait beyond that
+_MAX_QUEUED = 1 << 20  # bytes for one connection; beyond that, logs wait
 
 
 class Connection:
-    """Somebody who is attached; offsets: how much of each log has been sent, for who wants logs."""
+    """A connected client; offsets: how much of each log has been sent, for a client that wants logs."""
 
-    def __init__(self, there: socket.socket) -> None:
-        self.there = there
+    def __init__(self, client: socket.socket) -> None:
+        self.client = client
         self.received = b""
-        self.waiting = b""
+        self.queued = b""
         self.launcher = False
         self.offsets: dict[str, int] | None = None
 
-    def tell(self, said: dict[str, Any]) -> None:
-        """Send, now or when there is room."""
-        self.waiting += json.dumps(said).encode() + b"\n"
+    def send(self, message: dict[str, Any]) -> None:
+        """Queue a message."""
+        self.queued += json.dumps(message).encode() + b"\n"
 
 
 class Warden:
-    """Holds the processes of a run on this host; works in its folder."""
+    """Supervises the processes of a run on this host; works in its folder."""
 
     def __init__(self, folder: Path, patience_s: float) -> None:
         self.folder = folder
@@ -68,7 +68,7 @@ class Warden:
         self.answers: dict[str, dict[str, Any]] = {}
         self.connections: list[Connection] = []
         self.heard = self.touched = time.monotonic()
-        self.ending: list[tuple[float, str]] = []  # when who still runs is killed, and which command is then answered
+        self.ending: list[tuple[float, str]] = []  # when running processes are killed, and the command answered then
         self.leaving: str | None = None
         self.told_to_leave = False
         self.selector = selectors.DefaultSelector()
@@ -79,7 +79,7 @@ class Warden:
         self.selector.register(self.listener, selectors.EVENT_READ)
 
     def serve(self) -> None:
-        """Until told to leave, or without a launcher for too long; then nothing is left of the folder."""
+        """Serve until told to leave or without a launcher for too long; then remove the folder."""
         reader, writer = os.pipe()
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
@@ -98,26 +98,26 @@ class Warden:
                     else:
                         self._read(key.data)
                 self._watch_launcher()
-                self._end_who_is_late()
-                self._tell_news()
+                self._kill_overdue()
+                self._send_news()
         finally:
             self.processes.kill()
             shutil.rmtree(self.folder, ignore_errors=True)
             with contextlib.suppress(OSError):
-                self.folder.parent.rmdir()  # by whoever is the last
+                self.folder.parent.rmdir()  # by the last warden of the run
 
-    # -- who is attached -----------------------------------------------------------------------------------------
+    # -- clients -------------------------------------------------------------------------------------------------
 
     def _accept(self) -> None:
-        there, _ = self.listener.accept()
-        there.setblocking(False)
-        connection = Connection(there)
+        client, _ = self.listener.accept()
+        client.setblocking(False)
+        connection = Connection(client)
         self.connections.append(connection)
-        self.selector.register(there, selectors.EVENT_READ, connection)
+        self.selector.register(client, selectors.EVENT_READ, connection)
 
     def _read(self, connection: Connection) -> None:
         try:
-            received = connection.there.recv(_PIECE)
+            received = connection.client.recv(_PIECE)
         except BlockingIOError:
             return
         except OSError:
@@ -127,68 +127,68 @@ class Warden:
             return
         *lines, connection.received = (connection.received + received).split(b"\n")
         for line in lines:
-            self._heard(connection, json.loads(line))
+            self._handle(connection, json.loads(line))
 
     def _drop(self, connection: Connection) -> None:
         if connection in self.connections:
             self.connections.remove(connection)
-            self.selector.unregister(connection.there)
-            connection.there.close()
+            self.selector.unregister(connection.client)
+            connection.client.close()
 
-    def _heard(self, connection: Connection, said: dict[str, Any]) -> None:
-        if "as" in said:
-            for other in [each for each in self.connections if each.launcher and said["as"] == "launcher"]:
-                self._drop(other)  # of a connection that is lost, which this side may learn much later
-            connection.launcher = said["as"] == "launcher"
-            connection.offsets = said["logs"]
-            connection.tell({"warden": os.getpid()})
+    def _handle(self, connection: Connection, message: dict[str, Any]) -> None:
+        if "as" in message:
+            for other in [client for client in self.connections if client.launcher and message["as"] == "launcher"]:
+                self._drop(other)  # of a lost connection, which this side may notice much later
+            connection.launcher = message["as"] == "launcher"
+            connection.offsets = message["logs"]
+            connection.send({"warden": os.getpid()})
             for state in self.processes.states():
-                connection.tell(state)
+                connection.send(state)
         if connection.launcher:
             self.heard = time.monotonic()
-        if "id" not in said:
+        if "id" not in message:
             return
-        if said["do"] == "state":
-            self._tell_logs(connection, math.inf)  # who asks for both wants the logs up to now
-        if said["id"] in self.answers:
-            connection.tell(self.answers[said["id"]])
-        elif (answer := self._do(said)) is not None:
-            self._answer(said["id"], answer)
+        if message["do"] == "state":
+            self._queue_logs(connection, math.inf)  # such a client gets all logs up to now first
+        if message["id"] in self.answers:
+            connection.send(self.answers[message["id"]])
+        elif (answer := self._do(message)) is not None:
+            self._answer(message["id"], answer)
 
-    def _answer(self, which: str, answer: dict[str, Any]) -> None:
-        self.answers[which] = {"answer": which, **answer}
+    def _answer(self, command_id: str, answer: dict[str, Any]) -> None:
+        self.answers[command_id] = {"answer": command_id, **answer}
         for connection in self.connections:
-            connection.tell(self.answers[which])
+            connection.send(self.answers[command_id])
 
-    # -- what is done --------------------------------------------------------------------------------------------
+    # -- commands ------------------------------------------------------------------------------------------------
 
-    def _do(self, said: dict[str, Any]) -> dict[str, Any] | None:
-        """What is answered; None for what takes its time."""
-        if said["do"] == "start":
-            return self.processes.start(said["name"], said["id"], said["argv"], said["env"])
-        if said["do"] == "signal":
-            self.processes.signal(said["number"], said["names"])
-        elif said["do"] in ("end", "leave"):
-            if said["do"] == "leave":
-                self.leaving = said["id"]
-            self._end(said["grace_s"], said["id"])
+    def _do(self, command: dict[str, Any]) -> dict[str, Any] | None:
+        """Carry out a command; returns the answer, None if it comes later."""
+        if command["do"] == "start":
+            return self.processes.start(command["name"], command["id"], command["argv"], command["env"])
+        if command["do"] == "signal":
+            self.processes.signal(command["number"], command["names"])
+        elif command["do"] in ("end", "leave"):
+            if command["do"] == "leave":
+                self.leaving = command["id"]
+            self._end(command["grace_s"], command["id"])
             return None
         return {"nodes": self.processes.states()}
 
-    def _end(self, grace_s: float, which: str) -> None:
+    def _end(self, grace_s: float, command_id: str) -> None:
         self.processes.signal(signal.SIGCONT)
         self.processes.signal(signal.SIGTERM)
-        self.ending.append((time.monotonic() + grace_s, which))
+        self.ending.append((time.monotonic() + grace_s, command_id))
 
-    def _end_who_is_late(self) -> None:
-        for due, which in list(self.ending):
+    def _kill_overdue(self) -> None:
+        for due, command_id in list(self.ending):
             if self.processes.running():
                 if time.monotonic() <= due:
                     continue
                 self.processes.kill()
-            self.ending.remove((due, which))
-            self._tell_news()  # how they have ended, and their last words, before the answer
-            self._answer(which, {})
+            self.ending.remove((due, command_id))
+            self._send_news()  # exit codes and last logs come before the answer
+            self._answer(command_id, {})
 
     def _watch_launcher(self) -> None:
         now = time.monotonic()
@@ -202,50 +202,48 @@ class Warden:
             self._end(_LAST_GRACE_S, self.leaving)
 
     def _left(self) -> bool:
-        """Whether it may go: all have ended, and who is attached has been told so, or does not listen."""
-        return (
-            self.leaving is not None and self.leaving in self.answers and not any(c.waiting for c in self.connections)
-        )
+        """Whether it may exit: all processes have ended, and all clients have received their messages."""
+        return self.leaving is not None and self.leaving in self.answers and not any(c.queued for c in self.connections)
 
-    # -- what is told --------------------------------------------------------------------------------------------
+    # -- messages to clients -------------------------------------------------------------------------------------
 
-    def _tell_news(self) -> None:
+    def _send_news(self) -> None:
         ended = self.processes.newly_ended()
         for connection in list(self.connections):
-            self._tell_logs(connection, _MOST_WAITING)
+            self._queue_logs(connection, _MAX_QUEUED)
             for node in ended:
-                connection.tell(node.state())
+                connection.send(node.state())
             try:
-                while connection.waiting:
-                    connection.waiting = connection.waiting[connection.there.send(connection.waiting) :]
+                while connection.queued:
+                    connection.queued = connection.queued[connection.client.send(connection.queued) :]
             except BlockingIOError:
                 pass
             except OSError:
                 self._drop(connection)
         for node in ended:
-            node.told = True
+            node.reported = True
 
-    def _tell_logs(self, connection: Connection, most: float) -> None:
-        """What has been written since, of each in turn, as long as no more than so many bytes wait."""
+    def _queue_logs(self, connection: Connection, max_queued: float) -> None:
+        """Queue new output of all processes in turn, up to `most` queued bytes."""
         if connection.offsets is None:
             return
-        more = self.processes.names()
-        while more and len(connection.waiting) < most:
-            more = {name for name in more if self._tell_log(connection, connection.offsets, name)}
+        names = self.processes.names()
+        while names and len(connection.queued) < max_queued:
+            names = {name for name in names if self._queue_log(connection, connection.offsets, name)}
 
-    def _tell_log(self, connection: Connection, offsets: dict[str, int], name: str) -> bool:
+    def _queue_log(self, connection: Connection, offsets: dict[str, int], name: str) -> bool:
         offset = offsets.get(name, 0)
         with (self.folder / "logs" / f"{name}.log").open("rb") as file:
             file.seek(offset)
             piece = file.read(_PIECE)
         if piece:
-            connection.tell({"log": name, "offset": offset, "text": piece.decode("latin-1")})  # a character a byte
+            connection.send({"log": name, "offset": offset, "text": piece.decode("latin-1")})  # one character per byte
             offsets[name] = offset + len(piece)
         return bool(piece)
 
 
 def serve(folder: Path, patience_s: float) -> None:
-    """Make the folder, listen, and go on in the background."""
+    """Make the folder, listen, and continue in the background."""
     os.umask(0o077)  # its nodes inherit it
     folder.parent.mkdir(mode=0o700, exist_ok=True)
     folder.mkdir(mode=0o700)
@@ -262,7 +260,7 @@ def serve(folder: Path, patience_s: float) -> None:
         for handle, target in ((0, null), (1, log.fileno()), (2, log.fileno())):
             os.dup2(target, handle)
         os.close(null)
-    warden.selector.close()  # of the process that has gone: its epoll is not ours
+    warden.selector.close()  # the epoll of the former process cannot be used
     warden.selector = selectors.DefaultSelector()
     warden.selector.register(warden.listener, selectors.EVENT_READ)
     warden.serve()

@@ -1,6 +1,6 @@
 """Runs a scenario in a Docker swarm, where Docker places the nodes, restarts them and spreads them over machines.
 
-document   the stack file, from what the compose engine writes;  placement: which machine a node may run on
-tasks      what Docker says of the nodes;  services: the nodes of a run as services;  logs: what they have said
-stack      all that belongs to a run, and its removal;  engine: what `--engine swarm` is
+document   the stack file, made from the compose file;  placement: the machines on which a node may run
+tasks      the state of nodes' tasks;  services: the nodes of a run as services;  logs: their output
+stack      lists and removes what belongs to a run;  engine: the engine of `--engine swarm`
 """

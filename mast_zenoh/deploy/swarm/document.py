@@ -1,8 +1,8 @@
-"""A resolved scenario as a stack file: the compose file of the same run, told in the words that a swarm knows. Pure.
+"""A resolved scenario as a stack file: the compose file of the same run, converted for a swarm. Pure.
 
-What Docker restarts follows from `on_exit`: a node that is to be restarted is, after a failure, so many times as any
-launcher would; the others never are. Names are resolved by DNS alone (`dnsrr`): each service has one task, and a
-kernel without IPVS, which virtual addresses need, does as well.
+Docker restarts a node after a failure if its `on_exit` says so, as often as a launcher would; other nodes are never
+restarted. Names are resolved by DNS only (`dnsrr`): each service has one task, and virtual addresses would need a
+kernel with IPVS.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ ROUTER_SETTINGS = compose.ROUTER_SETTINGS
 #: The label of a machine that constraints name: docker node update --label-add mast.host=west MACHINE
 HOST_LABEL = "mast.host"
 
-#: Before Docker starts a node again, s: time to take back that it does, where the scenario has killed it.
+#: Delay before Docker restarts a node, s: time to cancel the restart if the scenario has killed the node.
 RESTART_DELAY_S = 2
 
-#: From being asked to end to being killed, s.
+#: Time between SIGTERM and SIGKILL, s.
 STOP_GRACE_S = 10
 
-#: Largest secret and largest config that a swarm takes, bytes.
+#: Largest secret and config that a swarm accepts, bytes.
 LARGEST_SECRET = 500_000
 
 _VERSION = "3.9"
 _NAME = re.compile(r"[A-Za-z0-9]([-_]*[A-Za-z0-9]+)*")
-_LONGEST = 63  # a service's name is a label of a domain name
+_MAX_LABEL = 63  # a service's name is a label of a domain name
 
-#: Others find the router only when it has become healthy. Launchers are patient: it leaves by itself without one.
+#: Other services can resolve the router only once it is healthy. Launchers wait; without one, the router leaves.
 _ROUTER_HEALTH = {"interval": "2s", "timeout": "10s", "retries": 15, "start_period": "60s"}
 
-#: Of a compose file, what a stack has another word for, or none.
-_OTHERWISE = {
+#: Keys of a compose file that a stack file spells differently or lacks.
+_COMPOSE_ONLY = {
     *("container_name", "depends_on", "restart", "security_opt", "tmpfs", "ports", "secrets"),
     *("cpus", "mem_limit", "pids_limit", "labels", "<<"),
 }
 
 
 def stack(run: str) -> str:
-    """What Docker calls all of a run: short, because it is part of the services' names."""
+    """The stack name of a run: short, because it is part of the services' names."""
     return "mast-" + re.sub(r"[^a-z0-9]", "", run.rpartition("-")[2].lower())
 
 
@@ -74,62 +74,62 @@ def document(
 ) -> dict[str, Any]:
     """The stack file of a run as plain values.
 
-    image:  what all services are made from: NAME@DIGEST, or the id of an image that every machine has
-    port:   of the launcher's machine, where the router can be reached
-    here:   id of that machine in the swarm: the router runs there, and so do the nodes `pinned`
+    image:  image of all services: NAME@DIGEST, or the id of an image that every machine has
+    port:   port of the router on the launcher's machine
+    here:   id of that machine in the swarm: the router and the nodes `pinned` run there
     place:  by node, the value of the label `mast.host` that its machine must have
-    absent: who is not there at the beginning
+    absent: nodes that do not start with the run
     options: further ones of the compose file: environment, patience_s, cpus, memory
 
-    Raises ConfigurationError for a node's name that is none in a swarm.
+    Raises ConfigurationError for a node's name that a swarm does not allow.
     """
     check_names(resolved)
     composed = compose.document(resolved, run, image=image, secure=secure, user=USER, **options)
     common = composed["x-node"]
     services = {}
-    for name, given in composed["services"].items():
+    for name, composed_service in composed["services"].items():
         spec = resolved.nodes.get(name)
         constraints = [f"node.id == {here}"] if spec is None or name in pinned else []
         if place and name in place:
             constraints.append(f"node.labels.{HOST_LABEL} == {place[name]}")
-        own = {key: value for key, value in given.items() if key not in _OTHERWISE}
-        services[name] = {"<<": given["<<"], **own}
+        kept = {key: value for key, value in composed_service.items() if key not in _COMPOSE_ONLY}
+        services[name] = {"<<": composed_service["<<"], **kept}
         if spec is None:
             services[name]["healthcheck"] = common["healthcheck"] | _ROUTER_HEALTH
             services[name]["ports"] = [{"target": compose.PORT, "published": port, "protocol": "tcp", "mode": "host"}]
-        if "secrets" in given:
-            services[name]["secrets"] = [_readable(secret) for secret in given["secrets"]]
+        if "secrets" in composed_service:
+            services[name]["secrets"] = [_readable(secret) for secret in composed_service["secrets"]]
         services[name]["deploy"] = {
             "replicas": 0 if name in absent else 1,
             "endpoint_mode": "dnsrr",
-            "labels": given["labels"],
+            "labels": composed_service["labels"],
             **({"placement": {"constraints": constraints}} if constraints else {}),
             "restart_policy": _restart_policy(router_exit(resolved.mode) if spec is None else spec.on_exit),
             "resources": {"limits": _limits(common)},
         }
-    told = {key: value for key, value in common.items() if key not in _OTHERWISE}
-    told["volumes"] = [{"type": "tmpfs", "target": "/tmp"}]
-    told["stop_grace_period"] = f"{STOP_GRACE_S}s"
+    node = {key: value for key, value in common.items() if key not in _COMPOSE_ONLY}
+    node["volumes"] = [{"type": "tmpfs", "target": "/tmp"}]
+    node["stop_grace_period"] = f"{STOP_GRACE_S}s"
     networks = {name: {"driver": "overlay", **settings} for name, settings in composed["networks"].items()}
-    content = {"version": _VERSION, "x-node": Anchored("node", told), "services": services, "networks": networks}
+    content = {"version": _VERSION, "x-node": Anchored("node", node), "services": services, "networks": networks}
     return content | ({"secrets": composed["secrets"]} if "secrets" in composed else {})
 
 
 def text(resolved: Resolved, run: str, **options: Any) -> str:
     """The stack file of a run; the options are those of `document`."""
     secure = options.get("secure", "open")
-    told = (
+    comment = (
         f"# The run {run} of the scenario {resolved.name}, security level {secure}: written by `mast deploy up`,\n"
         f"# which deploys it as the stack {stack(run)}, gives every node what it needs over the mesh, and collects\n"
         "# what they have found. Docker places the nodes.\n"
     )
-    return told + dump(document(resolved, run, **options))
+    return comment + dump(document(resolved, run, **options))
 
 
 def router_exit(mode: str) -> str:
-    """What the router's end means: in lock-step the run's, because what was on its way is lost, and with it the order.
+    """The `on_exit` of the router: in lock-step its end is the run's, because messages in transit are lost.
 
-    Those who are cut off would be taken for gone, and the scene played on without them.
+    The run would take disconnected nodes for gone, and play the scene on without them.
     """
     return "restart" if mode == "realtime" else "fail"
 
@@ -137,17 +137,17 @@ def router_exit(mode: str) -> str:
 def check_names(resolved: Resolved) -> None:
     """Raise ConfigurationError for a node that cannot be a service of a swarm."""
     compose.check_names(resolved)
-    most = _LONGEST - len(service("RUN-01234567", ""))
+    max_length = _MAX_LABEL - len(service("RUN-01234567", ""))
     for name in resolved.nodes:
-        if not _NAME.fullmatch(name) or len(name) > most:
+        if not _NAME.fullmatch(name) or len(name) > max_length:
             raise ConfigurationError(
-                f"node {name!r}: no name for a service of a swarm; expected at most {most} letters, digits, `_` and "
-                "`-`, the first and the last neither `_` nor `-`"
+                f"node {name!r}: no name for a service of a swarm; expected at most {max_length} letters, digits, `_` "
+                "and `-`, the first and the last neither `_` nor `-`"
             )
 
 
 def _readable(secret: Mapping[str, str]) -> dict[str, Any]:
-    """A secret that the processes' user may read, and nobody else."""
+    """A secret that only the user of the processes may read."""
     uid, _, gid = USER.partition(":")
     return {**secret, "uid": uid, "gid": gid, "mode": 0o600}
 

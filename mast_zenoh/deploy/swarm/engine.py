@@ -36,10 +36,10 @@ _ROUTER_S = 90.0  # for the router to come up
 class Swarm(Engine):
     """Services of the swarm that this machine manages.
 
-    image:      that they are made from; see `image.build`
-    patience_s: how long they stay when the launcher or the router has gone, s: Docker starts the router again
-    place:      by pattern of nodes' names, the value of the label `mast.host` of the machine that they are to be on;
-                Docker spreads the others
+    image:      image of the services, see `image.build`
+    patience_s: how long they run without the launcher or the router, s: Docker restarts the router
+    place:      by pattern of nodes' names, the value of the label `mast.host` of their machine; Docker spreads the
+                others
     """
 
     name = "swarm"
@@ -52,7 +52,6 @@ class Swarm(Engine):
         self.place = dict(place or {})
 
     def check(self, resolved: Resolved, secure: str) -> None:
-        """See Engine."""
         dockerd.check()
         check_here()
         check_manager()
@@ -62,7 +61,6 @@ class Swarm(Engine):
         placement.check(placement.machines(), place, placement.pinned(resolved.steps))
 
     def join(self, context: RunContext, stack: ExitStack) -> Mesh:
-        """See Engine."""
         run, folder, resolved = context.run_id, context.folder, context.resolved
         name = document.stack(run)
         context.record["deployment"] = {"engine": self.name, "image": self.image, "stack": name}
@@ -86,64 +84,66 @@ class Swarm(Engine):
             patience_s=self.patience_s,
         )
         (folder / document.FILE).write_text(content, encoding="utf-8")
-        docker("stack", "deploy", "--compose-file", str(folder / document.FILE), *_at_once(), name)
+        docker("stack", "deploy", "--compose-file", str(folder / document.FILE), *_detach_options(), name)
         stack.callback(keep_log, document.service(run, document.ROUTER), folder / "logs" / f"{document.ROUTER}.log")
         deployment.close()  # from now on the swarm keeps the keys, until the stack is removed
         endpoint = context.record["endpoint"] = levels.endpoint(context.secure, f"tcp/127.0.0.1:{port}")
         try:
             session = join(endpoint, deployment.launcher, _ROUTER_S, lambda: context.signals)
         except EngineError as error:
-            said = [task.error for task in tasks.of(name).get(document.ROUTER, []) if task.error]
-            raise EngineError(f"{error}{f'; Docker says: {said[0]}' if said else ''}") from None
+            reasons = [task.error for task in tasks.of(name).get(document.ROUTER, []) if task.error]
+            raise EngineError(f"{error}{f'; Docker says: {reasons[0]}' if reasons else ''}") from None
         logs = folder / "logs"
         supervisor = Services(name, lambda node: document.service(run, node), here.name, logs, resolved.mode)
         return Mesh(stack.enter_context(session), supervisor, deployment)
 
     @classmethod
     def status(cls, folder: Path, record: dict[str, Any]) -> list[dict[str, str]]:
-        """See Engine."""
-        found = tasks.of(record["deployment"]["stack"])
+        tasks_by_node = tasks.of(record["deployment"]["stack"])
         return [
-            {"node": node, "state": f"{of[0].state} {of[0].error}".strip(), "where": of[0].machine}
-            for node, of in sorted(found.items())
+            {
+                "node": node,
+                "state": f"{node_tasks[0].state} {node_tasks[0].error}".strip(),
+                "where": node_tasks[0].machine,
+            }
+            for node, node_tasks in sorted(tasks_by_node.items())
         ]
 
     @classmethod
     def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """See Engine. What a stack has said that is gone is in the run folder."""
-        there = tasks.of(record["deployment"]["stack"])
-        names = [node] if node else sorted({*there, *(path.stem for path in (folder / "logs").glob("*.log"))})
-        if follow and node in there:
+        """Print logs; those of a removed stack are in the run folder."""
+        tasks_by_node = tasks.of(record["deployment"]["stack"])
+        names = [node] if node else sorted({*tasks_by_node, *(path.stem for path in (folder / "logs").glob("*.log"))})
+        if follow and node in tasks_by_node:
             words = ["docker", "service", "logs", "--raw", "--follow", document.service(record["id"], node)]
             subprocess.run(words, check=False, stdin=subprocess.DEVNULL)
             return
         for name in names:
             path = folder / "logs" / f"{name}.log"
             lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
-            if name in there:
-                told = ["docker", "service", "logs", "--raw", document.service(record["id"], name)]
+            if name in tasks_by_node:
+                command = ["docker", "service", "logs", "--raw", document.service(record["id"], name)]
                 done = subprocess.run(
-                    told, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60
+                    command, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60
                 )
                 lines = done.stdout.splitlines()
             sys.stdout.writelines(f"{name}  {line}\n" for line in lines)
 
     @classmethod
     def down(cls, folder: Path, record: dict[str, Any]) -> None:
-        """See Engine."""
         shutil.rmtree(folder / document.CREDENTIALS, ignore_errors=True)
         stacks.remove(record["deployment"]["stack"])
 
 
 def check_here(ours: Mapping[str, str] = os.environ) -> None:
-    """Raise EngineError when the engine that we speak to is another machine's: the router would be there."""
+    """Raise EngineError if DOCKER_HOST names another machine's engine: the router would run there."""
     where = ours.get("DOCKER_HOST", "")
     if where and not where.startswith(("unix://", "npipe://")):
-        raise EngineError(f"DOCKER_HOST is {where}: expected the engine of this machine; start the run on that one")
+        raise EngineError(f"DOCKER_HOST is {where}: expected the engine of this machine; start the run on that machine")
 
 
 def check_manager() -> None:
-    """Raise EngineError when this machine manages no swarm."""
+    """Raise EngineError if this machine does not manage a swarm."""
     state, _, manages = docker("info", "--format", "{{.Swarm.LocalNodeState}} {{.Swarm.ControlAvailable}}").partition(
         " "
     )
@@ -161,9 +161,9 @@ def check_manager() -> None:
 
 
 def reference(image: str) -> str:
-    """What stands for this very image on every machine: its digest where a registry has it, else its id.
+    """The exact image for every machine: its digest if a registry has it, else its id.
 
-    By its name alone, every machine would ask a registry for it.
+    With the name alone, every machine would look it up in a registry.
     """
     digests, _, identity = docker("image", "inspect", "--format", "{{json .RepoDigests}}\t{{.Id}}", image).partition(
         "\t"
@@ -173,15 +173,15 @@ def reference(image: str) -> str:
 
 
 def check_size(settings: Path) -> None:
-    """Raise EngineError for settings of a router that no swarm keeps: they are a secret, and grow with the wiring."""
-    if (found := settings.stat().st_size) > document.LARGEST_SECRET:
+    """Raise EngineError if the router's settings, which grow with the wiring, are too large for a secret."""
+    if (size := settings.stat().st_size) > document.LARGEST_SECRET:
         raise EngineError(
-            f"the router's settings, with the rights of all nodes, are {found} bytes: a secret of a swarm is at most "
-            f"{document.LARGEST_SECRET}; the security level mtls needs no rights, fewer nodes need fewer"
+            f"the router's settings, with the rights of all nodes, are {size} bytes: a secret of a swarm is at most "
+            f"{document.LARGEST_SECRET}; use the security level mtls, which has no rights, or fewer nodes"
         )
 
 
-def _at_once() -> list[str]:
-    """Have `docker stack deploy` not wait, where it would, and not ask a registry."""
+def _detach_options() -> list[str]:
+    """Options that keep `docker stack deploy` from waiting and from asking a registry."""
     client = docker("version", "--format", "{{.Client.Version}}").partition(".")[0]
     return ["--resolve-image", "never", *(["--detach=true"] if client.isdigit() and int(client) >= 26 else [])]

@@ -1,4 +1,4 @@
-"""What tasks and services have said, appended to files."""
+"""Appends the logs of tasks and services to files."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _LOG_S = 30.0
 def keep_logs(wanted: Iterable[tuple[str, Path, str]]) -> None:
     """`keep_log` for each (task, path, refused), several at a time."""
     with ThreadPoolExecutor(_AT_A_TIME) as pool:
-        list(pool.map(lambda each: keep_log(*each), wanted))
+        list(pool.map(lambda arguments: keep_log(*arguments), wanted))
 
 
 def keep_log(task: str, path: Path, refused: str = "") -> None:
-    """Append what a task, or a service, has said to a file, and why Docker has not started it."""
+    """Append the log of a task or service to a file, or `refused`: why Docker has not started it."""
     with path.open("ab") as log:
         if refused:
             log.write(f"{refused}\n".encode())

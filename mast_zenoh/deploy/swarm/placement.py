@@ -1,4 +1,4 @@
-"""The machines of a swarm, and which of them a node may run on."""
+"""The machines of a swarm, and the placement of nodes on them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from mast_zenoh.deploy.docker import docker
 from mast_zenoh.deploy.swarm.document import HOST_LABEL
 from mast_zenoh.errors import ConfigurationError, EngineError, nearest
 
-#: What Docker does to a process only through the engine of its own machine.
-_AT_HOME = ("kill", "pause", "resume")
+#: Actions that Docker can do only through the engine of the process's own machine.
+_LOCAL_ACTIONS = ("kill", "pause", "resume")
 
 
 class Machine(NamedTuple):
@@ -25,50 +25,52 @@ class Machine(NamedTuple):
 
 
 def machines() -> list[Machine]:
-    """All of the swarm, the one that is asked first. Raises EngineError."""
+    """All machines of the swarm, this one first. Raises EngineError."""
     here = docker("info", "--format", "{{.Swarm.NodeID}}").strip()
     ids = docker("node", "ls", "--quiet").split()
-    told = docker("node", "inspect", "--format", "{{json .}}", *sorted(ids, key=lambda each: each != here))
-    return [_machine(json.loads(line)) for line in told.splitlines() if line]
+    lines = docker("node", "inspect", "--format", "{{json .}}", *sorted(ids, key=lambda id_: id_ != here))
+    return [_machine(json.loads(line)) for line in lines.splitlines() if line]
 
 
-def _machine(told: Mapping[str, dict[str, object]]) -> Machine:
-    spec, status = told["Spec"], told["Status"]
+def _machine(data: Mapping[str, dict[str, object]]) -> Machine:
+    spec, status = data["Spec"], data["Status"]
     usable = spec.get("Availability") == "active" and status.get("State") == "ready"
     labels = spec.get("Labels") or {}
     assert isinstance(labels, dict)
-    return Machine(str(told["ID"]), str(told["Description"]["Hostname"]), usable, labels)
+    return Machine(str(data["ID"]), str(data["Description"]["Hostname"]), usable, labels)
 
 
 def resolve(wanted: Mapping[str, str], nodes: Collection[str]) -> dict[str, str]:
-    """By node, the host that it is to be on: of the patterns that fit its name the first decides.
+    """The host of each node, by the first pattern that matches its name.
 
-    Raises ConfigurationError for a pattern that fits nobody.
+    Raises ConfigurationError for a pattern that matches no node.
     """
     for pattern in wanted:
         if not any(fnmatchcase(node, pattern) for node in nodes):
             raise ConfigurationError(f"--place {pattern}: there is no such node{nearest(pattern, nodes)}")
-    fitting = ((node, next((p for p in wanted if fnmatchcase(node, p)), None)) for node in nodes)
-    return {node: wanted[pattern] for node, pattern in fitting if pattern is not None}
+    matches = (
+        (node, next((candidate for candidate in wanted if fnmatchcase(node, candidate)), None)) for node in nodes
+    )
+    return {node: wanted[pattern] for node, pattern in matches if pattern is not None}
 
 
 def pinned(steps: Iterable[tuple[int, str, str]]) -> frozenset[str]:
-    """The nodes that must be on the launcher's machine for what the scenario does to them: (frame, action, node)."""
-    return frozenset(node for _, action, node in steps if action in _AT_HOME)
+    """The nodes that must be on the launcher's machine because of their steps, (frame, action, node)."""
+    return frozenset(node for _, action, node in steps if action in _LOCAL_ACTIONS)
 
 
-def check(found: list[Machine], place: Mapping[str, str], pinned: Collection[str]) -> None:
-    """Raise EngineError where no machine can take a node, or the only one that can be asked may not have it.
+def check(machines: list[Machine], place: Mapping[str, str], pinned: Collection[str]) -> None:
+    """Raise EngineError if no machine can run a node, or if a pinned node is placed elsewhere.
 
-    found: the launcher's machine first
+    machines: the launcher's machine first
     """
-    here = found[0]
+    here = machines[0]
     if not here.usable:
         raise EngineError(
             f"this machine takes no tasks, and the router has to be here: docker node update --availability active "
             f"{here.name}"
         )
-    known = {machine.labels[HOST_LABEL] for machine in found if machine.usable and HOST_LABEL in machine.labels}
+    known = {machine.labels[HOST_LABEL] for machine in machines if machine.usable and HOST_LABEL in machine.labels}
     for node, host in place.items():
         if host not in known:
             hint = nearest(host, known) if known else ""

@@ -1,7 +1,7 @@
-"""The nodes of a run as services of a swarm, which are there already: Docker starts them, and starts them again.
+"""The nodes of a run as existing services of a swarm: Docker starts and restarts them.
 
-A service has one task at a time. When a task has failed and Docker makes another, the node has ended once more and
-goes on at once; what the scenario does itself, it does by scaling the service, between 0 and 1.
+A service has one task at a time. If a task fails and Docker makes another, the node has ended and is restarted at
+once. Kills and starts of the scenario scale the service between 0 and 1.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.supervisor import Child, Supervisor, how_ended
 
 _LOOK_EVERY_S = 0.5
-_CHANGED_S = 60.0  # for Docker to carry out what it was told, at most
-_AGAIN_S = 5.0  # until it is told again
-_UNPLACED_S = 30.0  # for Docker to find a machine for a node, at most
-_SILENT_S = 30.0  # without a word of Docker, at most
-_ROUTERLESS_S = 5.0  # from the router's end to another task for it, where Docker makes one
+_CHANGED_S = 60.0  # longest time for Docker to carry out a command
+_AGAIN_S = 5.0  # until the command is repeated
+_UNPLACED_S = 30.0  # longest time for Docker to find a machine for a node
+_SILENT_S = 30.0  # longest time without an answer of Docker
+_ROUTERLESS_S = 5.0  # from the router's end to its next task, if Docker makes one
 
 
 class Service(Child):
-    """A node's service; see Child.
+    """A node's service.
 
-    tasks: all that there are of it, the newest first;  over: ids of those whose end has been dealt with
+    tasks: all its tasks, the newest first;  over: ids of those whose end has been handled
     """
 
     def __init__(self, name: str, spec: NodeSpec, service: str) -> None:
@@ -41,30 +41,28 @@ class Service(Child):
         self.tasks: list[Task] = []
         self.over: set[str] = set()
         self.scaled = 1
-        self.last: int | None = None  # how it ended, where no task says so any more
-        self.waits_since: float | None = None  # for a machine, on the monotonic clock
+        self.last: int | None = None  # its exit code, if its task is gone
+        self.waits_since: float | None = None  # waiting for a machine, on the monotonic clock
 
     @property
     def task(self) -> Task | None:
-        """The task that it is about: of those whose end has not been dealt with, the first."""
+        """The current task: the first of those whose end has not been handled."""
         return next((task for task in reversed(self.tasks) if task.id not in self.over), None)
 
     @property
     def exit(self) -> int | None:
-        """See Child."""
         return self.last if self.task is None else self.task.exit
 
     @property
     def ended(self) -> str:
-        """See Child; Docker says more than a code where it could not start it."""
+        """How it ended, with Docker's reason if it was not started."""
         return f"{super().ended}: {self.task.refused}" if self.task and self.task.refused else super().ended
 
     def where(self) -> dict[str, Any]:
-        """See Child."""
         return {"service": self.service, "host": next((task.machine for task in self.tasks if task.machine), None)}
 
     def container(self) -> str:
-        """The name of the container that it runs in now; raises EngineError when there is none."""
+        """The name of its current container; raises EngineError if there is none."""
         if self.task is None:
             raise EngineError(f"{self.name}: Docker has no task for the service {self.service}")
         return f"{self.service}.1.{self.task.id}"
@@ -73,9 +71,9 @@ class Service(Child):
 class Services(Supervisor[Service]):
     """The services of one stack.
 
-    service: a node's service's name;  here: what the swarm calls this machine
-    logs:    folder for what the nodes say
-    mode:    of the run: in lock-step it does not survive its router
+    service: gives the name of a node's service;  here: this machine's name in the swarm
+    logs:    folder for the nodes' output
+    mode:    mode of the run: in lock-step it does not survive its router
     """
 
     def __init__(self, stack: str, service: Callable[[str], str], here: str, logs: Path, mode: str) -> None:
@@ -88,10 +86,10 @@ class Services(Supervisor[Service]):
         self._router: Task | None = None
         self._routerless_since: float | None = None
         self._kept: set[str] = set()
-        self._looked = float("-inf")  # when Docker has answered last
+        self._looked = float("-inf")  # when Docker answered last
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
-        """See Supervisor. Raises EngineError for a node that is not in the stack."""
+        """Start a node; raises EngineError for a node that is not in the stack."""
         child = self._child(name, spec, without)
         if not docker("service", "inspect", "--format", "{{.ID}}", child.service, check=False).strip():
             del self.children[name]
@@ -99,7 +97,7 @@ class Services(Supervisor[Service]):
         self._scale(child, 1)
 
     def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
-        """See Supervisor: they came with the stack, and were waiting for the launcher."""
+        """Adopt nodes, which were started with the stack and wait for the launcher."""
         for name, spec in specs.items():
             self._child(name, spec, without)
 
@@ -114,24 +112,23 @@ class Services(Supervisor[Service]):
         task = child.task
         self._keep_logs([child])
         if task is not None and task.exit and child.spec.on_exit == "restart" and child.scaled:
-            child.over.add(task.id)  # Docker has made another, or will
+            child.over.add(task.id)  # Docker makes another
         else:
             self._scale(child, 0)
             self._until_gone(child)
-            child.over |= {each.id for each in child.tasks}
+            child.over |= {old_task.id for old_task in child.tasks}
             self._scale(child, 1)
         child.last = child.waits_since = None
 
     def end_now(self, child: Service) -> None:
-        """See Supervisor."""
-        self.resume([child])  # who stands still cannot be killed
+        self.resume([child])  # a paused container cannot be killed
         self._look()
         if child.exit is None:
             container = self._container(child, "killed")
             self._keep_logs([child])
             docker("kill", container)
         child.last = -9 if child.exit is None else child.exit
-        self._scale(child, 0)  # or Docker would start it again
+        self._scale(child, 0)  # or Docker would restart it
         self._until_gone(child)
 
     def _suspend(self, child: Service) -> None:
@@ -142,7 +139,6 @@ class Services(Supervisor[Service]):
             docker("unpause", child.container(), check=False)
 
     def wait(self, child: Service, seconds: float) -> bool:
-        """See Supervisor."""
         deadline = time.monotonic() + seconds
         while child.exit is None and time.monotonic() < deadline:
             threading.Event().wait(0.1)
@@ -150,11 +146,10 @@ class Services(Supervisor[Service]):
         return child.exit is not None
 
     def dispose(self, child: Service) -> None:
-        """See Supervisor."""
         self._keep_logs([child])
 
     def running(self) -> list[Service]:
-        """See Supervisor. Raises EngineError when Docker finds no machine for one, or the router has ended for good."""
+        """The nodes that run; raises EngineError if Docker finds no machine for one, or if the router has ended."""
         self._look(_LOOK_EVERY_S)
         self._check_router()
         for child in self.children.values():
@@ -164,25 +159,25 @@ class Services(Supervisor[Service]):
             elif child.waits_since is None:
                 child.waits_since = time.monotonic()
             elif time.monotonic() - child.waits_since > _UNPLACED_S:
-                why = task.error if task else "it has made no task of it"
+                why = task.error if task else "it has made no task for it"
                 raise EngineError(f"{child.name}: Docker has found no machine for it in {_UNPLACED_S:.0f} s: {why}")
         return super().running()
 
     def newly_ended(self) -> list[Service]:
-        """See Supervisor; what they have said is in their logs."""
+        """Nodes that have ended since the last call; their logs are complete."""
         ended = super().newly_ended()
         self._keep_logs(ended)
         return ended
 
     def end(self, grace_s: float) -> None:
-        """End all: those that stand still go on; all are asked to leave. Who does not is killed with the stack."""
+        """Resume all nodes and ask them to leave. Nodes that do not are killed with the stack."""
         self._look()
         running = self.running_now()
         self.resume(running)
         for child in running:
             child.notes.append("told to leave by SIGTERM")
         here = [child for child in running if child.task is not None and child.task.machine == self._here]
-        if here:  # their containers stay, and what they say last
+        if here:  # their containers and logs stay
             docker("kill", "--signal", "TERM", *(child.container() for child in here), check=False)
         if elsewhere := [child for child in running if child not in here]:
             self._keep_logs(elsewhere)
@@ -197,25 +192,25 @@ class Services(Supervisor[Service]):
         self._keep_logs(self.children.values())
 
     def running_now(self) -> list[Service]:
-        """Those that run, as it was seen last."""
+        """The nodes that ran at the last look."""
         return super().running()
 
     def _look(self, every_s: float = 0.0) -> None:
-        """What Docker says of the tasks, unless it was asked just now."""
+        """Update the tasks from Docker, unless that was done within `every_s`."""
         if time.monotonic() - self._looked < every_s:
             return
         try:
-            found = tasks.of(self._stack)
+            tasks_by_node = tasks.of(self._stack)
         except EngineError:
             if time.monotonic() - self._looked > _SILENT_S:
                 raise
             return
         self._looked = time.monotonic()
-        self._router = next(iter(found.get(ROUTER, ())), None)
+        self._router = next(iter(tasks_by_node.get(ROUTER, ())), None)
         for child in self.children.values():
-            gone, child.tasks = child.task, found.get(child.name, [])
-            if gone is not None and child.task is None and child.last is None and not child.scaled:
-                child.last = gone.exit if gone.exit is not None else tasks.ASKED_TO_END
+            former, child.tasks = child.task, tasks_by_node.get(child.name, [])
+            if former is not None and child.task is None and child.last is None and not child.scaled:
+                child.last = former.exit if former.exit is not None else tasks.ASKED_TO_END
 
     def _check_router(self) -> None:
         router = self._router
@@ -240,26 +235,26 @@ class Services(Supervisor[Service]):
             docker("service", "scale", "--detach", *(f"{child.service}={to}" for child in changed))
 
     def _until_gone(self, child: Service) -> None:
-        """Wait until Docker has forgotten its newest task: scaled up before, the service would get no other.
+        """Wait until Docker has removed its newest task: scaled up before that, the service would get no new one.
 
-        Where the task ends in the moment in which the service is scaled to 0, Docker may leave it at that (its two
-        changes of the task collide, and that one is not tried again), until it is told to look once more.
+        If the task ends while the service is scaled to 0, Docker may not remove it (its two changes of the task
+        collide, and one is not retried) until it is told to scale again.
         """
         deadline = time.monotonic() + _CHANGED_S
-        told = time.monotonic()
+        commanded = time.monotonic()
         newest = {task.id for task in child.tasks[:1]}
         while True:
             self._look()
             if not newest & {task.id for task in child.tasks} and all(task.exit is not None for task in child.tasks):
                 return
             if time.monotonic() > deadline:
-                there = ", ".join(f"{task.state}, to be {task.wanted}" for task in child.tasks)
+                states = ", ".join(f"{task.state}, to be {task.wanted}" for task in child.tasks)
                 raise EngineError(
-                    f"{child.name}: the service {child.service} does not end within {_CHANGED_S:.0f} s: task {there}"
+                    f"{child.name}: the service {child.service} does not end within {_CHANGED_S:.0f} s: task {states}"
                 )
-            if time.monotonic() - told > _AGAIN_S:
+            if time.monotonic() - commanded > _AGAIN_S:
                 docker("service", "scale", "--detach", f"{child.service}=0")
-                told = time.monotonic()
+                commanded = time.monotonic()
             threading.Event().wait(0.2)
 
     def _container(self, child: Service, done: str) -> str:
@@ -270,7 +265,7 @@ class Services(Supervisor[Service]):
         return child.container()
 
     def _keep_logs(self, children: Iterable[Service]) -> None:
-        """Append what the tasks that they are about have said, to their logs: each task once."""
+        """Append the logs of the current tasks to the nodes' logs, each task once."""
         wanted = []
         for child in children:
             if child.task is not None and child.task.id not in self._kept:

@@ -1,4 +1,4 @@
-"""All that belongs to a run in a swarm: what there is of it, and its removal."""
+"""Lists and removes all that belongs to a run in a swarm."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ _OF_MACHINE = ("container", "network")
 
 
 def left(stack: str) -> dict[str, list[str]]:
-    """Ids of what there is of a stack, by kind; of containers, those of this machine. Raises EngineError."""
+    """Ids of a stack's remaining parts, by kind; containers of this machine only. Raises EngineError."""
     active = docker("info", "--format", "{{.Swarm.LocalNodeState}}").strip() != "inactive"
-    found = {}
+    parts = {}
     for kind in dict.fromkeys((*(_OF_SWARM if active else ()), *_OF_MACHINE)):
         more = ("--all",) if kind == "container" else ()
-        found[kind] = docker(kind, "ls", "--quiet", *more, "--filter", f"label={_NAMESPACE}={stack}").split()
-    return {kind: ids for kind, ids in found.items() if ids}
+        parts[kind] = docker(kind, "ls", "--quiet", *more, "--filter", f"label={_NAMESPACE}={stack}").split()
+    return {kind: ids for kind, ids in parts.items() if ids}
 
 
 def remove(stack: str, seconds: float = _REMOVED_S) -> None:
-    """Remove a stack, and wait until nothing is left of it; nothing happens where nothing is. Raises EngineError."""
+    """Remove a stack if it exists, and wait until nothing is left of it. Raises EngineError."""
     deadline = time.monotonic() + seconds
-    while found := left(stack):
+    while parts := left(stack):
         if time.monotonic() > deadline:
-            what = ", ".join(f"{len(ids)} {kind}(s)" for kind, ids in found.items())
-            raise EngineError(f"the stack {stack} is not gone after {seconds:.0f} s: {what} left")
-        if found.keys() != {"container"}:  # they end by themselves, after their services
+            remaining = ", ".join(f"{len(ids)} {kind}(s)" for kind, ids in parts.items())
+            raise EngineError(f"the stack {stack} is not gone after {seconds:.0f} s: {remaining} left")
+        if parts.keys() != {"container"}:  # they end by themselves, after their services
             docker("stack", "rm", stack, check=False)  # again: a network in use is not removed
         threading.Event().wait(0.3)

@@ -1,4 +1,4 @@
-"""What Docker says of the tasks of a stack: each is one attempt to run a node, on some machine."""
+"""The tasks of a stack as listed by Docker: each is one attempt to run a node on some machine."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from mast_zenoh.deploy.docker import docker
 from mast_zenoh.errors import EngineError
 
 _FIELDS = ("ID", "Name", "Node", "DesiredState", "CurrentState", "Error")
-_NOTHING = "nothing found in stack"  # Docker tells it from other failures in words only
+_NOTHING = "nothing found in stack"  # only Docker's error text distinguishes this failure
 _MISSING = "No such image"
 _CODE = re.compile(r"non-zero exit \((\d+)\)")
 
 #: A task in one of these states runs no more, and will not run.
 _OVER = frozenset({"complete", "failed", "rejected", "shutdown", "orphaned"})
 
-#: As whose exit code it counts that a task could not be started (as `docker run` has it), or was asked to end.
+#: Exit codes for a task that could not be started (as from `docker run`), and for one that was asked to end.
 _NOT_STARTED = 125
 ASKED_TO_END = -15
 
@@ -25,8 +25,8 @@ ASKED_TO_END = -15
 class Task(NamedTuple):
     """One attempt to run a node.
 
-    machine: where, as the swarm calls it, "" as long as that is open;  state: one word, such as "running"
-    wanted:  the state that it is to have;  error: what Docker says went wrong, or what it waits for
+    machine: its name in the swarm, "" if not placed yet;  state: one word, such as "running"
+    wanted:  the desired state;  error: Docker's reason for a failure or for waiting
     """
 
     id: str
@@ -38,7 +38,7 @@ class Task(NamedTuple):
 
     @property
     def exit(self) -> int | None:
-        """Exit code of its process, negative for a signal; None as long as it may run."""
+        """Exit code of its process, negative for a signal; None if it has not ended."""
         if self.state not in _OVER:
             return None
         if self.state == "complete":
@@ -50,12 +50,12 @@ class Task(NamedTuple):
 
     @property
     def waits(self) -> bool:
-        """Whether it has no machine, for a reason that Docker knows."""
+        """Whether it waits for a machine, for a reason that Docker names."""
         return self.state in ("new", "pending") and bool(self.error)
 
     @property
     def refused(self) -> str:
-        """Why its machine has not started it; empty when it has."""
+        """Why its machine has not started it; empty if it has."""
         if self.exit != _NOT_STARTED or _CODE.search(self.error):
             return ""
         missing = (
@@ -65,7 +65,7 @@ class Task(NamedTuple):
 
 
 def of(stack: str) -> dict[str, list[Task]]:
-    """The tasks of a stack by node, the newest first; none where there is no such stack. Raises EngineError."""
+    """The tasks of a stack by node, the newest first; none if there is no such stack. Raises EngineError."""
     form = "\t".join(f"{{{{.{field}}}}}" for field in _FIELDS)
     try:
         return parse(stack, docker("stack", "ps", stack, "--no-trunc", "--format", form).splitlines())
@@ -76,8 +76,8 @@ def of(stack: str) -> dict[str, list[Task]]:
 
 
 def parse(stack: str, lines: Iterable[str]) -> dict[str, list[Task]]:
-    """What `docker stack ps` has listed, newest first."""
-    found: dict[str, list[Task]] = {}
+    """Parse the output of `docker stack ps`: tasks by node, the newest first."""
+    tasks: dict[str, list[Task]] = {}
     for line in lines:
         fields = line.split("\t")
         if len(fields) < len(_FIELDS):
@@ -85,5 +85,5 @@ def parse(stack: str, lines: Iterable[str]) -> dict[str, list[Task]]:
         identity, name, machine, wanted, state, error = fields[: len(_FIELDS)]
         node = name.removeprefix("\\_ ").removeprefix(f"{stack}_").rpartition(".")[0]
         task = Task(identity, node, machine, wanted.lower(), state.partition(" ")[0].lower(), error.strip('"'))
-        found.setdefault(node, []).append(task)
-    return found
+        tasks.setdefault(node, []).append(task)
+    return tasks

@@ -1,4 +1,4 @@
-"""A message that is only passed on: its header is checked as ever, its body when somebody looks at it."""
+"""Lazy decoding: the header is checked at once, the body on first access."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def encoded(**header: object) -> bytes:
     return codec.encode(codec.conform(Header(**fields), BODY))
 
 
-def test_looking_at_it_gives_what_decoding_gives() -> None:
-    opened, unopened = (function(encoded(), "status") for function in (codec.decode, codec.decode_unopened))
-    assert unopened.header == opened.header
-    assert len(unopened.body) == 3
-    assert {name: column.tolist() for name, column in unopened.body.items()} == {
-        name: column.tolist() for name, column in opened.body.items()
+def test_lazy_decoding_gives_the_same_message() -> None:
+    eager, lazy = (function(encoded(), "status") for function in (codec.decode, codec.decode_lazily))
+    assert lazy.header == eager.header
+    assert len(lazy.body) == 3
+    assert {name: column.tolist() for name, column in lazy.body.items()} == {
+        name: column.tolist() for name, column in eager.body.items()
     }
-    assert codec.encode(unopened) == encoded()
+    assert codec.encode(lazy) == encoded()
 
 
 def header_of(payload: bytes) -> Header | str:
@@ -37,9 +37,9 @@ def header_of(payload: bytes) -> Header | str:
         return str(error)
 
 
-def unopened_header_of(payload: bytes) -> Header | str:
+def lazy_header_of(payload: bytes) -> Header | str:
     try:
-        return codec.decode_unopened(payload, "status").header
+        return codec.decode_lazily(payload, "status").header
     except MessageError as error:
         return str(error)
 
@@ -53,17 +53,17 @@ def unopened_header_of(payload: bytes) -> Header | str:
     order=st.permutations(["schema", "version", "source", "frame", "time_ns", "seq", "body"]),
 )
 @settings(max_examples=150)
-def test_headers_are_judged_as_they_are_without_the_short_cut(
+def test_headers_are_checked_as_in_full_decoding(
     frame: int, time_ns: int, source: str, schema: str, version: object, order: list[str]
 ) -> None:
     fields = dict(schema=schema, version=version, source=source, frame=frame, time_ns=time_ns, seq=0, body={})
     payload = msgpack.packb({name: fields[name] for name in order})
-    assert unopened_header_of(payload) == header_of(payload)
+    assert lazy_header_of(payload) == header_of(payload)
 
 
 @given(cut=st.integers(0, 400), flip=st.integers(0, 399), bit=st.integers(0, 7))
 @settings(max_examples=150)
-def test_broken_bytes_are_refused_now_or_when_somebody_looks(cut: int, flip: int, bit: int) -> None:
+def test_broken_bytes_are_refused_at_once_or_on_access(cut: int, flip: int, bit: int) -> None:
     payload = bytearray(encoded())
     payload[flip % len(payload)] ^= 1 << bit
     broken = bytes(payload[: max(cut, len(payload) // 2)])
@@ -71,9 +71,9 @@ def test_broken_bytes_are_refused_now_or_when_somebody_looks(cut: int, flip: int
         expected = codec.decode(broken, "status")
     except MessageError:
         with pytest.raises(MessageError):
-            len(codec.decode_unopened(broken, "status").body)
+            len(codec.decode_lazily(broken, "status").body)
     else:
-        found = codec.decode_unopened(broken, "status")
+        found = codec.decode_lazily(broken, "status")
         assert found.header == expected.header
         assert {name: column.tobytes() for name, column in found.body.items()} == {
             name: column.tobytes() for name, column in expected.body.items()
@@ -82,4 +82,4 @@ def test_broken_bytes_are_refused_now_or_when_somebody_looks(cut: int, flip: int
 
 def test_a_message_of_more_bytes_than_allowed_is_refused_at_once() -> None:
     with pytest.raises(MessageError, match="at most"):
-        codec.decode_unopened(encoded() + bytes(codec.MAX_BYTES), "status")
+        codec.decode_lazily(encoded() + bytes(codec.MAX_BYTES), "status")

@@ -1,4 +1,4 @@
-"""From hosts that let us in to a mesh whose nodes can be started: what `Ssh.join` does."""
+"""Starts a run on hosts with SSH, up to a mesh whose nodes can be started: the steps of `Ssh.join`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mast_zenoh.deploy.ssh import connection, hostsfile, installation
 from mast_zenoh.deploy.ssh.attachment import Attachment, attaching
 from mast_zenoh.deploy.ssh.connection import Loop, connected, make_folder, together, write_file
 from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, Host
-from mast_zenoh.deploy.ssh.installation import Cargo, Installed
+from mast_zenoh.deploy.ssh.installation import Installed, Packages
 from mast_zenoh.deploy.ssh.nodes import RemoteNodes, exit_of
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch import folder as run_folder
@@ -36,17 +36,17 @@ from mast_zenoh.security.deployment import Deployment
 if TYPE_CHECKING:
     import asyncssh
 
-_ROUTER_S = 60.0  # for a router on a host to come up
+_ROUTER_S = 60.0  # for a router on a host to start
 _ATTACH_S = 60.0
 _LEAVE_S = 20.0  # for a host to end what it still runs and to remove its folder
-_LATER_S = 5.0  # the warden stays so much longer without a launcher than the nodes
+_LATER_S = 5.0  # how much longer the warden runs without a launcher than the nodes
 _SETTINGS = "router.json"
 
 
-class Bringing:
-    """What brings up a run, one step after the other. All that it makes is taken away by the stack.
+class Startup:
+    """Starts a run step by step. Callbacks on the stack remove all that it makes.
 
-    told: what hosts.toml says; hosts: those of them that are used
+    told: the content of hosts.toml; hosts: those of them that are used
     """
 
     def __init__(self, told: hostsfile.Hosts, hosts: dict[str, Host], context: RunContext, stack: ExitStack) -> None:
@@ -55,7 +55,7 @@ class Bringing:
         self.context = context
         self.deployment: Deployment | None = None
         self.stack = stack
-        self.run = context.run_id
+        self.run_id = context.run_id
         self.placed = told.placed(context.resolved.nodes)
         self.loop = stack.enter_context(Loop(context.signals))
         self.changed = threading.Condition()
@@ -65,11 +65,11 @@ class Bringing:
         self.endpoints: dict[str, str] = {}
         self.router: tuple[Attachment, str] | None = None  # see RemoteNodes
 
-    def bring(self) -> Mesh:
-        """The launcher's session, the nodes' supervisor, and their credentials."""
+    def run(self) -> Mesh:
+        """Run all steps; returns the session, the supervisor of the nodes, and their credentials."""
         with tempfile.TemporaryDirectory(prefix="mast-wheel-") as folder:
-            cargo = Cargo(Path(folder))
-            self._on_all(lambda host, ssh: self._install(host, ssh, cargo))
+            packages = Packages(Path(folder))
+            self._on_all(lambda host, ssh: self._install(host, ssh, packages))
         self.context.record["deployment"] = {"engine": "ssh", "hosts": {n: self._place(n) for n in self.hosts}}
         run_folder.write_json(self.context.folder / "run.json", self.context.record)
         self.stack.callback(self._leave)
@@ -77,9 +77,9 @@ class Bringing:
         self._attach()
         self._until(lambda: all(a.attached for a in self.attachments.values()), _ATTACH_S, self._not_attached)
         session = self._route()
-        self._on_all(self._bring_credentials)
+        self._on_all(self._copy_credentials)
         if self.deployment is not None:
-            self.deployment.close()  # they are where they are needed
+            self.deployment.close()  # the nodes have theirs
         self._on_all(self._reach_router)
         logs = self.context.folder / "logs"
         nodes = RemoteNodes(self.attachments, self.placed, self._command, logs, self.changed, self.router)
@@ -94,15 +94,15 @@ class Bringing:
 
     # -- hosts ---------------------------------------------------------------------------------------------------
 
-    async def _install(self, host: Host, ssh: asyncssh.SSHClientConnection, cargo: Cargo) -> None:
-        self.installed[host.name] = await installation.install(ssh, host, cargo)
+    async def _install(self, host: Host, ssh: asyncssh.SSHClientConnection, packages: Packages) -> None:
+        self.installed[host.name] = await installation.install(ssh, host, packages)
         self.reached_from[host.name] = ssh.get_extra_info("sockname")[0]
 
     def _folder(self, name: str) -> str:
-        return posixpath.join(self.installed[name].folder, "runs", self.run, name)
+        return posixpath.join(self.installed[name].folder, "runs", self.run_id, name)
 
     def _place(self, name: str) -> dict[str, Any]:
-        """All that is needed to find the run on this host again."""
+        """The entry of run.json from which the run can be found on this host."""
         reach = asdict(self.hosts[name])
         reach |= {key: str(Path(reach[key]).expanduser().resolve()) for key in ("key", "known_hosts") if reach[key]}
         nodes = [node for node, host in self.placed.items() if host == name]
@@ -128,7 +128,7 @@ class Bringing:
             self.loop.begin(self.attachments[name].stay())
 
     def _log(self, name: str, offset: int, piece: bytes) -> None:
-        """Called in the event loop. A host does not choose where we write."""
+        """Append to a log, in the event loop. A name with a path is ignored: hosts must not choose where to write."""
         if posixpath.basename(name) != name:
             return
         path = self.context.folder / "logs" / f"{name}.log"
@@ -136,24 +136,24 @@ class Bringing:
             file.seek(offset)
             file.write(piece)
 
-    async def _bring_credentials(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
+    async def _copy_credentials(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
         import asyncssh
 
         deployment = self.deployment
         if deployment is None or deployment.folder is None:
             return
-        there = posixpath.join(self._folder(host.name), "credentials")
+        target = posixpath.join(self._folder(host.name), "credentials")
         try:
             async with ssh.start_sftp_client() as sftp:
-                await make_folder(sftp, there)
+                await make_folder(sftp, target)
                 for node in (node for node, on in self.placed.items() if on == host.name):
                     own = deployment.of(node)
                     assert own is not None
-                    await make_folder(sftp, posixpath.join(there, node))
+                    await make_folder(sftp, posixpath.join(target, node))
                     for file in own.iterdir():
-                        await write_file(sftp, posixpath.join(there, node, file.name), file.read_bytes())
+                        await write_file(sftp, posixpath.join(target, node, file.name), file.read_bytes())
         except (asyncssh.Error, OSError) as error:
-            raise EngineError(f"{host.called}: {there}: {error}") from None
+            raise EngineError(f"{host.called}: {target}: {error}") from None
 
     async def _reach_router(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
         endpoint = self.endpoints[host.name]
@@ -166,26 +166,26 @@ class Bringing:
             )
 
     def _leave(self) -> None:
-        """Have every host end what still runs and remove its folder. Who is out of reach does so by itself."""
+        """Make every host end what still runs and remove its folder. Unreachable hosts do so by themselves."""
         if not self.attachments:
             self._attach()
-        there = [attachment for attachment in self.attachments.values() if not attachment.gone]
-        for attachment in there:
+        attachments = [attachment for attachment in self.attachments.values() if not attachment.gone]
+        for attachment in attachments:
             attachment.leave(grace_s=2.0)
         for name, attachment in self.attachments.items():
             self.context.record["deployment"]["hosts"][name]["reattached"] = max(0, attachment.reattached)
         deadline = time.monotonic() + _LEAVE_S
-        late = [a.host.called for a in there if not a.has_left(deadline - time.monotonic())]
-        if late:
+        unreachable = [a.host.called for a in attachments if not a.has_left(deadline - time.monotonic())]
+        if unreachable:
             self.context.show(
-                f"[yellow]out of reach at the end: {', '.join(late)}: nothing is left there after "
+                f"[yellow]out of reach at the end: {', '.join(unreachable)}: all is removed there after "
                 f"{self.told.patience_s + _LATER_S:.0f} s, or `mast deploy down {self.context.folder}`"
             )
 
     # -- the router ----------------------------------------------------------------------------------------------
 
     def _route(self) -> zenoh.Session:
-        """The router, here or on its host, and the launcher's session with it."""
+        """Start the router, here or on its host, and open the launcher's session."""
         on, context = self.told.router_on, self.context
         if on == LAUNCHER:
             addresses = {n: self.told.address or self.reached_from[n] for n in self.hosts}
@@ -199,7 +199,7 @@ class Bringing:
         deployment = self.deployment = self.stack.enter_context(context.make_deployment(levels.hosts(endpoints)))
         if on != LAUNCHER:
             return self.stack.enter_context(self._router_on(self.hosts[on], port, deployment, endpoints[0]))
-        if self.told.address and not is_local(self.told.address):  # such as that of a gateway which passes it on
+        if self.told.address and not is_local(self.told.address):  # such as that of a gateway
             endpoints = [levels.endpoint(context.secure, f"tcp/0.0.0.0:{port}")]
         try:
             session, _ = open_router(*endpoints, security=deployment.router)
@@ -230,13 +230,13 @@ class Bringing:
         self._until(lambda: ended() or (log.is_file() and b"router at" in log.read_bytes()), _ROUTER_S, lambda: "")
         if ended():
             lines = log.read_text(errors="replace").strip().splitlines() if log.is_file() else []
-            raise EngineError(f"{host.called}: the router did not start: {lines[-1] if lines else 'it said nothing'}")
+            raise EngineError(f"{host.called}: the router did not start: {lines[-1] if lines else 'no output'}")
         return join(endpoint, deployment.launcher, _ROUTER_S, lambda: bool(self.context.signals))
 
     # -- nodes ---------------------------------------------------------------------------------------------------
 
     def _command(self, node: str, name: str) -> tuple[Sequence[str], dict[str, str]]:
-        """What starts a node on its host, and in which environment."""
+        """The command that starts a node on its host, and its environment."""
         endpoint = self.context.detours.get(node, self.endpoints[name])
         argv = [*self._mast_node(name), "--name", node, "--endpoint", endpoint]
         if self.deployment is not None and self.context.secure != "open":
@@ -245,7 +245,7 @@ class Bringing:
 
     def _mast_node(self, name: str) -> list[str]:
         patience = ["--patience", str(self.told.patience_s)]
-        return [self.installed[name].python, "-m", "mast_zenoh.runtime.remote_node", "--run", self.run, *patience]
+        return [self.installed[name].python, "-m", "mast_zenoh.runtime.remote_node", "--run", self.run_id, *patience]
 
     def _environment(self, name: str) -> dict[str, str]:
         return {"PYTHONPATH": self.installed[name].release, **ENVIRONMENT, **numeric_environment.environment()}
@@ -255,12 +255,12 @@ class Bringing:
     def _not_attached(self) -> str:
         return "; ".join(a.trouble or a.host.called for a in self.attachments.values() if not a.attached)
 
-    def _until(self, condition: Callable[[], bool], seconds: float, who: Callable[[], str]) -> None:
+    def _until(self, condition: Callable[[], bool], seconds: float, pending: Callable[[], str]) -> None:
         deadline = time.monotonic() + seconds
         with self.changed:
             while not condition():
                 if self.context.signals:
                     raise Interrupted("stopped by Ctrl-C or SIGTERM")
                 if time.monotonic() > deadline:
-                    raise EngineError(f"not ready within {seconds:.0f} s: {who()}")
+                    raise EngineError(f"not ready within {seconds:.0f} s: {pending()}")
                 self.changed.wait(0.1)
