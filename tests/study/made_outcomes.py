@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.study.definition import Configuration, Place, Study
+from mast_zenoh.study.definition import Configuration, Study, StudyScene
 from mast_zenoh.study.trial import Outcome, Trial
 
 FRAMES = 4
@@ -17,7 +17,7 @@ def study(points: dict[str, dict[str, Any]], scenes: int = 2) -> Study:
     """A study of a baseline and a configuration for each label and point of a grid."""
     found = [Configuration("baseline", "baseline", "baseline", (), ())]
     found += [Configuration(label, "attacked", "attacked", (), tuple(point.items())) for label, point in points.items()]
-    places = tuple(Place(f"scene {index}", ()) for index in range(scenes))
+    places = tuple(StudyScene(f"scene {index}", ()) for index in range(scenes))
     return Study(Path("made.py"), "made", tuple(found), "baseline", places, None, 0, None, None)
 
 

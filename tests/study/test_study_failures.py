@@ -62,7 +62,7 @@ def test_allowed_failures_of_a_trial_count_and_are_not_taken_for_sound_later(stu
     assert "--allow-failures" in commands["first"]
 
 
-def noted(ended: trials.Ended) -> list[dict]:
+def noted(ended: trials.StudyResult) -> list[dict]:
     return json.loads((ended.out / "study.json").read_text())["trials"]
 
 

@@ -35,7 +35,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> definition.Study:
 
 
 @pytest.fixture(scope="module")
-def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> trials.Ended:
+def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> trials.StudyResult:
     """The study, run without any trouble."""
     return trials.run(small, tmp_path_factory.mktemp("whole") / "out", count=2)
 
@@ -82,11 +82,11 @@ def test_an_attack_that_would_begin_after_the_last_frame_is_named_and_has_no_suc
     assert "never began" in ended.report.read_text()
 
 
-def test_an_attack_that_begins_before_the_end_is_not_idle(whole: trials.Ended) -> None:
+def test_an_attack_that_begins_before_the_end_is_not_idle(whole: trials.StudyResult) -> None:
     assert whole.facts.idle == ()
 
 
-def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row(whole: trials.Ended) -> None:
+def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row(whole: trials.StudyResult) -> None:
     table = parquet.read_table(whole.out / "results.parquet").to_pydict()
     cells = set(zip(table["configuration"], table["seed"], strict=True))
     assert cells == {(label, seed) for label in ("baseline", "attacked-1-5.0", "attacked-1-20.0") for seed in (0, 1)}
@@ -97,7 +97,7 @@ def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row
     assert len(frames) == 6 * 8 * 2 * len(ESTIMATORS), "trials, frames, agents, estimators"
 
 
-def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.Ended) -> None:
+def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.StudyResult) -> None:
     for name in ("results.parquet", "frames.parquet"):
         table = parquet.read_table(whole.out / name)
         assert table.column_names[:3] == ["configuration", "n_adversaries", "false_positives"]
@@ -111,7 +111,7 @@ def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.E
     }
 
 
-def test_names_of_the_tables_own_columns_are_all_refused_as_parameters(whole: trials.Ended) -> None:
+def test_names_of_the_tables_own_columns_are_all_refused_as_parameters(whole: trials.StudyResult) -> None:
     """Those of frames.parquet as far as all runs have them; a metric that is added gives way, as `grid.<name>`."""
     columns = set((whole.out / "table.csv").read_text().splitlines()[0].split(","))
     columns |= set(parquet.read_schema(whole.out / "results.parquet").names)

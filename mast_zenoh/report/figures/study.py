@@ -17,7 +17,7 @@ from mast_zenoh.report.figures.drawing import Picture, picture
 from mast_zenoh.report.figures.study_panels import Panel, label_of, panels, text_of
 from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, light_axes, plain
 from mast_zenoh.report.study_facts import StudyFacts, plural
-from mast_zenoh.report.tables.study_rows import LEAST_SEEDS, PAPER, Column, Estimate, StudyRow, over_trials
+from mast_zenoh.report.tables.study_rows import MIN_SEEDS, PAPER, Column, Estimate, StudyRow, over_trials
 
 _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)))
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -111,7 +111,7 @@ def _resting_on(rows: Sequence[StudyRow], axes: Sequence[Axis], interval: str) -
 def _without_bar(estimates: Sequence[Estimate]) -> tuple[bool, bool]:
     """Whether any estimate has no interval because of too few seeds, and because its seeds are all equal."""
     bare = [each.seeds for each in estimates if math.isnan(each.low)]
-    return any(seeds < LEAST_SEEDS for seeds in bare), any(seeds >= LEAST_SEEDS for seeds in bare)
+    return any(seeds < MIN_SEEDS for seeds in bare), any(seeds >= MIN_SEEDS for seeds in bare)
 
 
 def _on_bars(rows: Sequence[StudyRow], axes: Sequence[Axis]) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mast_zenoh.report.tables.study_rows import StudyRow
 
 #: Two numeric parameters with this many values each make a heat map instead of curves.
-LEAST_FOR_HEAT_MAP = 4
+MIN_FOR_HEAT_MAP = 4
 
 _UNITS = {"_s": "s", "_ms": "ms", "_m": "m", "_mps": "m/s", "_hz": "Hz", "_deg": "degrees", "_rad": "rad"}
 
@@ -90,7 +90,7 @@ def _of_several(rows: Sequence[StudyRow], swept: Sequence[str]) -> list[Panel]:
             )
             for value in values
         )
-        heat = numeric and numbers and min(len(ticks), len(values)) >= LEAST_FOR_HEAT_MAP
+        heat = numeric and numbers and min(len(ticks), len(values)) >= MIN_FOR_HEAT_MAP
         title = ", ".join(
             [rows[0].run, *(f"{label_of(name)} = {value}" for name, value in zip(others, choice, strict=True))]
         )

@@ -12,7 +12,7 @@ from mast_zenoh.report.tables.scores import DASH
 
 NAN = float("nan")
 #: With fewer seeds there is no interval.
-LEAST_SEEDS = 5
+MIN_SEEDS = 5
 #: A difference up to this is one of rounding.
 NEGLIGIBLE = 1e-9
 
@@ -54,12 +54,12 @@ class Estimate:
     @property
     def unchanged(self) -> bool:
         """Of an increment: whether it is 0 in every trial, as far as five seeds or more can tell."""
-        return self.seeds >= LEAST_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
+        return self.seeds >= MIN_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
 
     @property
     def certain(self) -> bool:
         """Of an increment: whether it is the same in every seed, and not 0; without spread there is no interval."""
-        return self.seeds >= LEAST_SEEDS and abs(self.trial_mean) > NEGLIGIBLE and math.isnan(self.low)
+        return self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE and math.isnan(self.low)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,7 @@ def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
         return f"[{', '.join(ends)}]"
     if scenes or math.isnan(estimate.trial_mean):
         return ""
-    return f"(n < {LEAST_SEEDS})" if estimate.seeds < LEAST_SEEDS else "(all equal)"
+    return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
 
 
 def _digits(estimate: Estimate) -> int:
