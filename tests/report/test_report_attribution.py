@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.other_differences import named, other_differences
+from mast_zenoh.report.narrative.other_differences import join_differences, other_differences
 from mast_zenoh.report.narrative.reach import reaches
 from mast_zenoh.report.narrative.run import headline, reading
 from mast_zenoh.report.runfolder import RunFolder
@@ -93,8 +93,8 @@ def test_no_cause_is_named_where_the_runs_also_differ_in_something_else(
 
 
 def test_only_three_differences_are_named() -> None:
-    assert named(("a", "b", "c", "d", "e")) == "a, b, c and 2 more"
-    assert named(("a", "b")) == "a and b"
+    assert join_differences(("a", "b", "c", "d", "e")) == "a, b, c and 2 more"
+    assert join_differences(("a", "b")) == "a and b"
 
 
 def test_the_same_adversaries_with_other_settings_are_a_difference(pair: tuple[Path, Path], tmp_path: Path) -> None:

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from mast_zenoh.report import terminal
-from mast_zenoh.report.faulted import blame_rows, check_lines, check_rows, late_rows, latency_rows
-from mast_zenoh.report.figures.bands import Band, bands, lanes, placed
+from mast_zenoh.report.faulted import cause_rows, check_lines, check_rows, late_rows, latency_rows
+from mast_zenoh.report.figures.bands import Band, bands, lanes, place_bands
 from mast_zenoh.report.figures.causes import causes_over_time
 from mast_zenoh.report.figures.charts import counts_over_time
 from mast_zenoh.report.html import write_report
@@ -172,7 +172,7 @@ SOME_BANDS = st.lists(
 def test_neither_bands_nor_names_lie_on_each_other(rows: list[tuple[float, float, str, bool]]) -> None:
     width, low, high = 10.0, 0.0, 20.0
     marked = sorted((Band(label, attack, at, at + lasts) for at, lasts, label, attack in rows), key=lambda b: b.start)
-    found, left_out = placed(marked, low, high, width)
+    found, left_out = place_bands(marked, low, high, width)
     assert len(found) + left_out == len(marked)
     for one, other in itertools.combinations(found, 2):
         if one.lane == other.lane:
@@ -181,7 +181,7 @@ def test_neither_bands_nor_names_lie_on_each_other(rows: list[tuple[float, float
 
 
 def test_many_faults_at_a_time_go_into_lanes_of_their_own_and_what_has_none_is_counted() -> None:
-    found, left_out = placed([Band("Loss infra_1", False, 1.0, 5.0)] * 12, 0.0, 10.0, 10.0)
+    found, left_out = place_bands([Band("Loss infra_1", False, 1.0, 5.0)] * 12, 0.0, 10.0, 10.0)
     assert [each.lane for each in found] == list(range(9))
     assert left_out == 3
 
@@ -190,7 +190,7 @@ def test_many_faults_at_a_time_go_into_lanes_of_their_own_and_what_has_none_is_c
     ("start", "end", "x", "align"), [(1.0, 9.0, 1.07, "left"), (1.0, 1.2, 1.27, "left"), (9.5, 9.7, 9.43, "right")]
 )
 def test_a_name_stands_inside_its_band_or_beside_it(start: float, end: float, x: float, align: str) -> None:
-    ((only,), _) = placed([Band("Kill infra_1", False, start, end)], 0.0, 10.0, 10.0)
+    ((only,), _) = place_bands([Band("Kill infra_1", False, start, end)], 0.0, 10.0, 10.0)
     assert (only.x, only.align) == (pytest.approx(x), align)
 
 
@@ -210,10 +210,10 @@ def test_failed_checks_come_first_and_what_was_not_checked_last() -> None:
 
 
 def test_what_metrics_do_not_tell_has_no_row() -> None:
-    assert blame_rows({}) == []
-    assert blame_rows({"agents": {"ego": {"picture": {"fn": {"mean": 1.0}}, "local": {}}}}) == []
+    assert cause_rows({}) == []
+    assert cause_rows({"agents": {"ego": {"picture": {"fn": {"mean": 1.0}}, "local": {}}}}) == []
     nothing = dict.fromkeys(("fault", "attack", "natural"))
-    (row,) = blame_rows({"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}})
+    (row,) = cause_rows({"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}})
     assert row.missed == (DASH, DASH, DASH)
     assert latency_rows({"latency_ms": {"sim_to_picture": {"p50": 1.0}}}) == []
     assert late_rows({}) == []

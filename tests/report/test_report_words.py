@@ -14,7 +14,7 @@ import pytest
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.attack_period import while_attacked
 from mast_zenoh.report.narrative.circumstances import compromised
-from mast_zenoh.report.narrative.phrases import listed
+from mast_zenoh.report.narrative.phrases import join_names
 from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import score_table
@@ -111,7 +111,7 @@ def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: C
     assert "2.0 more false objects a frame for infra_1 with the picture than unattacked" in text
 
 
-ON_THE_WAY: dict[str, tuple[dict[str, float], str]] = {
+IN_TRANSIT: dict[str, tuple[dict[str, float], str]] = {
     "the ego acts on it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 1.0},
         "1.0 more false object a frame for the ego with the picture than unattacked, by no measured cause",
@@ -139,7 +139,7 @@ ON_THE_WAY: dict[str, tuple[dict[str, float], str]] = {
 }
 
 
-@pytest.mark.parametrize(("more", "expected"), ON_THE_WAY.values(), ids=ON_THE_WAY)
+@pytest.mark.parametrize(("more", "expected"), IN_TRANSIT.values(), ids=IN_TRANSIT)
 def test_a_change_of_the_picture_on_its_way_says_what_the_ego_acts_on(
     run_folder: Callable[..., Path], more: dict[str, float], expected: str
 ) -> None:
@@ -317,7 +317,12 @@ def test_a_study_names_the_strongest_attack_and_every_run(three_runs: dict[str, 
 
 
 def test_lists_read_like_lists() -> None:
-    assert [listed(names) for names in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == ["", "a", "a and b", "a, b and c"]
+    assert [join_names(names) for names in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == [
+        "",
+        "a",
+        "a and b",
+        "a, b and c",
+    ]
 
 
 def test_every_kind_of_change_is_named_with_its_own_cause(run_folder: Callable[..., Path]) -> None:
