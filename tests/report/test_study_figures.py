@@ -54,7 +54,7 @@ def test_further_parameters_make_a_panel_for_each_choice() -> None:
     assert list(labels(found[0])) == ["start (s) = 1", "start (s) = 4"]
 
 
-def test_runs_without_a_sweep_stand_side_by_side() -> None:
+def test_runs_without_a_sweep_share_one_panel() -> None:
     (panel,) = panels([BASELINE, row("a", {"n": 2}, 1.0), row("b", {}, 2.0)], "baseline")
     assert (panel.x, panel.ticks, panel.numeric) == ("", ("a-2", "b"), False)
 
@@ -88,7 +88,7 @@ def test_parameters_are_labelled_in_words_with_their_unit(parameter: str, label:
     assert label_of(parameter) == label
 
 
-def test_figures_are_the_same_every_time_and_say_what_they_rest_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     from mast_zenoh.report.figures import study
 
     rows = [BASELINE, *grid("a", n=(1, 2), fp=(1.0, 5.0, 20.0)), *grid("b", n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 9.0))]
@@ -116,7 +116,7 @@ def test_figures_are_the_same_every_time_and_say_what_they_rest_on(monkeypatch: 
         ),
     ],
 )
-def test_figures_say_why_there_is_no_bar(
+def test_figures_explain_missing_bars(
     monkeypatch: pytest.MonkeyPatch, seeds: int, half: float, footer: str, caption: str
 ) -> None:
     from mast_zenoh.report.figures import study

@@ -1,4 +1,4 @@
-"""The page of a study with trials: one file, failures first, nothing of the study's text taken as HTML."""
+"""The page of a study with trials: self-contained, failures first, text escaped."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_page_needs_no_other_file(page) -> None:
     assert "url(" not in made.source
 
 
-def test_page_tells_the_result_what_was_run_and_how_many_comparisons_there_are(page) -> None:
+def test_page_shows_result_configurations_and_number_of_comparisons(page) -> None:
     text = "".join(page().text.split())
     for part in (
         "The largest change of false or missed objects in what the ego acts on: in uncoordinated n=2 "
@@ -76,7 +76,7 @@ def test_page_tells_the_result_what_was_run_and_how_many_comparisons_there_are(p
     assert "trialsfailed" not in text
 
 
-def test_failed_trials_come_first_in_red_with_seed_error_and_command(page) -> None:
+def test_failed_trials_are_listed_first_with_seed_error_and_command(page) -> None:
     made = page(FAILED)
     assert made.source.index('role="alert"') < made.source.index("<figure")
     assert "12 of 420 trials failed: uncoordinated n=1 false_positives=5.0 12 of 60." in made.text

@@ -1,4 +1,4 @@
-"""Studies on several processes: the same tables, whoever runs the trials, and whatever is killed in between."""
+"""Studies on several processes give equal tables, also after interruptions."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def study(study_file: Path, out: Path, *words: str) -> list[str]:
 
 
 @pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
-def test_a_study_of_two_jobs_that_is_stopped_is_resumed_and_gives_the_same_tables(
+def test_interrupted_study_of_two_jobs_resumes_with_equal_tables(
     study_file: Path, reference: dict[str, bytes], tmp_path: Path, stop: signal.Signals
 ) -> None:
     out = tmp_path / "out"
@@ -132,7 +132,7 @@ def test_a_scheduler_and_two_workers_started_by_hand_run_the_study(
     assert tables(tmp_path / "out") == reference
 
 
-def test_a_cluster_that_does_not_answer_is_named(study_file: Path, tmp_path: Path, monkeypatch) -> None:
+def test_unreachable_cluster_is_named(study_file: Path, tmp_path: Path, monkeypatch) -> None:
     from mast_zenoh.study import execution
 
     monkeypatch.setattr(execution, "_CONNECT_S", 1)

@@ -1,4 +1,4 @@
-"""Simulated studies: how often a 95 % interval holds the truth, and that docs/studies.md tells it as it is."""
+"""Simulated coverage of 95 % intervals, as documented in docs/studies.md."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ def simulated() -> Coverage:
 
 
 @pytest.mark.parametrize("world", list(interval_coverage.worlds()), ids=lambda world: world.name)
-def test_intervals_cover_93_to_97_per_cent_where_that_is_claimed(
-    simulated: Coverage, world: interval_coverage.World
-) -> None:
+def test_claimed_intervals_cover_93_to_97_per_cent(simulated: Coverage, world: interval_coverage.World) -> None:
     claimed = {
         cell: percent
         for cell, percent in simulated[world.name].items()

@@ -22,7 +22,7 @@ def by_name(found) -> dict[tuple[str, str, str], Number]:
     return {(each.who, each.estimator, each.metric): each for each in found}
 
 
-def test_every_number_of_every_estimator_is_found_whatever_its_name() -> None:
+def test_all_numbers_of_all_estimators_are_listed() -> None:
     metrics = {
         "scored_frames": [10, 19],
         "agents": {
@@ -100,7 +100,7 @@ def test_a_parameter_named_like_a_metric_of_the_user_keeps_both_columns() -> Non
     assert columns.add(table, "a").to_pydict() == {"configuration": ["a"], "grid.clearance": [7], "clearance": [1.5]}
 
 
-def test_tables_written_in_pieces_are_one_table_in_which_missing_columns_are_null(tmp_path, monkeypatch) -> None:
+def test_pieces_form_one_table_with_nulls_for_missing_columns(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(TableFile, "ROW_GROUP", 3)
     text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
     schema = pyarrow.schema([("name", text), ("mine", pyarrow.float64())])
@@ -128,7 +128,7 @@ def summary(outcomes, seeds: int, scenes: int = 2):
     return {row.label: row for row in samples.rows()}
 
 
-def test_intervals_are_cut_to_what_a_quantity_can_be_but_differences_are_not() -> None:
+def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
     """Six seeds, of which one differs: Student's t reaches beyond 0, or 1."""
     rare = [0.0, 0.0, 0.0, 0.0, 0.0, 0.6]
     done = []
@@ -155,7 +155,7 @@ def test_intervals_are_cut_to_what_a_quantity_can_be_but_differences_are_not() -
     assert row.get("fp_ioe").low < 0.0
 
 
-def test_the_time_to_collision_of_a_study_counts_trials_without_one_too() -> None:
+def test_critical_share_counts_trials_without_a_collision_course() -> None:
     """The attack makes five more of six trials critical, yet the mean of the least times there are would rise."""
     done = []
     for seed in range(6):
@@ -199,7 +199,7 @@ def test_four_seeds_have_a_mean_but_no_interval_and_no_test() -> None:
     assert np.isnan([row.get("fp").low, row.get("fp").high, row.get("fp_iob").p]).all()
 
 
-def test_truth_values_become_success_rates_with_an_interval_also_when_all_succeed() -> None:
+def test_booleans_become_success_rates_with_an_interval() -> None:
     done = [
         outcome("attacked", scene, seed, achieved={"all": {"accepted": True, "hidden": seed < 3 and scene == 0}})
         for scene in range(2)

@@ -1,4 +1,4 @@
-"""Trials are kept one by one: none is run twice, none that fails loses the others, and the tables are the same."""
+"""Trials are stored one by one: none is repeated, and a failure keeps the others."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.S
     }
 
 
-def test_names_of_the_tables_own_columns_are_all_refused_as_parameters(whole: trials.StudyResult) -> None:
+def test_column_names_of_tables_are_rejected_as_parameters(whole: trials.StudyResult) -> None:
     """Those of frames.parquet as far as all runs have them; a metric that is added gives way, as `grid.<name>`."""
     columns = set((whole.out / "table.csv").read_text().splitlines()[0].split(","))
     columns |= set(parquet.read_schema(whole.out / "results.parquet").names)
@@ -119,7 +119,7 @@ def test_names_of_the_tables_own_columns_are_all_refused_as_parameters(whole: tr
     assert columns - {"n_adversaries", "false_positives"} == definition.COLUMNS
 
 
-def test_what_was_stopped_is_resumed_without_repeating_a_trial(small, whole, monkeypatch, tmp_path: Path, ran) -> None:
+def test_interrupted_study_resumes_without_repeating_trials(small, whole, monkeypatch, tmp_path: Path, ran) -> None:
     with monkeypatch.context() as patch:
         stopping(patch, after=3)
         with pytest.raises(Interrupted, match="--resume"):
@@ -154,7 +154,7 @@ def test_a_trial_whose_file_is_broken_is_run_again(small, whole, tmp_path: Path,
     assert sorted((tmp_path / "out" / "trials").iterdir()) == files
 
 
-def test_a_failed_trial_is_told_with_its_command_and_the_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:
+def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:
     run = trial.run
 
     def failing(each: Trial) -> Outcome:
@@ -194,7 +194,7 @@ def test_the_command_of_a_trial_runs_it_alone_with_the_same_figures(small, whole
     assert about["metrics"] == alone
 
 
-def test_a_worker_with_other_code_or_versions_does_no_trial(small) -> None:
+def test_worker_with_different_code_or_versions_runs_no_trial(small) -> None:
     planned = trials.plan.trials(small, count=1, seed=0, frames=8, runtime="inproc")
     outcome = trial.run(replace(planned[0], environment=(("numpy", "0.1"),)))
     assert "numpy: this worker has" in outcome.error
@@ -216,7 +216,7 @@ def test_an_attack_that_does_nothing_adds_nothing_in_any_frame(small, tmp_path: 
     assert (over_frames, {value for value, _ in added}) == ({(0.0, 0.0)}, {0.0})
 
 
-def test_the_digest_is_of_the_configuration_the_seed_the_frames_and_the_users_files(small, tmp_path: Path) -> None:
+def test_digest_covers_configuration_seed_frames_and_user_files(small, tmp_path: Path) -> None:
     def digests(study: definition.Study, **more) -> set[str]:
         options = dict(count=2, seed=0, frames=8, runtime="inproc") | more
         return {each.digest for each in trials.plan.trials(study, **options)}
@@ -238,7 +238,7 @@ def test_the_digest_is_of_the_configuration_the_seed_the_frames_and_the_users_fi
     assert not found[0] & found[1]
 
 
-def test_configurations_that_play_another_scene_than_the_baseline_are_pointed_out(tmp_path: Path) -> None:
+def test_configurations_with_a_scene_other_than_the_baselines_are_reported(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "def study():\n    return dict(runs=dict(baseline=dict(scenario='baseline'), "
         "more=dict(scenario='baseline', grid=dict(n_infrastructure=[2, 4]))), trials=1, frames=2)\n"
@@ -249,7 +249,7 @@ def test_configurations_that_play_another_scene_than_the_baseline_are_pointed_ou
     assert "more n_infrastructure=2: not the baseline" in ended.report.read_text()
 
 
-def test_everything_is_refused_before_the_first_trial(tmp_path: Path, ran) -> None:
+def test_study_is_validated_before_the_first_trial(tmp_path: Path, ran) -> None:
     (tmp_path / "mine.py").write_text(
         "def study():\n    return dict(runs=dict(a=dict(scenario='baseline'), b=dict(scenario='uncoordinated', "
         "grid=dict(n_adversary=[1]))), trials=1, frames=2)\n"
@@ -260,7 +260,7 @@ def test_everything_is_refused_before_the_first_trial(tmp_path: Path, ran) -> No
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_in_use_is_refused_and_so_is_resuming_another_study(small, whole, tmp_path: Path) -> None:
+def test_used_folder_and_folder_of_another_study_are_rejected(small, whole, tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="is not empty"):
         trials.run(small, whole.out, count=1)
     with pytest.raises(RunFolderError, match="--resume: expected --out too"):
@@ -284,7 +284,7 @@ def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path:
     assert f"report: {tmp_path / 'out' / 'report.html'}" in said
 
 
-def test_some_failed_trials_have_an_exit_code_of_their_own(small, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_partly_failed_study_has_its_own_exit_code(small, tmp_path: Path, capsys, monkeypatch) -> None:
     monkeypatch.setattr(trial, "_in_process", lambda *_: 1 / 0)
     monkeypatch.setattr(
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
@@ -306,9 +306,7 @@ def test_an_idle_worker_loads_no_drawing_table_or_mesh_library() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_without_dask_one_job_works_and_more_are_refused_with_what_to_install(
-    small, tmp_path: Path, monkeypatch
-) -> None:
+def test_without_dask_several_jobs_are_rejected_with_install_hint(small, tmp_path: Path, monkeypatch) -> None:
     for name in ("dask", "distributed"):
         monkeypatch.setitem(sys.modules, name, None)
     trials.run(small, tmp_path / "one", count=1, jobs=1)
