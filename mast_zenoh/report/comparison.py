@@ -1,4 +1,4 @@
-"""Loads the reference run of a comparison and checks that the two runs are comparable."""
+"""Loads the reference run of a comparison and checks that it is comparable."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def _flat(name: str, value: Any) -> dict[str, Any]:
 
 
 def _same_scene(one: RunFolder, other: RunFolder) -> bool:
-    """Whether objects have equal positions in all frames; without recordings, whether the scenarios' scenes match."""
+    """Whether objects have equal positions in all frames, or, without recordings, equal scenes."""
     if one.recording is None or other.recording is None:
         return bool(one.scenario.get("scene") == other.scenario.get("scene"))
     frames = int(one.metrics["frames"])

@@ -1,4 +1,4 @@
-"""Report tables of runs with links, faults or a wall clock: causes, checks, latency."""
+"""Tables of runs with links, faults or a wall clock: causes, checks, latency."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def late_rows(metrics: Mapping[str, Any]) -> list[tuple[str, int]]:
 
 
 def cause_table(metrics: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
-    """Terminal table of the causes of an agent's missed and false objects, a row per run; None: not known.
+    """Terminal table of the causes of an agent's errors, a row per run; None: not known.
 
     metrics: by the run's label
     """

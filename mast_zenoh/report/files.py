@@ -71,7 +71,7 @@ def scene(path: Path) -> Recording:
 
 
 def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
-    """A reader of columns of a Parquet table, for one agent's rows if given; `optional` columns may be absent."""
+    """A reader of columns of a Parquet table, for one agent if given; `optional` ones may be absent."""
 
     def read(path: Path) -> Table:
         content = read_arrow(path)

@@ -66,14 +66,14 @@ def write_page(run: RunFolder, frame: int | None = None, reference: Reference | 
 
 
 def _estimate(run: RunFolder, reference: Reference | None) -> str:
-    """The estimate to show: the ego's estimate with the largest change, if it has boxes, else the picture."""
+    """The ego's estimate with the largest change, if it has boxes, else the picture."""
     change = largest_change(run, reference.run if reference else None)
-    mine = change is not None and change.agent == run.ego and has_boxes(run, change.estimate)
-    return change.estimate if change is not None and mine else "picture"
+    drawable = change is not None and change.agent == run.ego and has_boxes(run, change.estimate)
+    return change.estimate if change is not None and drawable else "picture"
 
 
 def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int | None = None) -> Path:
-    """Write `report.html` and `figures/*.png` into `study_folder`, comparing runs, and every run's own report.
+    """Write the report of compared runs into `study_folder`, and every run's own report.
 
     runs:  folders of runs of one scene and seed by label, in the order to show them; the one labelled `baseline`,
            or else the first, is what the others are compared with

@@ -127,7 +127,7 @@ class RunFolder:
 
     @cached_property
     def attack_frames(self) -> tuple[int, int] | None:
-        """First and last frame in which an adversary changed something; None: nothing was changed, or not measured."""
+        """First and last frame with a change by an adversary; None: none, or not measured."""
         if self.attacks is None or not len(self.attacks["frame"]):
             return None
         return int(self.attacks["frame"].min()), int(self.attacks["frame"].max())
@@ -146,16 +146,16 @@ class RunFolder:
 
     @cached_property
     def unsettled_frames(self) -> frozenset[int]:
-        """Frames in which it could not be told what an interposer did: about a change of the wiring, and the last."""
+        """Frames with unknown effects of an interposer: around wiring changes, and the last."""
         if self.effects is None:
             return frozenset()
         return frozenset(self.effects["frame"][self.effects["effect"] == "unsettled"].tolist())
 
     @cached_property
     def timeline(self) -> tuple[dict[str, Any], ...]:
-        """Faults and attacks as they were planned: label, kind, type, at_s, until_s (None: to the end), nodes, backend.
+        """Planned faults and attacks: label, kind, type, at_s, until_s (None: to the end), nodes, backend.
 
-        Links that are as they are from beginning to end are not among them.
+        Links that last for the whole run are not included.
         """
         planned = [each for each in self.scenario.get("timeline", ()) if {"label", "kind", "at_s"} <= each.keys()]
         always = [e["kind"] == "link" and e["at_s"] <= 0.0 and e.get("until_s") is None for e in planned]
@@ -193,8 +193,8 @@ class RunFolder:
 
     def summary(self, estimate: str, agent: str | None = None) -> dict[str, Any]:
         """The metrics of one estimate of an agent, by default the ego; empty: none."""
-        found: dict[str, Any] = self.metrics.get("agents", {}).get(agent or self.ego or "", {}).get(estimate, {})
-        return found
+        scores: dict[str, Any] = self.metrics.get("agents", {}).get(agent or self.ego or "", {}).get(estimate, {})
+        return scores
 
     def original(self, estimate: str) -> str:
         """The ego's estimate that holds the boxes: this one, or the one that it equals."""

@@ -1,4 +1,4 @@
-"""Facts about a study for its page and tables: configurations, seeds, failed trials."""
+"""Facts about a study for its page and tables."""
 
 from __future__ import annotations
 

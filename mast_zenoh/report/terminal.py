@@ -35,7 +35,7 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
 
 
 def show_run(console: Console, run_folder: Path, against: Path | None = None) -> None:
-    """Print the results of one run, with its largest change over a reference run or by its own measurements.
+    """Print the results of one run and its largest change, over a reference run if given.
 
     Raises NotComparable if the two cannot be compared.
     """

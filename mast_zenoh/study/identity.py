@@ -32,7 +32,7 @@ def environment() -> dict[str, str]:
 
 
 def scene_key(scene: scenes.Scene) -> str:
-    """A key that is equal for scenes with equal recordings, with defaults explicit or not; ignores the seed."""
+    """A key that is equal for scenes with equal recordings; ignores the seed."""
     description = json.dumps([type(scene).__qualname__, vars(scene)], sort_keys=True, default=repr)
     return re.sub(r" at 0x[0-9a-f]+", "", description)  # addresses differ between equal objects
 
@@ -54,7 +54,7 @@ def input_files(scene: scenes.Scene) -> tuple[Path, ...]:
 
 
 def user_files(path: Path, loaded: Mapping[str, Any]) -> tuple[Path, ...]:
-    """The user's Python files that a scenario may import: those in its folder; none for shipped scenarios."""
+    """Python files in the scenario's folder, which it may import; none for shipped scenarios."""
     if path.parent == bundle.ROOT / "scenarios":
         return ()
     return tuple(sorted(path.parent.glob("*.py")))

@@ -1,4 +1,4 @@
-"""Flattens the metrics of one run into a list of numbers, for any estimators and metrics."""
+"""Flattens the metrics of one run into a list of numbers."""
 
 from __future__ import annotations
 

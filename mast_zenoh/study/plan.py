@@ -12,7 +12,7 @@ from mast_zenoh.study.trial import Trial
 
 
 def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: str) -> list[Trial]:
-    """One trial per configuration, scene and seed, grouped by scene and seed; seeds count up from `seed`.
+    """One trial per configuration, scene and seed, grouped by scene and seed.
 
     Every configuration is resolved in every scene with the first seed. Raises what `scenario.load` and
     `scenario.resolve` raise.
@@ -51,7 +51,7 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
 
 
 def _idle_period(resolved: Resolved) -> tuple[float, float] | None:
-    """Start of the first attack and end of the run, s of scene time, if the run ends before any attack starts.
+    """Start of the first attack and end of the run, s, if the run ends before any attack.
 
     None if an attack starts in time, if there is none, or if an adversary's start is not known.
     """

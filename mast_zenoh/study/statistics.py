@@ -61,7 +61,7 @@ def over_seeds(values: Floats) -> Interval:
 
 
 def equals_zero(values: Floats) -> Floats:
-    """Two-sided p-value of the mean over other seeds being 0, by the t statistic of `over_seeds`; NaN without one."""
+    """Two-sided p-value of a zero mean over seeds, by the t statistic of `over_seeds`; NaN without one."""
     mean, error = _seed_means(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         p: Floats = 2.0 * stdtr(values.shape[-1] - 1.0, -np.abs(mean / error))
@@ -69,7 +69,7 @@ def equals_zero(values: Floats) -> Floats:
 
 
 def over_scenes(values: Floats) -> Interval:
-    """Interval of the mean over other scenes and seeds, both drawn at random; at least MIN_CLUSTERS of each.
+    """Interval of the mean over other random scenes and seeds; needs MIN_CLUSTERS of each.
 
     Two-way analysis of variance with mean squares A between scenes, B between seeds and C of the residuals:
     the variance of the mean is estimated by (A + max(B - C, 0)) / (scenes * seeds), its degrees of freedom by

@@ -90,7 +90,7 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
 def _write_parquet(
     study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int]
 ) -> tuple[Counter[str], list[StudyRow]]:
-    """results.parquet and frames.parquet; how many trials of each configuration are done, and the rows of the tables.
+    """Write results.parquet and frames.parquet; returns finished trials by configuration, and table rows.
 
     Only the trials of one scene and seed are in memory at a time.
     """
@@ -125,13 +125,13 @@ def _by_scene_and_seed(store: Store, trials: Sequence[Trial]) -> Iterator[list[O
 
 
 def _configurations_with_other_scenes(trials: Sequence[Trial], baseline: str) -> tuple[str, ...]:
-    """The configurations whose recording is not that of the baseline in the same scene of the study."""
+    """Configurations whose recording differs from the baseline's in the same scene."""
     reference = {trial.scene: trial.scene_key for trial in trials if trial.configuration == baseline}
     return tuple(dict.fromkeys(trial.configuration for trial in trials if trial.scene_key != reference[trial.scene]))
 
 
 def _idle_attacks(trials: Sequence[Trial]) -> tuple[IdleAttack, ...]:
-    """The configurations whose attack never began in some scene."""
+    """Configurations whose attack never began in some scene."""
     scenes = dict.fromkeys(trial.scene for trial in trials)
     periods_by_label: dict[str, dict[str, tuple[float, float]]] = {}
     for trial in trials:

@@ -85,9 +85,9 @@ def test_run_without_adversaries_has_no_achievement_table(run_folder: Callable[.
 
 
 def idle(run: RunFolder, received: int = 40) -> RunFolder:
-    told = {"role": "adversary", "wires": ["agent/infra_1/detections"], "messages": received, "effects": {}}
-    told |= {"reports": 0, "agreement": "nothing to report", "unreported": 0, "unfounded": 0}
-    run.metrics["interposers"] = {"adversary_1": told}
+    summary = {"role": "adversary", "wires": ["agent/infra_1/detections"], "messages": received, "effects": {}}
+    summary |= {"reports": 0, "agreement": "nothing to report", "unreported": 0, "unfounded": 0}
+    run.metrics["interposers"] = {"adversary_1": summary}
     return run
 
 
@@ -224,9 +224,9 @@ def seen_by(run: RunFolder, *agents: str) -> None:
 
 def by_both(kind: str) -> dict[str, np.ndarray]:
     """What adversary_1 did, and adversary_2 to the same object in the same frames."""
-    mine = targets(kind, seen_by_others=True)
-    theirs = mine | {"adversary": np.full(10, "adversary_2", object)}
-    return {name: np.concatenate([mine[name], theirs[name]]) for name in mine}
+    first = targets(kind, seen_by_others=True)
+    second = first | {"adversary": np.full(10, "adversary_2", object)}
+    return {name: np.concatenate([first[name], second[name]]) for name in first}
 
 
 @pytest.mark.parametrize("kind", ["removed", "moved"])
@@ -371,9 +371,9 @@ def test_unattributed_increase_of_needless_braking_is_reported(
     row = driving_rows(attacked, reference, "unattacked")[-1]
     assert (f"{more} more than unattacked, not attributed" in row.needless) == bool(more)
     often = f"The ego with the picture brakes needlessly in {more} of the scored frames"
-    said = f"{often} more than unattacked, not attributed."
+    sentence = f"{often} more than unattacked, not attributed."
     sentences = reading(attacked, Reference(reference, "unattacked"))
-    assert (said in sentences) == bool(more)
+    assert (sentence in sentences) == bool(more)
     assert any("not attributed" in each for each in sentences) == bool(more)
 
 

@@ -172,17 +172,17 @@ SOME_BANDS = st.lists(
 def test_bands_and_labels_do_not_overlap(rows: list[tuple[float, float, str, bool]]) -> None:
     width, low, high = 10.0, 0.0, 20.0
     marked = sorted((Band(label, attack, at, at + lasts) for at, lasts, label, attack in rows), key=lambda b: b.start)
-    found, left_out = place_bands(marked, low, high, width)
-    assert len(found) + left_out == len(marked)
-    for one, other in itertools.combinations(found, 2):
+    bands_in_lanes, left_out = place_bands(marked, low, high, width)
+    assert len(bands_in_lanes) + left_out == len(marked)
+    for one, other in itertools.combinations(bands_in_lanes, 2):
         if one.lane == other.lane:
             assert min(one.band.end, high) <= other.band.start
-    assert lanes(found) <= 9
+    assert lanes(bands_in_lanes) <= 9
 
 
 def test_simultaneous_faults_use_separate_lanes_and_surplus_is_counted() -> None:
-    found, left_out = place_bands([Band("Loss infra_1", False, 1.0, 5.0)] * 12, 0.0, 10.0, 10.0)
-    assert [each.lane for each in found] == list(range(9))
+    bands_in_lanes, left_out = place_bands([Band("Loss infra_1", False, 1.0, 5.0)] * 12, 0.0, 10.0, 10.0)
+    assert [each.lane for each in bands_in_lanes] == list(range(9))
     assert left_out == 3
 
 

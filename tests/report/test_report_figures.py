@@ -69,23 +69,23 @@ def test_colours_are_those_of_the_paper() -> None:
 
 
 def test_false_tracks_and_insertions_are_absent_from_the_ego_alone_panel(attacked: FrameView) -> None:
-    shown = panels(attacked)
-    assert pixels(shown["mission"], "track false") == pixels(shown["picture"], "track false")
-    assert pixels(shown["picture"], "track false") > 250
-    assert pixels(shown["local"], "track false") == 0
+    drawn = panels(attacked)
+    assert pixels(drawn["mission"], "track false") == pixels(drawn["picture"], "track false")
+    assert pixels(drawn["picture"], "track false") > 250
+    assert pixels(drawn["local"], "track false") == 0
     # The compromised sensors are marked in both panels, the inserted objects in the picture.
-    assert pixels(shown["picture"], "adversary") > pixels(shown["local"], "adversary") + 300 > 300
+    assert pixels(drawn["picture"], "adversary") > pixels(drawn["local"], "adversary") + 300 > 300
 
 
 def test_missed_and_matched_objects_are_drawn_in_both_panels(clean: FrameView) -> None:
-    shown = panels(clean)
-    for panel in shown.values():
+    drawn = panels(clean)
+    for panel in drawn.values():
         assert pixels(panel, "truth missed") > 50
         assert pixels(panel, "truth matched") > 15
         assert pixels(panel, "track matched") > 50
         assert pixels(panel, "track false") == 0
         assert pixels(panel, "adversary") == 0
-    assert pixels(shown["local"], "truth missed") > pixels(shown["picture"], "truth missed")
+    assert pixels(drawn["local"], "truth missed") > pixels(drawn["picture"], "truth missed")
 
 
 def test_unevaluated_objects_are_green(run_folder: Callable[..., Path]) -> None:
@@ -167,6 +167,6 @@ def test_faces_are_clipped_at_the_near_plane() -> None:
 
 
 def test_a_picture_is_a_data_uri_and_knows_its_size(clean: FrameView) -> None:
-    made = picture("x", birdseye_figure(clean), "alt", "caption")
-    assert made.source.startswith("data:image/png;base64,iVBOR")
-    assert made.pixels == image_of(made.png).shape[1::-1]
+    rendered = picture("x", birdseye_figure(clean), "alt", "caption")
+    assert rendered.source.startswith("data:image/png;base64,iVBOR")
+    assert rendered.pixels == image_of(rendered.png).shape[1::-1]

@@ -34,14 +34,14 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
-        told = dict(attrs)
+        attributes = dict(attrs)
         self.links += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
-        if "id" in told:
-            self.ids.append(told["id"] or "")
+        if "id" in attributes:
+            self.ids.append(attributes["id"] or "")
         if tag == "img":
-            self.images.append(told)
+            self.images.append(attributes)
         if tag == "tr":
-            self.rows.append((told.get("class") or "", ""))
+            self.rows.append((attributes.get("class") or "", ""))
 
     def handle_data(self, data: str) -> None:
         self.text += data
@@ -162,16 +162,16 @@ def test_missing_file_is_named_and_the_remainder_is_shown(run_folder: RunFolderF
     (folder / name).unlink()
     page = Page(write_report(folder))
     assert f"{name} is absent" in page.text
-    shown = {path.stem for path in (folder / "figures").glob("*.png")}
-    assert shown == {"birdseye", "camera", "counts", "wiring"} - MISSING[name]
+    parsed = {path.stem for path in (folder / "figures").glob("*.png")}
+    assert parsed == {"birdseye", "camera", "counts", "wiring"} - MISSING[name]
 
 
 @pytest.mark.parametrize("name", sorted(MISSING))
 def test_truncated_file_is_named(run_folder: RunFolderFixture, name: str) -> None:
     folder = run_folder("uncoordinated")
     (folder / name).write_bytes((folder / name).read_bytes()[:-20])
-    (told,) = RunFolder.load(folder).missing
-    assert told.startswith(f"{name} cannot be read")
+    (page,) = RunFolder.load(folder).missing
+    assert page.startswith(f"{name} cannot be read")
 
 
 def test_an_interrupted_run_still_has_a_report(run_folder: RunFolderFixture) -> None:

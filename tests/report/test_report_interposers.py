@@ -49,16 +49,21 @@ def run_of(
 
 
 def only(run: RunFolder) -> Interposer:
-    (found,) = interposers(run)
-    return found
+    (matches,) = interposers(run)
+    return matches
 
 
 def test_measured_effects_are_compared_with_reports() -> None:
-    found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}))
-    assert (found.verdict, found.reports_text, found.other, found.changed) == ("silent", "nothing", "2 corrupted", 5)
+    by_name = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}))
+    assert (by_name.verdict, by_name.reports_text, by_name.other, by_name.changed) == (
+        "silent",
+        "nothing",
+        "2 corrupted",
+        5,
+    )
     lying = MEASURED | {"reports": 7, "agreement": "disagrees", "unreported": 1, "unfounded": 3}
-    found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": lying}))
-    assert found.reports_text == "7 (1 unreported, 3 unfounded)"
+    by_name = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": lying}))
+    assert by_name.reports_text == "7 (1 unreported, 3 unfounded)"
 
 
 FAILURE = {"handler": "on_tracks", "count": 4, "frames": 4, "first_frame": 1, "last_frame": 4}
@@ -185,9 +190,9 @@ RELEASE = {"action": "release", "node": "mallory", "wires": ["agent/infra_1/trac
 
 def test_interposer_removed_during_the_run_is_named_and_drawn() -> None:
     run = run_of([wire("agent/infra_1/tracks")], {"mallory": MEASURED}, interceptions=(LIVE, RELEASE))
-    found = only(run)
-    assert (found.live, found.released) == (44, 90)
-    assert found.description == "mallory (inserted live in frame 44)"
+    by_name = only(run)
+    assert (by_name.live, by_name.released) == (44, 90)
+    assert by_name.description == "mallory (inserted live in frame 44)"
     (row,) = wire_rows(run)
     assert row.intercepted
     assert row.when == {"mallory": "frames 44 to 89"}
@@ -208,8 +213,8 @@ def test_live_interposer_that_remains_is_drawn_once() -> None:
 
 
 def test_interposer_without_measurements_is_marked() -> None:
-    found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))]))
-    assert (found.verdict, found.effects, found.changed) == ("not measured", None, 0)
+    interposer = only(run_of([wire("agent/infra_1/tracks", ("mallory",))]))
+    assert (interposer.verdict, interposer.effects, interposer.changed) == ("not measured", None, 0)
 
 
 def test_links_come_last_and_are_not_adversaries() -> None:

@@ -28,8 +28,8 @@ def a_wire(
     targets = [*([stop] for stop in chain), subscribers]
     keys = [*(f"{key}/@tap/{i}" for i in range(len(chain))), key]
     legs = [{"key": k, "from": stop, "to": to} for k, stop, to in zip(keys, [publisher, *chain], targets, strict=True)]
-    told = {"key": key, "message": message, "publisher": publisher, "subscribers": subscribers}
-    return told | {"legs": legs, "interposers": list(chain)}
+    record = {"key": key, "message": message, "publisher": publisher, "subscribers": subscribers}
+    return record | {"legs": legs, "interposers": list(chain)}
 
 
 def mesh(agents: int, chain: int, message: str) -> RunFolder:

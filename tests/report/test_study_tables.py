@@ -144,11 +144,13 @@ def test_holm_adjusts_step_by_step() -> None:
 
 def test_comparisons_outside_the_tables_are_counted_separately() -> None:
     extra = replace(ROWS[1], estimates={**ROWS[1].estimates, Series("ego", "mission", "my_metric_iob"): estimate(1.0)})
-    found = compare([BASELINE, extra], "baseline")
-    assert found.count == 5, "fp and fn of picture and mission, fp of the compromised; those all equal have no test"
-    assert found.others == 1
-    assert found.bonferroni == pytest.approx(0.01)
-    assert found.remaining() == 3
+    comparisons = compare([BASELINE, extra], "baseline")
+    assert comparisons.count == 5, (
+        "fp and fn of picture and mission, fp of the compromised; those all equal have no test"
+    )
+    assert comparisons.others == 1
+    assert comparisons.bonferroni == pytest.approx(0.01)
+    assert comparisons.remaining() == 3
 
 
 def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> None:
@@ -246,16 +248,16 @@ def test_seeds_left_out_are_reported_per_affected_number() -> None:
 
 def test_attacks_that_never_began_are_reported_first() -> None:
     late = IdleAttack("uncoordinated-1", 4.0, 3.8)
-    said = "The attack of uncoordinated-1 never began: it begins at 4 s, and the trials end after 3.8 s."
+    sentences = "The attack of uncoordinated-1 never began: it begins at 4 s, and the trials end after 3.8 s."
     alone = [BASELINE, ROWS[1]]
     known = replace(facts(alone), idle=(late,))
-    assert result(alone, known, compare(alone, "baseline")) == said
+    assert result(alone, known, compare(alone, "baseline")) == sentences
     assert other_changes(alone, known, compare(alone, "baseline")) == []
     both = replace(facts(ROWS), idle=(late,))
     assert result(ROWS, both, compare(ROWS, "baseline")).startswith(
-        f"{said} The largest change of false or missed objects in what the ego acts on: in uncoordinated-3 "
+        f"{sentences} The largest change of false or missed objects in what the ego acts on: in uncoordinated-3 "
     )
-    assert said.replace("-1", " n=1") in study.as_markdown(ROWS, both).split("##")[0]
+    assert sentences.replace("-1", " n=1") in study.as_markdown(ROWS, both).split("##")[0]
     part = replace(late, scenes=("short:0",))
     text = result(alone, replace(known, idle=(part,)), compare(alone, "baseline"))
     assert text.startswith("The attack of uncoordinated-1 never began in short:0: ")

@@ -33,9 +33,9 @@ def false_tracks(results: dict[str, Any]) -> dict[str, np.ndarray]:
 
 def also_in(tracks: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> np.ndarray:
     """(n,) whether there is a false track at this place in this frame of another run as well."""
-    apart = np.hypot(tracks["x"][:, None] - other["x"], tracks["y"][:, None] - other["y"])
+    distance = np.hypot(tracks["x"][:, None] - other["x"], tracks["y"][:, None] - other["y"])
     same_frame = tracks["frame"][:, None] == other["frame"]
-    return ((apart <= NEAR_M) & same_frame).any(axis=1)
+    return ((distance <= NEAR_M) & same_frame).any(axis=1)
 
 
 def test_false_tracks_are_attributed_to_the_adversary_that_causes_them() -> None:

@@ -22,7 +22,7 @@ def study():
         seed=3,
     )
 """
-SAID = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
+MESSAGE = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_failed_handler_of_a_trial_is_reported_with_location_and_command(study, 
     (failed,) = ended.facts.failed
     assert failed.configuration == "first"
     assert failed.error.startswith("HandlerFailed: handlers failed, so the numbers may be wrong:")
-    assert SAID in failed.error
+    assert MESSAGE in failed.error
     assert f"{tmp_path / 'attack.py'}:" in failed.error
     assert "--allow-failures" not in failed.command
 
@@ -85,10 +85,10 @@ def test_command_line_writes_all_results_and_exits_with_the_failure_code(
     monkeypatch.setattr("sys.argv", command)
     with pytest.raises(SystemExit) as ended:
         app.main()
-    said = capsys.readouterr()
+    captured = capsys.readouterr()
     assert int(ended.value.code or 0) == (0 if allowed else 24 if words else 30)
-    assert SAID in said.err + said.out, "a warning at least"
-    assert "Traceback" not in said.err
+    assert MESSAGE in captured.err + captured.out, "a warning at least"
+    assert "Traceback" not in captured.err
     written = tmp_path / "out" / ("table.md" if words else "report.html")
     assert written.is_file()
 

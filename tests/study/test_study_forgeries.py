@@ -35,11 +35,11 @@ def test_malformed_forgery_raises_message_error_only(control: str, seed: int, no
 
 @every_kind
 def test_two_hundred_forgeries_cover_all_defects(control: str) -> None:
-    made = forgeries(control, standing(), 200)
-    assert len(made) == 200
-    assert {each.defect for each in made} == {MALFORMED, DAMAGED, FALSE}
-    assert len({each.payload for each in made}) > 20
-    for each in made:
+    messages = forgeries(control, standing(), 200)
+    assert len(messages) == 200
+    assert {each.defect for each in messages} == {MALFORMED, DAMAGED, FALSE}
+    assert len({each.payload for each in messages}) > 20
+    for each in messages:
         was_refused = refused(control, "infra_1", each.payload)
         assert was_refused or each.defect != MALFORMED, each.payload[:100]
 
@@ -63,8 +63,8 @@ def test_kinds_with_a_key_per_node_use_own_and_other_keys() -> None:
 
 @every_kind
 def test_payloads_that_unpack_to_far_more_use_little_memory(control: str) -> None:
-    made = [each for each in forgeries(control, standing(), 200) if each.defect == MALFORMED]
-    heavy = sorted((each.payload for each in made), key=len)[-5:]
+    messages = [each for each in forgeries(control, standing(), 200) if each.defect == MALFORMED]
+    heavy = sorted((each.payload for each in messages), key=len)[-5:]
     tracemalloc.start()
     try:
         for payload in heavy:

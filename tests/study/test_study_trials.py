@@ -43,15 +43,15 @@ def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> 
 @pytest.fixture
 def ran(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
     """The trials that are really run from here on."""
-    found: list[Trial] = []
+    trials_run: list[Trial] = []
     run = trial.run
 
     def counted(each: Trial) -> Outcome:
-        found.append(each)
+        trials_run.append(each)
         return run(each)
 
     monkeypatch.setattr(trial, "run", counted)
-    return found
+    return trials_run
 
 
 def stopping(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
@@ -90,9 +90,9 @@ def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row
     table = parquet.read_table(whole.out / "results.parquet").to_pydict()
     cells = set(zip(table["configuration"], table["seed"], strict=True))
     assert cells == {(label, seed) for label in ("baseline", "attacked-1-5.0", "attacked-1-20.0") for seed in (0, 1)}
-    found = set(table["metric"])
-    assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp inserted"} <= found
-    assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "rmse_m_iob", "id_switches_iob"} <= found
+    rows = set(table["metric"])
+    assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp inserted"} <= rows
+    assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "rmse_m_iob", "id_switches_iob"} <= rows
     frames = parquet.read_table(whole.out / "frames.parquet")
     assert len(frames) == 6 * 8 * 2 * len(ESTIMATORS), "trials, frames, agents, estimators"
 
@@ -230,12 +230,12 @@ def test_digest_covers_configuration_seed_frames_and_user_files(small, tmp_path:
     assert len(digests(definition.load(str(small.path), ["start_s=0.3"])) & first) == 2, "the baseline's"
 
     (tmp_path / "mine.py").write_text("def study():\n    return dict(runs=dict(a=dict(scenario='own.py')))\n")
-    found = []
+    variants = []
     for comment in ("one", "two"):
         (tmp_path / "own.py").write_text(f"# {comment}\n{OWN}")
         identity.files_key.cache_clear()
-        found.append(digests(definition.load(str(tmp_path / "mine.py"))))
-    assert not found[0] & found[1]
+        variants.append(digests(definition.load(str(tmp_path / "mine.py"))))
+    assert not variants[0] & variants[1]
 
 
 def test_configurations_with_a_scene_other_than_the_baselines_are_reported(tmp_path: Path) -> None:
@@ -278,23 +278,23 @@ def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path:
     with pytest.raises(SystemExit) as ended:
         app.main()
     assert ended.value.code in (0, None)
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for word in ("CAFP IoB", "attacked-1-20.0", "Causes of false objects", "OSPA", "(n < 5)", *TABLES):
-        assert word in said
-    assert f"report: {tmp_path / 'out' / 'report.html'}" in said
+        assert word in output
+    assert f"report: {tmp_path / 'out' / 'report.html'}" in output
 
 
-def test_partly_failed_study_has_its_own_exit_code(small, tmp_path: Path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(trial, "_in_process", lambda *_: 1 / 0)
+def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(trial, "_run_in_process", lambda *_: 1 / 0)
     monkeypatch.setattr(
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
     )
     with pytest.raises(SystemExit) as ended:
         app.main()
     assert ended.value.code == TrialsFailed.exit_code == 24
-    said = capsys.readouterr()
-    assert "mast run uncoordinated --set" in said.err
-    assert "3 of 3 trials failed" in said.out
+    output = capsys.readouterr()
+    assert "mast run uncoordinated --set" in output.err
+    assert "3 of 3 trials failed" in output.out
 
 
 def test_an_idle_worker_loads_no_drawing_table_or_mesh_library() -> None:
@@ -317,6 +317,8 @@ def test_without_dask_several_jobs_are_rejected_with_install_hint(small, tmp_pat
 
 @pytest.mark.mesh
 def test_trials_on_a_mesh_give_the_same_tables_as_in_one_process(small, tmp_path: Path) -> None:
-    made = {runtime: trials.run(small, tmp_path / runtime, count=1, runtime=runtime) for runtime in ("mesh", "inproc")}
-    made["mesh"].raise_failures()
-    assert tables(made["mesh"].out) == tables(made["inproc"].out)
+    result = {
+        runtime: trials.run(small, tmp_path / runtime, count=1, runtime=runtime) for runtime in ("mesh", "inproc")
+    }
+    result["mesh"].raise_failures()
+    assert tables(result["mesh"].out) == tables(result["inproc"].out)

@@ -26,7 +26,7 @@ HATCH = "////"
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A period from `start` to `end` (inf: last frame), in units of the time axis; an attack or a fault."""
+    """An attack or fault from `start` to `end` (inf: last frame), in units of the time axis."""
 
     label: str
     attack: bool
@@ -54,18 +54,18 @@ def bands(runs: Iterable[RunFolder], *, timed: bool) -> list[Band]:
 
     timed: in s of scene time; else in frames
     """
-    found: dict[Band, None] = {}
+    unique_bands: dict[Band, None] = {}
     for run in runs:
         unit_s = 1.0 if timed else run.period_s
         frame = run.period_s / unit_s
         for each in run.timeline:
             until = np.inf if each.get("until_s") is None else each["until_s"] / unit_s
-            found[Band(str(each["label"]), each["kind"] == "attack", each["at_s"] / unit_s, until)] = None
+            unique_bands[Band(str(each["label"]), each["kind"] == "attack", each["at_s"] / unit_s, until)] = None
         for node, start, end in _absences(run):
-            found[Band(f"{node} lost", False, start * frame, end * frame)] = None
-    if all(band.attack for band in found):
+            unique_bands[Band(f"{node} lost", False, start * frame, end * frame)] = None
+    if all(band.attack for band in unique_bands):
         return []
-    return sorted(found, key=lambda band: (band.start, band.end, band.label))
+    return sorted(unique_bands, key=lambda band: (band.start, band.end, band.label))
 
 
 def _absences(run: RunFolder) -> list[tuple[str, float, float]]:
@@ -80,7 +80,7 @@ def _absences(run: RunFolder) -> list[tuple[str, float, float]]:
 
 
 def place_bands(bands: Sequence[Band], low: float, high: float, width: float) -> tuple[list[PlacedBand], int]:
-    """Place each band in the lowest lane without overlaps; returns also the number of bands without a lane.
+    """Place bands in the lowest free lanes; returns them and the number without a lane.
 
     low, high: limits of the time axis, which is `width` inches wide
     """

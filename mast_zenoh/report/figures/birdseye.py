@@ -1,4 +1,4 @@
-"""The bird's-eye view: boxes, buildings, agents and manipulations, in the paper's colours."""
+"""The bird's-eye view: boxes, buildings, agents and manipulations."""
 
 from __future__ import annotations
 

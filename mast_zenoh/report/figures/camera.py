@@ -1,4 +1,4 @@
-"""The ego's camera view: wire-frame boxes in the paper's colours, ground and buildings."""
+"""The ego's camera view: wire-frame boxes, ground and buildings."""
 
 from __future__ import annotations
 

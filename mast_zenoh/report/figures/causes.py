@@ -41,13 +41,13 @@ def causes_over_time(run: RunFolder, frame: int | None) -> Figure | None:
     marked = bands([run], timed=seconds is not None)
     extent = float(times[0]), float(times[-1])
     figure, axes = rows_over_time(len(_ROWS), 1.9, marked, *extent)
-    ours = objects["estimator"] == "picture"
+    in_picture = objects["estimator"] == "picture"
     first, last = run.metrics.get("scored_frames") or (frames[0], frames[-1])
     scored = (frames >= first) & (frames <= last)
     for axis, (kind, outcome, label) in zip(axes, _ROWS, strict=True):
         light_axes(axis)
         shade(axis, marked, *extent, hatch=False)
-        errors = ours & (objects["kind"] == kind) & (objects["outcome"] == outcome)
+        errors = in_picture & (objects["kind"] == kind) & (objects["outcome"] == outcome)
         below = np.zeros(len(frames))
         for cause, colour in _COLOURS.items():
             index = np.searchsorted(frames, objects["frame"][errors & (objects["cause"] == cause)])

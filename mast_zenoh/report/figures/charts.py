@@ -127,7 +127,7 @@ def _line(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: _Lin
 
 
 def means(table: ScoreTable, estimate: str = "picture") -> Figure:
-    """Grouped bars of the means per frame: the ego alone in the first run, then one estimate of each run.
+    """Bars of means per frame: the ego alone in the first run, and an estimate of each run.
 
     Whiskers are one standard deviation over frames.
     """

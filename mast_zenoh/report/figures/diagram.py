@@ -105,7 +105,7 @@ def _draw_node(axes: Axes, run: RunFolder, node: str, x: float, y: float, when: 
 
 
 def _name_lines(axes: Axes, run: RunFolder, plan: Layout) -> None:
-    """Label the lines: once per gap between columns, for lines back, and beside nodes above the flow."""
+    """Label lines once per gap between columns, and lines back and above the flow."""
     columns = sorted({x for spot, (x, _) in plan.places.items() if run.role(spot.node) in FLOW})
     labels: dict[tuple[float, float, str, str], list[str]] = {}
     for (source, target), line in plan.lines.items():

@@ -118,7 +118,7 @@ def _title(axes: Axes, title: str, view: FrameView, size: float = 12.5, *, when:
 
 
 def camera_figure(view: FrameView) -> Figure | None:
-    """The ego alone above what it acts on, as its camera would see them; None: the ego is not in the scene."""
+    """The ego alone above what it acts on, in its camera; None: the ego is not in the scene."""
     eye = ego_eye(view)
     if eye is None:
         return None
@@ -137,7 +137,7 @@ def camera_figure(view: FrameView) -> Figure | None:
 
 
 def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estimate: str = "picture") -> Figure:
-    """One estimate of several runs in the same frame from above, three in a row, their numbers under each."""
+    """One estimate of several runs in the same frame, three in a row, with their numbers."""
     columns = min(len(views), 3)
     shared_window = window(list(views.values()))
     views = {label: clipped(view, shared_window) for label, view in views.items()}
@@ -159,20 +159,20 @@ def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estim
 
 
 def _numbers(figure: Figure, selection: tuple[ScoreTable, str, str], left: float, top: float, width: float) -> None:
-    """Missed, false, matched and RMSE under a panel, in the colours of the key; in inches from the upper left.
+    """Write scores under a panel, in the colours of the key; inches from the upper left.
 
     selection: the table, the run and the estimate
     """
     table, run, estimate = selection
     w, h = figure.get_size_inches()
-    shown = (
+    columns = (
         ("fn", "missed", "#ffd60a"),
         ("fp", "false", "#ff6b6b"),
         ("tp", "matched", "#7db2ff"),
         ("rmse_m", "RMSE (m)", _WHITE),
     )
     keys = {measure.key: measure for measure in MEASURES}
-    values = [(number(table.cell(key, run, estimate).value, keys[key]), name, colour) for key, name, colour in shown]
+    values = [(number(table.cell(key, run, estimate).value, keys[key]), name, colour) for key, name, colour in columns]
     for index, (value, name, colour) in enumerate(values):
         x = (left + width * (index + 0.5) / len(values)) / w
         figure.text(x, 1 - top / h, value, color=colour, fontsize=17, ha="center", va="top", fontweight="bold")

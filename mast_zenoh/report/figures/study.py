@@ -1,4 +1,4 @@
-"""The figures of a study: what attacks add to the baseline, and how often they succeed."""
+"""The figures of a study: increments over the baseline, and success rates."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _footer(rows: Sequence[StudyRow], axes: Sequence[Axis], interval: str) -> st
 
 
 def _without_bar(estimates: Sequence[Estimate]) -> tuple[bool, bool]:
-    """Whether any estimate has no interval because of too few seeds, and because its seeds are all equal."""
+    """Whether any estimate lacks an interval: (too few seeds, all seeds equal)."""
     bare = [each.seeds for each in estimates if math.isnan(each.low)]
     return any(seeds < MIN_SEEDS for seeds in bare), any(seeds >= MIN_SEEDS for seeds in bare)
 
@@ -178,7 +178,7 @@ def _name(strip: SubFigure, panel: Panel, width: float) -> None:
 
 
 def _legend_lines(panel: Panel, width: float) -> int:
-    """How many lines the legend of a panel needs; 0: it has none."""
+    """Number of lines of a panel's legend; 0: no legend."""
     if panel.y or len(panel.curves) < 2:
         return 0
     longest = max(len(curve.label) for curve in panel.curves)

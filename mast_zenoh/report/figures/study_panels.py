@@ -53,14 +53,14 @@ def panels(rows: Sequence[StudyRow], baseline: str) -> list[Panel]:
         if row.label != baseline:
             runs.setdefault(row.run, []).append(row)
     by_swept: dict[str, list[list[StudyRow]]] = {}
-    made: list[Panel] = []
+    several_swept: list[Panel] = []
     for run_rows in runs.values():
         swept = _swept(run_rows)
         if len(swept) < 2:
             by_swept.setdefault("".join(swept), []).append(run_rows)
         else:
-            made += _of_several(run_rows, swept)
-    return [_of_one(x, runs_of_sweep) for x, runs_of_sweep in by_swept.items()] + made
+            several_swept += _of_several(run_rows, swept)
+    return [_of_one(x, runs_of_sweep) for x, runs_of_sweep in by_swept.items()] + several_swept
 
 
 def _of_one(x: str, runs: Sequence[Sequence[StudyRow]]) -> Panel:
@@ -108,7 +108,7 @@ def _swept(rows: Iterable[StudyRow]) -> list[str]:
 
 
 def _ticks(rows: Iterable[StudyRow], name: str) -> tuple[tuple[object, ...], bool]:
-    """The values of a parameter: ascending numbers, or in the order of the study; and whether they are numbers."""
+    """The values of a parameter, numbers ascending; and whether they are numbers."""
     values = [row.point[name] for row in rows]
     if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
         return tuple(sorted(set(values), key=float)), True  # type: ignore[arg-type]
@@ -124,7 +124,7 @@ def _choice(row: StudyRow, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def label_of(parameter: str) -> str:
-    """A parameter in words, with its unit where its name has one: `number of adversaries`, `attack start (s)`."""
+    """A parameter in words with its unit: `number of adversaries`, `attack start (s)`."""
     words = parameter.split(".")[-2:]
     unit = next((unit for suffix, unit in _UNITS.items() if words[-1].endswith(suffix)), "")
     if unit:

@@ -14,7 +14,7 @@ from mast_zenoh.report.figures.bands import LANE, Band, draw_lanes, lanes, place
 def rows_over_time(
     count: int, height: float, marked: Sequence[Band], low: float, high: float
 ) -> tuple[Figure, Sequence[Axes]]:
-    """A figure of `count` charts of `height` inches one above the other on one time axis, `marked` named above them.
+    """A figure of `count` stacked charts of `height` inches, with `marked` bands above.
 
     low, high: the first and the last frame's time
     """

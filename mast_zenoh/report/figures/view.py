@@ -1,4 +1,4 @@
-"""Data of the pictures of one frame: the ego's boxes by outcome, and manipulations."""
+"""Data of the pictures of a frame: the ego's boxes by outcome, and manipulations."""
 
 from __future__ import annotations
 

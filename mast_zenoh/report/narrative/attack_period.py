@@ -73,7 +73,7 @@ def _scores(run: RunFolder, change: Change | None) -> str:
 def while_attacked(
     run: RunFolder, column: str, baseline: RunFolder | None = None, *, estimate: str = "picture"
 ) -> float | None:
-    """Mean per frame of an estimate of the ego, over the scored frames from the first to the last attacked one.
+    """Mean per frame of the ego's estimate over the scored frames of the attack.
 
     column: `fn`, `fp` or `tp`; with `baseline`, less the mean of the baseline's estimate over the same frames
     """

@@ -1,4 +1,4 @@
-"""Names the causes of a change: adversaries, links and faults, as far as measurements allow.
+"""Names the measured causes of a change: adversaries, links and faults.
 
 Over a reference run, a cause is named only if the runs differ in nothing but adversaries, errors increase, and the
 adversary's changes can reach the estimate. A decrease has no cause.
@@ -20,7 +20,7 @@ _MAX_NAMED = 3
 
 
 def due_to_causes(run: RunFolder, changes: Sequence[Change]) -> str:
-    """`are due to adversary_1 and adversary_2`: of changes with the same causes, by the run's own measurements."""
+    """`are due to adversary_1 and adversary_2`: measured causes shared by all changes."""
     singular = ("1 ", "1.0 ", "no ")
     one = len(changes) == 1 and (changes[0].kind == DISPLACED or amount(changes[0], run.ego).startswith(singular))
     return f"{'is' if one else 'are'} due to {join_names(causes(run, changes[0]))}"
@@ -47,12 +47,8 @@ def causes(run: RunFolder, change: Change, reference: RunFolder | None = None) -
         return []
     by_name = {each.name: each for each in interposers(run)}
     culprits = culprit_names(run, change, reference)
-    culprit_descriptions = [by_name[name].description if name in by_name else name for name in culprits]
-    descriptions = (
-        culprit_descriptions
-        if len(culprit_descriptions) <= _MAX_NAMED
-        else [f"{count(len(culprit_descriptions))} adversaries"]
-    )
+    names = [by_name[name].description if name in by_name else name for name in culprits]
+    descriptions = names if len(names) <= _MAX_NAMED else [f"{count(len(names))} adversaries"]
     own_displacement = reference is None and change.kind == DISPLACED and not descriptions
     if change.is_fault or own_displacement:
         descriptions = descriptions + _faults(run, any_effect=own_displacement and not change.is_fault)

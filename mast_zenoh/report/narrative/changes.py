@@ -1,4 +1,4 @@
-"""Changes of a run's scores: over a reference run, or attributed by its own measurements."""
+"""Changes of a run's scores, over a reference run or by its own measurements."""
 
 from __future__ import annotations
 
@@ -133,15 +133,15 @@ def largest(changes: Iterable[Change]) -> Change | None:
 
 def _first_alike(changes: Sequence[Change]) -> Change:
     """The largest of some changes, in the first estimate that shows nearly all of it."""
-    most = max(changes, key=lambda change: abs(change.weight))
+    top = max(changes, key=lambda change: abs(change.weight))
     order = list(ESTIMATES)
-    alike = [
+    candidates = [
         change
         for change in changes
-        if (change.agent, change.kind) == (most.agent, most.kind)
-        and change.weight * np.sign(most.weight) >= MIN_SAME_SHARE * abs(most.weight)
+        if (change.agent, change.kind) == (top.agent, top.kind)
+        and change.weight * np.sign(top.weight) >= MIN_SAME_SHARE * abs(top.weight)
     ]
-    return min(alike, key=lambda change: order.index(change.estimate))
+    return min(candidates, key=lambda change: order.index(change.estimate))
 
 
 def largest_change(run: RunFolder, reference: RunFolder | None) -> Change | None:

@@ -1,4 +1,4 @@
-"""Differences of two runs other than added adversaries, which rule out attribution."""
+"""Differences of two runs that rule out attribution to added adversaries."""
 
 from __future__ import annotations
 

@@ -111,8 +111,8 @@ def _same_scores(run: RunFolder, reference: RunFolder, name: str) -> str:
 
 def _missed_sentence(run: RunFolder) -> str:
     def missed(estimate: str) -> float | None:
-        found = run.summary(estimate).get("fn", {}).get("mean")
-        return None if found is None else float(found)
+        mean = run.summary(estimate).get("fn", {}).get("mean")
+        return None if mean is None else float(mean)
 
     alone, picture, both = missed("local"), missed("picture"), missed("mission")
     if picture is None:

@@ -135,7 +135,7 @@ def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | N
 
 
 def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comparisons | None) -> _Change | None:
-    """The largest change in the first estimate with any; with `comparisons`, only significant or certain ones."""
+    """The largest change in the first estimate with any; only significant ones with `comparisons`."""
     for estimator in _WHERE:
         changes = [(row, Column("", metric, estimator)) for row in rows for metric in metrics]
         known = [(row, column) for row, column in changes if not math.isnan(column.of(row).trial_mean)]

@@ -1,4 +1,4 @@
-"""The table of attempts by security level: for the terminal, as Markdown and as CSV."""
+"""The table of attempts by security level, for terminal, Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def as_rich(rows: Sequence[AttemptRow]) -> Table:
 
 
 def as_markdown(rows: Sequence[AttemptRow]) -> str:
-    """The same as Markdown; ends with a newline."""
+    """Attempts by level as Markdown; ends with a newline."""
     heads, lines = _grid(rows, " ")
     table = [heads, ["---"] * len(heads), *lines]
     return "\n".join("| " + " | ".join(line) + " |" for line in table) + f"\n\n{CAPTION}.\n"

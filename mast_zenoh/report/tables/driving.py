@@ -36,7 +36,7 @@ _MIN_SHARE = 0.0005
 
 
 class DrivingRow(NamedTuple):
-    """Consequences of an estimate for driving, over the scored frames; in brackets the change over a reference.
+    """Driving metrics of an estimate; in brackets the change over a reference.
 
     run: label of the run
     false, missed: objects per frame in the vehicle's corridor;  overlapping: those that overlap the vehicle itself
@@ -135,7 +135,7 @@ def braking_by_attack(run: RunFolder) -> str:
 
 
 def unattributed_braking(run: RunFolder, reference: RunFolder, name: str) -> str:
-    """Increase of wrong braking over the run `name` that attacks do not explain, in words; empty: none or not known."""
+    """Increase of wrong braking over the run `name` that attacks do not explain; may be empty."""
     own, other = (_summaries(each).get("mission", {}) for each in (run, reference))
     braking = _braking({words: _unattributed(own, other, key) for key, words in _WRONG_BRAKING.items()})
     return f"{braking} more than {name}, not attributed" if braking else ""
@@ -147,7 +147,7 @@ def _braking(shares: dict[str, float | None]) -> str:
 
 
 def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:
-    """Time to collision, wrong objects in the corridor, and braking by time; None: the ego is not a vehicle."""
+    """Time to collision, wrong objects and braking over time; None: the ego is not a vehicle."""
     if run.driving is None or not np.any(run.driving["agent"] == run.ego):
         return None
     ego_rows = rows(run.driving, run.driving["agent"] == run.ego)
@@ -193,10 +193,10 @@ def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:
 def _draw_collision(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> None:
     for name, part in parts.items():
         ttc = np.nan_to_num(part["ttc_s"].astype(np.float64), nan=np.inf)
-        shown = np.where(ttc <= _MAX_TTC_S, ttc, np.nan)
+        visible = np.where(ttc <= _MAX_TTC_S, ttc, np.nan)
         axis.plot(
             times,
-            shown,
+            visible,
             color=_COLOURS[name],
             linestyle=_STYLES[name],
             linewidth=1.8,

@@ -1,4 +1,4 @@
-"""The interposers of a run: their wires, measured effects, and agreement of their reports."""
+"""The interposers of a run: wires, measured effects, agreement of reports."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def frames_of(failures: Sequence[Mapping[str, Any]]) -> int:
 
 
 def _crash(run: RunFolder, node: str) -> str:
-    """How a node's handlers or process failed, in words; empty: not, or ended by the scenario or on request."""
+    """How a node's handlers or process failed, in words; empty: not, or ended on purpose."""
     record = run.run.get("nodes", {}).get(node, {})
     failures = failures_of(record)
     if failures:

@@ -1,4 +1,4 @@
-"""The score table: a row per metric and run, a column per estimate; for all outputs."""
+"""The score table: a row per metric and run, a column per estimate."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ MEASURES = (
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A mean over frames and its standard deviation over frames, or a value of the whole run; None: not known."""
+    """Mean and standard deviation over frames, or a value of the whole run; None: not known."""
 
     mean: float | None = None
     std: float | None = None
@@ -162,14 +162,14 @@ def measures(scores: Iterable[Mapping[str, Mapping[str, Any]]]) -> list[Measure]
 
 def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[str, ...]:
     """Estimates that have a column: those in ALWAYS, and those that differ from all others in some run."""
-    shown = set(ALWAYS)
+    names = set(ALWAYS)
     for summary in metrics:
         same = summary.get("same_as", {}).get(agent, {})
         own = {name for name in summary.get("agents", {}).get(agent, {}) if name not in same}
         if same.get(PICTURE_RECEIVED) == PICTURE_ON_ARRIVAL:  # nothing was late: the cause is what was received
             own = own - {PICTURE_ON_ARRIVAL} | {PICTURE_RECEIVED}
-        shown |= own
-    return tuple(name for name in ESTIMATES if name in shown)
+        names |= own
+    return tuple(name for name in ESTIMATES if name in names)
 
 
 def _value(scores: Mapping[str, Any], estimate: str, measure: Measure) -> Value | None:
@@ -232,7 +232,7 @@ NOTE = "FN, FP, TP: objects per frame, mean over the scored frames"
 
 
 def as_rich(table: ScoreTable) -> Group:
-    """For a terminal of 80 columns: the main metrics; of several runs, the change over the reference beside each."""
+    """Main metrics for a terminal of 80 columns, with changes over the reference if any."""
     if len(table.runs) < 2:
         return Group(_terminal_table(table, table.estimates, NOTE))
     others = [name for name in table.estimates if name not in ALWAYS]

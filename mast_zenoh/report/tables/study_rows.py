@@ -1,4 +1,4 @@
-"""Data of a study's tables and figures: a row per configuration, an estimate per series."""
+"""Data of a study's tables: a row per configuration, an estimate per series."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) 
     tables = [_paper(attacked, comparisons), *_added(attacked, comparisons), *_to_other_scenes(attacked)]
     tables += [_scores(rows, group) for group in ALL_SCORES]
     tables += [*_achieved(attacked), _others(rows)]
-    tables += [_causes(rows, estimator, what) for estimator in ("picture", "mission") for what in _WRONG]
+    tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
     return [section for section in tables if section.lines and section.headings]
 
 
@@ -136,7 +136,7 @@ def _scores(rows: Sequence[StudyRow], group: tuple[str, tuple[Column, ...]]) -> 
 
 
 def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
-    """Achievements of all adversaries and of each; the terminal shows the latter if the former are not known."""
+    """Achievements of all adversaries together, and of each one."""
     series = list(dict.fromkeys(each for row in rows for each in row.estimates if each.estimator == _ACHIEVED))
     names = list(dict.fromkeys(each.metric for each in series))
     all_adversaries = [each.who for each in series if each.who == _ALL][:1]

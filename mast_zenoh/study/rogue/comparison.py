@@ -104,14 +104,14 @@ def _attack_rows(each: _PreparedRun, levels: Sequence[str], folder: Path, consol
 
 
 def load(name: str) -> list[Attempt]:
-    """The attempts that a scenario file's `outsider()` lists; raises ConfigurationError."""
+    """Load the attempts of a scenario file's `outsider()`; raises ConfigurationError."""
     attempts: list[Attempt] = _load_attackers(name, "outsider", Attempt)
     _require_unique(name, "outsider", "key", [attempt.key for attempt in attempts if attempt.key])
     return attempts
 
 
 def load_insiders(name: str) -> list[Insider]:
-    """The compromised nodes that a scenario file's `insiders()` lists; raises ConfigurationError."""
+    """Load the insiders of a scenario file's `insiders()`; raises ConfigurationError."""
     insiders: list[Insider] = _load_attackers(name, "insiders", Insider)
     return insiders
 

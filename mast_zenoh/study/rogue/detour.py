@@ -1,4 +1,4 @@
-"""A TCP relay between a node and the router that can be redirected to another port."""
+"""A redirectable TCP relay between a node and the router."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Control messages that are well formed but untrue; a pure function of a position in a run."""
+"""Well-formed but untrue control messages; pure functions of a position."""
 
 from __future__ import annotations
 

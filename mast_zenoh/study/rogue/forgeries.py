@@ -1,4 +1,4 @@
-"""Forged control messages of a compromised node; a pure function of its position and a seed."""
+"""Forged control messages; pure functions of a position and a seed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Malformed control messages, derived from valid ones; pure functions of a value and random draws.
+"""Malformed control messages; pure functions of a valid message and random draws.
 
 Valid values are plain Python: lists and maps of MessagePack types, or a str for a control message that is bare text.
 """

@@ -1,4 +1,4 @@
-"""Sends forged control messages through a session and waits for replies or timeouts."""
+"""Sends forged control messages and waits for replies or timeouts."""
 
 from __future__ import annotations
 
