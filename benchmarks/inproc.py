@@ -75,7 +75,7 @@ def timed(todo: list[Trial], jobs: int) -> tuple[float, float, float]:
     """Trials/s of all, and without the start of the workers; CPU seconds of a trial."""
     began = time.perf_counter()
     ends, cpu = [], []
-    with closing(execution.carry_out(todo, jobs=jobs, cluster=None)) as outcomes:
+    with closing(execution.run_all(todo, jobs=jobs, cluster=None)) as outcomes:
         for outcome in outcomes:
             assert not outcome.error, outcome.error
             ends.append(time.perf_counter())

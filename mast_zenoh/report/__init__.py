@@ -1,13 +1,13 @@
 """Tables, figures and pages of a run, or of several compared. See docs/report.md and docs/studies.md.
 
-runfolder, files   what a run left behind
-comparison         the run that another one is compared with
+runfolder, files   contents of a run folder
+comparison         the reference run of a comparison
 figures/           the pictures and charts of runs and of studies
 tables/            rows and cells, for every output
 narrative/         results in words
-html, study_page   the pages, made by page of templates/;  faulted: parts for runs with links, faults or a wall clock
+html, study_page   the pages, which page renders from templates/;  faulted: tables for links, faults, wall clock
 terminal           results on the terminal
-study_facts        what a study consisted of
+study_facts        configurations, seeds and failed trials of a study
 """
 
 from mast_zenoh.report.figures import backend  # noqa: F401  # first: imports Matplotlib

@@ -1,4 +1,4 @@
-"""The run that another one is compared with, and whether the two can be compared."""
+"""Loads the reference run of a comparison and checks that it is comparable."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ from mast_zenoh.report.runfolder import RunFolder
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The run that another one is compared with, and its name in words."""
+    """The reference run of a comparison, and its name in words."""
 
     run: RunFolder
     name: str
 
 
 def reference(run: RunFolder, other: Path) -> Reference:
-    """The run in another folder, as what `run` is compared with.
+    """Load the reference run with which `run` is compared.
 
-    Raises NotComparable when one of them has no results, or scene, seed, agents, length or scoring differ;
-    RunFolderError when there is no run in the folder.
+    Raises NotComparable if either has no results, or scene, seed, agents, length or scoring differ; RunFolderError if
+    the folder holds no run.
     """
     second = RunFolder.load(other)
     for each in (run, second):
         if not each.metrics.get("agents"):
             problem = "has a damaged metrics.json" if each.metrics_damaged else "has no results (metrics.json)"
             raise NotComparable(f"{each.path}: {problem}: expected a run that was scored")
-    places = f"{run.path} and {other}"
+    folders = f"{run.path} and {other}"
     if difference := _agents_difference(run, second):
-        raise NotComparable(f"{places}: {difference}: expected the same agents in both")
+        raise NotComparable(f"{folders}: {difference}: expected the same agents in both")
     frames = [each.metrics.get("frames") for each in (run, second)]
     if frames[0] != frames[1]:
-        raise NotComparable(f"{places}: found {frames[0]} and {frames[1]} frames, expected as many in both")
+        raise NotComparable(f"{folders}: found {frames[0]} and {frames[1]} frames, expected as many in both")
     if difference := _scoring_difference(run, second):
         raise NotComparable(
-            f"{places}: {difference}: expected runs that were scored alike; run one of them again with the evaluator "
+            f"{folders}: {difference}: expected runs that were scored alike; run one of them again with the evaluator "
             "of the other"
         )
     seeds = [each.run.get("seed") for each in (run, second)]
     if seeds[0] != seeds[1] or not _same_scene(run, second):
         scenes = [each.recording.name if each.recording else "an unknown scene" for each in (run, second)]
         raise NotComparable(
-            f"{places}: found {scenes[0]} with seed {seeds[0]}, and {scenes[1]} with seed {seeds[1]}: expected the "
+            f"{folders}: found {scenes[0]} with seed {seeds[0]}, and {scenes[1]} with seed {seeds[1]}: expected the "
             "same scene and seed, so that differences are due to what was changed"
         )
     name = second.label if second.label not in (run.label, "") else other.resolve().name
@@ -55,13 +55,13 @@ def reference(run: RunFolder, other: Path) -> Reference:
 
 
 def _agents_difference(one: RunFolder, other: RunFolder) -> str:
-    """Which agents only one of two runs has, scored or not, in words; empty: none."""
+    """Agents that only one of two runs has, scored or not, in words; empty: none."""
     here, there = (
         {*each.metrics["agents"], *(each.recording.agent_names if each.recording else ())} for each in (one, other)
     )
     parts = [
-        f"{', '.join(sorted(names))} only in the {which}"
-        for names, which in ((here - there, "first"), (there - here, "second"))
+        f"{', '.join(sorted(names))} only in the {position}"
+        for names, position in ((here - there, "first"), (there - here, "second"))
         if names
     ]
     # Without the scene, a run knows only the agents that it scored.
@@ -72,9 +72,9 @@ def _agents_difference(one: RunFolder, other: RunFolder) -> str:
 
 
 def _scoring_difference(one: RunFolder, other: RunFolder) -> str:
-    """How the scoring of two runs differs, in words; empty: it does not, as far as the run folders say.
+    """How the scoring of two runs differs, in words; empty: no known difference.
 
-    Metrics of the user's own do not count: they add rows and change none.
+    User-defined metrics are ignored: they add rows and change none.
     """
     configs = [each.evaluator_config for each in (one, other)]
     if all(config is not None for config in configs):
@@ -97,7 +97,7 @@ def _flat(name: str, value: Any) -> dict[str, Any]:
 
 
 def _same_scene(one: RunFolder, other: RunFolder) -> bool:
-    """Whether objects are at the same places in the frames of both; without recordings, whether scenarios say so."""
+    """Whether objects have equal positions in all frames, or, without recordings, equal scenes."""
     if one.recording is None or other.recording is None:
         return bool(one.scenario.get("scene") == other.scenario.get("scene"))
     frames = int(one.metrics["frames"])

@@ -1,4 +1,4 @@
-"""What the report of a run with links, faults or a wall clock has more: causes of errors, checks, lateness."""
+"""Tables of runs with links, faults or a wall clock: causes, checks, latency."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from rich.table import Table
 
 from mast_zenoh.report.tables.scores import DASH
 
-#: Who can be to blame, as in `fn_split` and `fp_split` of metrics.json.
-BLAMED = ("fault", "attack", "natural")
+#: Groups of causes, as in `fn_split` and `fp_split` of metrics.json.
+CAUSE_GROUPS = ("fault", "attack", "natural")
 _PERCENTILES = ("p50", "p95", "p99")
-_MAIN = ("tracks", "collated", "picture")
-_WHAT = (("fn_split", "missed"), ("fp_split", "false"))
+_MAIN_WIRES = ("tracks", "collated", "picture")
+_SPLITS = (("fn_split", "missed"), ("fp_split", "false"))
 
 
-class BlameRow(NamedTuple):
-    """Objects per frame of one agent's picture: missed and false ones because of faults, of attacks, and anyway."""
+class CauseRow(NamedTuple):
+    """Missed and false objects per frame of one agent's picture, by group of causes."""
 
     agent: str
     missed: tuple[str, ...]
@@ -34,9 +34,9 @@ class CheckRow(NamedTuple):
 
 
 class LatencyRow(NamedTuple):
-    """Milliseconds from when the simulator sent a frame to when the frame's message on a wire came; `n` frames.
+    """Latency of a wire in ms, from the simulator's frame to the frame's message; over `n` frames.
 
-    main: on the way from the agents to the picture
+    main: whether the wire is between the agents and the picture
     """
 
     wire: str
@@ -48,18 +48,18 @@ class LatencyRow(NamedTuple):
 
 
 def with_faults(scenario: Mapping[str, Any], checks: Mapping[str, Any]) -> bool:
-    """Whether links or faults are part of a run, by its scenario.json and its checks.json."""
+    """Whether a run has links or faults, according to scenario.json and checks.json."""
     return bool(checks) or any(each.get("kind") != "attack" for each in scenario.get("timeline", ()))
 
 
-def blame_rows(metrics: Mapping[str, Any]) -> list[BlameRow]:
-    """A row per agent whose picture tells who is to blame."""
+def cause_rows(metrics: Mapping[str, Any]) -> list[CauseRow]:
+    """A row per agent whose picture has causes of errors."""
     rows = []
     for agent, estimators in metrics.get("agents", {}).items():
-        told = [estimators.get("picture", {}).get(name) for name, _ in _WHAT]
-        if all(told):
-            missed, false = (tuple(_two(each.get(who)) for who in BLAMED) for each in told if each)
-            rows.append(BlameRow(agent, missed, false))
+        splits = [estimators.get("picture", {}).get(name) for name, _ in _SPLITS]
+        if all(splits):
+            missed, false = (tuple(_two_decimals(each.get(group)) for group in CAUSE_GROUPS) for each in splits if each)
+            rows.append(CauseRow(agent, missed, false))
     return rows
 
 
@@ -78,42 +78,46 @@ def latency_rows(metrics: Mapping[str, Any]) -> list[LatencyRow]:
     """A row per wire whose latency was measured, in the order of metrics.json."""
     wires = metrics.get("latency_ms", {}).get("by_wire") or {}
     rows = []
-    for wire, told in wires.items():
-        p50, p95, p99 = (told.get(p) for p in _PERCENTILES)
+    for wire, summary in wires.items():
+        p50, p95, p99 = (summary.get(p) for p in _PERCENTILES)
         if p50 is not None:
-            main = wire.rpartition("/")[2] in _MAIN
-            rows.append(LatencyRow(wire, _two(p50), _two(p95), _two(p99), str(told.get("n", DASH)), main))
+            main = wire.rpartition("/")[2] in _MAIN_WIRES
+            rows.append(
+                LatencyRow(
+                    wire, _two_decimals(p50), _two_decimals(p95), _two_decimals(p99), str(summary.get("n", DASH)), main
+                )
+            )
     return rows
 
 
 def late_rows(metrics: Mapping[str, Any]) -> list[tuple[str, int]]:
-    """Agent and how many of its messages came after the broker's latency budget."""
+    """(agent, number of its messages after the broker's latency budget)."""
     return [(str(agent), int(number)) for agent, number in (metrics.get("late") or {}).items()]
 
 
-def blame_table(metrics: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
-    """For the terminal, a row per run: by whom the objects are missed and false that `agent` misses and has too many.
+def cause_table(metrics: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
+    """Terminal table of the causes of an agent's errors, a row per run; None: not known.
 
-    metrics: by the run's label; None: no run tells
+    metrics: by the run's label
     """
-    rows = {label: row for label, told in metrics.items() for row in blame_rows(told) if row.agent == agent}
+    rows = {label: row for label, summary in metrics.items() for row in cause_rows(summary) if row.agent == agent}
     if not rows:
         return None
     title = "Causes of missed and false objects, per frame in the picture"
     table = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("", justify="left", no_wrap=True)
-    for _, what in _WHAT:
-        for index, who in enumerate(BLAMED):
-            table.add_column(f"{what if index == 0 else ''}\n{who}", justify="right")
+    for _, error in _SPLITS:
+        for index, group in enumerate(CAUSE_GROUPS):
+            table.add_column(f"{error if index == 0 else ''}\n{group}", justify="right")
     for label, row in rows.items():
         table.add_row(label, *row.missed, *row.false)
     return table
 
 
 def check_lines(checks: Mapping[str, Any]) -> list[str]:
-    """For the terminal: each check by name in a line, failed ones first."""
+    """Terminal lines of the checks, failed ones first."""
     return [f"check {row.name}: {row.outcome}{f' ({row.detail})' if row.detail else ''}" for row in check_rows(checks)]
 
 
-def _two(value: float | None) -> str:
+def _two_decimals(value: float | None) -> str:
     return DASH if value is None else f"{value:.2f}"

@@ -1,4 +1,4 @@
-"""Reads the files of a run folder for the report, each by a function that raises for what it cannot use."""
+"""Reads the files of a run folder; each reader raises if its file is unusable."""
 
 from __future__ import annotations
 
@@ -27,32 +27,32 @@ _ATTACKS = (
 
 
 def rows(table: Table, mask: Bools) -> Table:
-    """The rows of a table that a mask (n,) picks."""
+    """The rows of a table selected by a mask (n,)."""
     return {name: column[mask] for name, column in table.items()}
 
 
 class Reader:
-    """Reads files of one folder, and notes in `missing` those that are absent or unreadable, one sentence each."""
+    """Reads files of a folder and lists absent and unreadable ones in `missing`, one sentence each."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.missing: list[str] = []
 
-    def read(self, name: str, reader: Callable[[Path], Any], lack: str, default: Any) -> Any:
-        """What `reader` makes of a file; `default` where it cannot. lack: what the report is without, in words."""
+    def read(self, name: str, reader: Callable[[Path], Any], consequence: str, default: Any) -> Any:
+        """Read a file with `reader`; `default` on failure. consequence: what the report then lacks, in words."""
         path = self.folder / name
         try:
             return reader(path)
         except FileNotFoundError:
-            self.missing.append(f"{name} is absent: {lack}.")
+            self.missing.append(f"{name} is absent: {consequence}.")
         except (OSError, ValueError, KeyError, MastError, pyarrow.ArrowException) as error:
             reason = str(error).removeprefix(f"{path}: ")
-            self.missing.append(f"{name} cannot be read ({reason}): {lack}.")
+            self.missing.append(f"{name} cannot be read ({reason}): {consequence}.")
         return default
 
-    def read_if_there(self, name: str, reader: Callable[[Path], Any], lack: str, default: Any) -> Any:
-        """The same for a file that not every run has: nothing is missing where it is absent."""
-        return self.read(name, reader, lack, default) if (self.folder / name).is_file() else default
+    def read_optional(self, name: str, reader: Callable[[Path], Any], consequence: str, default: Any) -> Any:
+        """Like `read`, for a file that not every run has: its absence is not reported."""
+        return self.read(name, reader, consequence, default) if (self.folder / name).is_file() else default
 
 
 def json_object(path: Path) -> dict[str, Any]:
@@ -71,17 +71,17 @@ def scene(path: Path) -> Recording:
 
 
 def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
-    """A reader of a Parquet table: these columns, of the rows of one agent if any; `optional` ones where they are."""
+    """A reader of columns of a Parquet table, for one agent if given; `optional` ones may be absent."""
 
     def read(path: Path) -> Table:
         content = read_arrow(path)
-        absent = sorted(set(columns) - set(content.column_names))
-        if absent:
-            raise ValueError(f"found no column {', '.join(absent)}")
-        there = (*columns, *(name for name in optional if name in content.column_names))
+        missing = sorted(set(columns) - set(content.column_names))
+        if missing:
+            raise ValueError(f"found no column {', '.join(missing)}")
+        present = (*columns, *(name for name in optional if name in content.column_names))
         if not agent:
-            return from_arrow(content.select(there))
-        return from_arrow(content.select(there), from_arrow(content.select(["agent"]))["agent"] == agent)
+            return from_arrow(content.select(present))
+        return from_arrow(content.select(present), from_arrow(content.select(["agent"]))["agent"] == agent)
 
     return read
 
@@ -94,13 +94,13 @@ def effects(path: Path) -> Table:
 
 
 def node_results(folder: Path) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """By node, what it left in results/<node>/: names of files."""
+    """The names of each node's files in results/<node>/."""
     if not folder.is_dir():
         return ()
     nodes = sorted(path for path in folder.iterdir() if path.is_dir())
     return tuple((path.name, tuple(sorted(file.name for file in path.iterdir()))) for path in nodes)
 
 
-def column(of: Table, name: str) -> NDArray[np.float64]:
+def column(table: Table, name: str) -> NDArray[np.float64]:
     """A column as numbers."""
-    return np.asarray(of[name], np.float64)
+    return np.asarray(table[name], np.float64)

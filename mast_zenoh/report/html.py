@@ -1,4 +1,4 @@
-"""The report of a run, and of several runs compared: one HTML file that needs nothing else, and its figures as PNG."""
+"""Writes the HTML reports of runs and of compared runs, with their figures as PNG."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import numpy as np
 from mast_zenoh.control import failures
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.faulted import BLAMED, blame_rows, check_rows, late_rows, latency_rows
-from mast_zenoh.report.figures.catalogue import how_chosen, run_figures, study_figures
+from mast_zenoh.report.faulted import CAUSE_GROUPS, cause_rows, check_rows, late_rows, latency_rows
+from mast_zenoh.report.figures.catalogue import frame_choice, run_figures, study_figures
 from mast_zenoh.report.figures.view import (
     PANELS,
     FrameView,
@@ -40,11 +40,11 @@ from mast_zenoh.report.tables.wiring import wire_rows
 
 
 def write_report(run_folder: Path, frame: int | None = None, against: Path | None = None) -> Path:
-    """Write `report.html` and `figures/*.png` into the folder of a run, from whatever the run left there.
+    """Write `report.html` and `figures/*.png` into a run folder, from the files that are there.
 
-    frame:   which frame the pictures show; by default the one that `view.choose_frame` picks
-    against: the folder of another run of the same scene, with which it is compared
-    Returns the path of the report. Raises RunFolderError if the folder is not that of a run, or has no such frame;
+    frame:   the frame that pictures show; by default that of `view.choose_frame`
+    against: folder of a reference run of the same scene
+    Returns the path of the report. Raises RunFolderError if the folder is no run folder, or has no such frame;
     NotComparable if the runs cannot be compared.
     """
     run = RunFolder.load(run_folder)
@@ -52,67 +52,67 @@ def write_report(run_folder: Path, frame: int | None = None, against: Path | Non
 
 
 def write_page(run: RunFolder, frame: int | None = None, reference: Reference | None = None) -> Path:
-    """The same of a run that has been read."""
+    """Write the report of a loaded run; see `write_report`."""
     estimate = _estimate(run, reference)
     if frame is None:
         chosen = choose_frame(run, reference.run if reference else None, estimate)
-        how = how_chosen(run, estimate, reference.name if reference else "")
+        frame_note = frame_choice(run, estimate, reference.name if reference else "")
     else:
-        chosen, how = check_frame(run, frame), ""
+        chosen, frame_note = check_frame(run, frame), ""
         if not settled(run, np.array([frame])).all():
-            how = "This frame was asked for; it is not among those that are scored."
+            frame_note = "This frame was asked for; it is not among those that are scored."
     view = None if chosen is None else frame_view(run, chosen, estimate)
-    return _write_run(run, view, how=how, reference=reference, estimate=estimate)[1]
+    return _write_run(run, view, frame_note=frame_note, reference=reference, estimate=estimate)[1]
 
 
 def _estimate(run: RunFolder, reference: Reference | None) -> str:
-    """The estimate of the ego in which the largest change is: what pictures and charts show, if it has boxes."""
+    """The ego's estimate with the largest change, if it has boxes, else the picture."""
     change = largest_change(run, reference.run if reference else None)
-    mine = change is not None and change.agent == run.ego and has_boxes(run, change.estimate)
-    return change.estimate if change is not None and mine else "picture"
+    drawable = change is not None and change.agent == run.ego and has_boxes(run, change.estimate)
+    return change.estimate if change is not None and drawable else "picture"
 
 
 def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int | None = None) -> Path:
-    """Write `report.html` and `figures/*.png` into `study_folder`, comparing runs, and every run's own report.
+    """Write the report of compared runs into `study_folder`, and every run's own report.
 
     runs:  folders of runs of one scene and seed by label, in the order to show them; the one labelled `baseline`,
            or else the first, is what the others are compared with
-    frame: which frame all pictures show; by default the one that `view.choose_common_frame` picks
+    frame: the frame that all pictures show; by default that of `view.choose_common_frame`
     Returns the path of the report. Raises RunFolderError like `write_report`.
     """
     folders = {label: RunFolder.load(path) for label, path in runs.items()}
     reference = "baseline" if "baseline" in folders else next(iter(folders))
-    found = [largest_change(run, folders[reference]) for run in folders.values()]
-    change = max((each for each in found if each), key=lambda each: abs(each.weight), default=None)
+    largest_changes = [largest_change(run, folders[reference]) for run in folders.values()]
+    change = max((each for each in largest_changes if each), key=lambda each: abs(each.weight), default=None)
     estimate = change.estimate if change and change.estimate in PANELS else "mission" if change else "picture"
     chosen = choose_common_frame(list(folders.values()), folders[reference], estimate)
-    shown = {label: _shown(run, frame, chosen) for label, run in folders.items()}
+    frame_views = {label: _view_to_show(run, frame, chosen) for label, run in folders.items()}
     table = _scores(folders, reference)
     pages: list[dict[str, Any]] = []
     for label, run in folders.items():
-        page, path = _write_run(run, shown[label])
+        page, path = _write_run(run, frame_views[label])
         link = quote(os.path.relpath(path, study_folder).replace(os.sep, "/"))
         pages.append({"label": label, "anchor": f"run-{len(pages) + 1}", "link": link} | page)
-    views = {label: view for label, view in shown.items() if view is not None}
+    views = {label: view for label, view in frame_views.items() if view is not None}
     if any(estimate not in view.boxes for view in views.values()):  # of an older run
         estimate = "picture"
-    made = study_figures(folders, table, views, estimate, chosen=frame is None)
-    for each in made.values():
+    figures = study_figures(folders, table, views, estimate, chosen=frame is None)
+    for each in figures.values():
         each.save(study_folder / "figures")
     content = {
         "title": "Runs compared",
         "headline": study_headline(folders, table),
         "reading": study_reading(folders, table),
         "facts": _study_facts(folders),
-        "figures": made,
+        "figures": figures,
         **_score_rows(table),
         "pages": pages,
     }
     return render("study.html.j2", content, study_folder)
 
 
-def _shown(run: RunFolder, frame: int | None, common: int | None) -> FrameView | None:
-    """The view to show of a run: of the frame asked for, else of the common one, else of the run's own choice."""
+def _view_to_show(run: RunFolder, frame: int | None, common: int | None) -> FrameView | None:
+    """The view of a run at the requested frame, else the common one, else the run's own choice."""
     if frame is not None:
         return frame_view(run, check_frame(run, frame))
     chosen = choose_frame(run) if common is None else common
@@ -130,15 +130,15 @@ def _write_run(
     run: RunFolder,
     view: FrameView | None,
     *,
-    how: str = "",
+    frame_note: str = "",
     reference: Reference | None = None,
     estimate: str = "picture",
 ) -> tuple[dict[str, Any], Path]:
-    """Write a run's own report; returns what a page tells of the run, and the path."""
-    made = run_figures(run, view, how=how, reference=reference, estimate=estimate)
+    """Write a run's own report; returns the content for a page, and the path."""
+    figures = run_figures(run, view, frame_note=frame_note, reference=reference, estimate=estimate)
     runs = {reference.name: reference.run, run.label: run} if reference is not None else {run.label: run}
     scores = _scores(runs, reference.name if reference else None)
-    for each in made.values():
+    for each in figures.values():
         each.save(run.path / "figures")
     timings = run.run.get("timings")
     content = {
@@ -152,7 +152,7 @@ def _write_run(
         "reference_status": reference_status(reference),
         "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
         "missing": run.missing,
-        "figures": made,
+        "figures": figures,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
         "interposers": interposers(run),
         "achieved": achieved_rows(run, reference.run if reference else None),
@@ -160,8 +160,8 @@ def _write_run(
         "effects": EFFECTS,
         "bad_verdicts": BAD,
         "results": run.results,
-        "blamed": BLAMED,
-        "blame": blame_rows(run.metrics) if run.faulted else [],
+        "blamed": CAUSE_GROUPS,
+        "blame": cause_rows(run.metrics) if run.faulted else [],
         "checks": check_rows(run.checks),
         "healed": _healed(run),
         "latency": latency_rows(run.metrics),
@@ -177,7 +177,7 @@ def _write_run(
 
 
 def _score_rows(table: ScoreTable) -> dict[str, Any]:
-    """The table of scores for the page: its columns, and rows of texts with their spread and their change."""
+    """The scores for the page: columns, and rows of (text, spread, change)."""
 
     def spread(value: Value) -> str | None:
         return None if value.std is None else f"{value.std:.2f}"
@@ -217,7 +217,7 @@ def _facts(run: RunFolder) -> list[str]:
 
 
 def _healed(run: RunFolder) -> list[str]:
-    """When the last fault was over, and how soon after that the picture was as if there had been none."""
+    """When faults were healed, and how soon the picture then equalled the unfaulted one."""
     heals, converged = run.checks.get("heals_s") or [], run.checks.get("converged_after_s")
     facts = [f"healed at {', '.join(f'{each:g}' for each in heals)} s"] if heals else []
     if isinstance(converged, (int, float)):
@@ -257,27 +257,28 @@ def _failures(run: RunFolder) -> list[str]:
     """A line for each handler that failed."""
     nodes = run.run.get("nodes", {})
     failed = {name: failures_of(node) for name, node in nodes.items() if node.get("failures")}
-    whole = {name: [entry for entry in entries if "where" in entry] for name, entries in failed.items()}
-    lines = failures.lines(whole, {name: nodes[name].get("log") or "not written" for name in whole})
-    brief = [(name, entry) for name, entries in failed.items() for entry in entries if "where" not in entry]
+    located = {name: [entry for entry in entries if "where" in entry] for name, entries in failed.items()}
+    lines = failures.lines(located, {name: nodes[name].get("log") or "not written" for name in located})
+    unlocated = [(name, entry) for name, entries in failed.items() for entry in entries if "where" not in entry]
     return lines + [
-        f"{name}.{entry['handler']} failed {failures.how_often(entry)}: {entry['exception']}" for name, entry in brief
+        f"{name}.{entry['handler']} failed {failures.how_often(entry)}: {entry['exception']}"
+        for name, entry in unlocated
     ]
 
 
 def _troubles(record: Mapping[str, Any]) -> str:
-    """What a node counted and lived through; empty: nothing."""
+    """Rejected messages and handler failures of a node; empty: none."""
     refused, foreign = (_total(record.get(key)) for key in ("rejected", "foreign"))
     counts = (
         (refused, "messages rejected"),
         (foreign, "messages from outside the run"),
         (sum(entry["count"] for entry in failures_of(record)), "handler failures"),
     )
-    return ", ".join(f"{number} {what}" for number, what in counts if number)
+    return ", ".join(f"{number} {label}" for number, label in counts if number)
 
 
 def _total(counts: object) -> int:
-    """Of counts by key, or in an older run the sum itself."""
+    """The sum of counts by key; older runs hold the sum itself."""
     return sum(counts.values()) if isinstance(counts, Mapping) else int(str(counts or 0))
 
 

@@ -1,4 +1,4 @@
-"""Makes HTML pages of templates: one file each that needs no other."""
+"""Renders self-contained HTML pages from templates."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from mast_zenoh.version import __version__
 
 
 def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
-    """Write `report.html` into a folder, which is made if it is missing; returns its path."""
+    """Write `report.html` into a folder, which is created if missing; returns its path."""
     page = environment().get_template(template).render(content, version=__version__)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.html"
     try:
-        path.write_text(page, "utf-8", errors="surrogateescape")  # paths that are no text
+        path.write_text(page, "utf-8", errors="surrogateescape")  # paths that are not UTF-8
     except BaseException:
-        path.unlink(missing_ok=True)  # half a page looks like a whole one
+        path.unlink(missing_ok=True)  # a partial page could be taken for a complete one
         raise
     return path
 
 
 @cache
 def environment() -> Environment:
-    """The templates of this package, which escape what they are given."""
+    """The templates of this package, with HTML escaping."""
     return Environment(
         loader=PackageLoader("mast_zenoh.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )

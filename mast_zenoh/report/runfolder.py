@@ -1,4 +1,4 @@
-"""A run folder, read for the report: whatever of it is there, and what is missing by name."""
+"""A run folder as read for the report, with a list of missing files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _DRIVING = ("frame", "agent", "estimate", "false", "missed", "ttc_s", "brake", "
 
 @dataclass(frozen=True, eq=False)
 class RunFolder:
-    """What a run left behind. Files that are absent or unreadable are empty here and named in `missing`.
+    """The contents of a run folder; absent and unreadable files are empty and named in `missing`.
 
     path:      the folder
     run:       run.json
@@ -40,9 +40,9 @@ class RunFolder:
     objects:   objects.parquet: a row per box; only those of the ego. `cause` and `by` where the run has causes
     effects:   attacks.parquet: a row per measured effect of an interposer
     recording: scene.npz
-    missing:   one sentence for each file that is absent or unreadable, saying what the report lacks for it
-    checks:    checks.json, of runs that were checked
-    targets:   targets.parquet: a row per object that was manipulated in a frame
+    missing:   one sentence for each file that is absent or unreadable, saying what the report lacks without it
+    checks:    checks.json, of runs with checks
+    targets:   targets.parquet: a row per manipulated object and frame
     driving:   driving.parquet: a row per frame, vehicle and estimate
     results:   by node, the names of its files under results/
     """
@@ -64,7 +64,7 @@ class RunFolder:
 
     @classmethod
     def load(cls, path: Path) -> RunFolder:
-        """Read a run folder. Raises RunFolderError if it is not one (neither run.json nor scenario.json is there)."""
+        """Read a run folder. Raises RunFolderError if it holds neither run.json nor scenario.json."""
         if not path.is_dir():
             raise RunFolderError(f"{path}: no such folder, expected the folder of a run")
         if not (path / "run.json").is_file() and not (path / "scenario.json").is_file():
@@ -80,16 +80,18 @@ class RunFolder:
         recording = read("scene.npz", files.scene, "no buildings, agents and camera view in the pictures", None)
         objects = files.table(_OBJECTS, _ego(metrics, counts, recording) or "", optional=("cause", "by"))
         boxes = read("objects.parquet", objects, "no bird's-eye and camera views", None)
-        lack = "what interposers changed is not marked"
+        consequence = "what interposers changed is not marked"
         expected = any(wire.get("interposers") for wire in wiring.get("wires", ()))
-        effects = (read if expected else reader.read_if_there)("attacks.parquet", files.effects, lack, None)
+        effects = (read if expected else reader.read_optional)("attacks.parquet", files.effects, consequence, None)
         if metrics and "achieved" not in metrics and effects is not None:
             reader.missing.append("metrics.json has no achievements: what attacks achieved is not known.")
-        optional = reader.read_if_there
+        optional = reader.read_optional
         checks = optional("checks.json", files.json_object, "what was checked is not known", {})
-        lack = "what attacks achieved is not explained"
-        # The evaluator writes these tables of every run in which it measures what they hold.
-        targets = (read if metrics.get("achieved") else optional)("targets.parquet", files.table(_TARGETS), lack, None)
+        consequence = "what attacks achieved is not explained"
+        # The evaluator writes these tables only for runs to which they apply.
+        targets = (read if metrics.get("achieved") else optional)(
+            "targets.parquet", files.table(_TARGETS), consequence, None
+        )
         driving = (read if metrics.get("driving") else optional)(
             "driving.parquet", files.table(_DRIVING), "no chart of driving", None
         )
@@ -98,16 +100,16 @@ class RunFolder:
 
     @cached_property
     def label(self) -> str:
-        """What the run is called."""
+        """The name of the run."""
         return str(self.run.get("name") or self.run.get("id") or self.path.name)
 
     @cached_property
     def ego(self) -> str | None:
-        """The agent whose view the report shows: `ego` if there is one, else the first; None: nothing says."""
+        """The agent whose view the report shows: `ego` if there is one, else the first; None: not known."""
         return _ego(self.metrics, self.counts, self.recording)
 
     def role(self, node: str) -> str:
-        """The role of a node; where run.json does not say, a guess from its wires and its name (`adversary_1`)."""
+        """The role of a node; if not in run.json, guessed from its wires and name (`adversary_1`)."""
         known = self.run.get("nodes", {}).get(node, {}).get("role")
         known = known or self.metrics.get("interposers", {}).get(node, {}).get("role")
         if known:
@@ -117,7 +119,7 @@ class RunFolder:
 
     @cached_property
     def attacks(self) -> Table | None:
-        """The effects of interposers that are no links, in frames that are known; None: not measured."""
+        """The effects of interposers other than links, in known frames; None: not measured."""
         if self.effects is None:
             return None
         settled = (self.effects["effect"] != "unsettled") & (self.effects["frame"] >= 0)
@@ -125,14 +127,14 @@ class RunFolder:
 
     @cached_property
     def attack_frames(self) -> tuple[int, int] | None:
-        """First and last frame in which an adversary changed something; None: nothing was changed, or not measured."""
+        """First and last frame with a change by an adversary; None: none, or not measured."""
         if self.attacks is None or not len(self.attacks["frame"]):
             return None
         return int(self.attacks["frame"].min()), int(self.attacks["frame"].max())
 
     @cached_property
     def scored_frames(self) -> tuple[int, int] | None:
-        """First and last frame that the means are over; None: not known."""
+        """First and last scored frame, over which means are taken; None: not known."""
         frames = self.metrics.get("scored_frames")
         return (int(frames[0]), int(frames[-1])) if frames else None
 
@@ -144,16 +146,16 @@ class RunFolder:
 
     @cached_property
     def unsettled_frames(self) -> frozenset[int]:
-        """Frames in which it could not be told what an interposer did: about a change of the wiring, and the last."""
+        """Frames with unknown effects of an interposer: around wiring changes, and the last."""
         if self.effects is None:
             return frozenset()
         return frozenset(self.effects["frame"][self.effects["effect"] == "unsettled"].tolist())
 
     @cached_property
     def timeline(self) -> tuple[dict[str, Any], ...]:
-        """Faults and attacks as they were planned: label, kind, type, at_s, until_s (None: to the end), nodes, backend.
+        """Planned faults and attacks: label, kind, type, at_s, until_s (None: to the end), nodes, backend.
 
-        Links that are as they are from beginning to end are not among them.
+        Links that last for the whole run are not included.
         """
         planned = [each for each in self.scenario.get("timeline", ()) if {"label", "kind", "at_s"} <= each.keys()]
         always = [e["kind"] == "link" and e["at_s"] <= 0.0 and e.get("until_s") is None for e in planned]
@@ -171,7 +173,7 @@ class RunFolder:
 
     @property
     def gate_m(self) -> float:
-        """m, the gate of the metrics: a track nearer to a real object than this is taken for it."""
+        """m, the gate of the metrics: a track matches a real object within this distance."""
         return float((self._scorer.get("assigner") or {}).get("gate_m", 2.0))
 
     @property
@@ -181,7 +183,7 @@ class RunFolder:
 
     @property
     def lost(self) -> list[dict[str, Any]]:
-        """Nodes lost in lock-step though nothing in the scenario said so, and those of them that came back."""
+        """Nodes lost in lock-step without a step of the scenario, and their returns."""
         return list(self.run.get("churn") or ()) if self.run.get("mode") == "lockstep" else []
 
     @property
@@ -190,24 +192,24 @@ class RunFolder:
         return with_faults(self.scenario, self.checks)
 
     def summary(self, estimate: str, agent: str | None = None) -> dict[str, Any]:
-        """What metrics.json holds of one estimate of an agent, by default the ego; empty: nothing."""
-        found: dict[str, Any] = self.metrics.get("agents", {}).get(agent or self.ego or "", {}).get(estimate, {})
-        return found
+        """The metrics of one estimate of an agent, by default the ego; empty: none."""
+        scores: dict[str, Any] = self.metrics.get("agents", {}).get(agent or self.ego or "", {}).get(estimate, {})
+        return scores
 
     def original(self, estimate: str) -> str:
-        """The estimate of the ego that has boxes: the one itself, or that which it is the same as."""
+        """The ego's estimate that holds the boxes: this one, or the one that it equals."""
         return str(self.metrics.get("same_as", {}).get(self.ego or "", {}).get(estimate, estimate))
 
     def counts_of(self, estimator: str) -> Table | None:
         """The ego's counts of one estimator, by ascending frame; None: there are none."""
         if self.counts is None:
             return None
-        mine = rows(self.counts, (self.counts["agent"] == self.ego) & (self.counts["estimator"] == estimator))
-        order = np.argsort(mine["frame"], kind="stable")
-        return {name: column[order] for name, column in mine.items()} if len(order) else None
+        selected = rows(self.counts, (self.counts["agent"] == self.ego) & (self.counts["estimator"] == estimator))
+        order = np.argsort(selected["frame"], kind="stable")
+        return {name: column[order] for name, column in selected.items()} if len(order) else None
 
     def seconds(self, frames: NDArray[Any]) -> Floats | None:
-        """Time of frames (n,) in s since the scene's first; None: the scene is not there, or shorter."""
+        """Time of frames (n,) in s since the scene's first; None: the scene is absent or shorter."""
         if self.recording is None or not len(frames) or frames.max() >= len(self.recording):
             return None
         times = self.recording.times_ns
@@ -222,8 +224,8 @@ class RunFolder:
 def agent_of(key: str) -> str | None:
     """The agent in a key expression such as `agent/infra_1/detections`, with or without a prefix."""
     chunks = key.split("/")
-    place = chunks.index("agent") + 1 if "agent" in chunks else len(chunks)
-    return chunks[place] if place < len(chunks) else None
+    following = chunks.index("agent") + 1 if "agent" in chunks else len(chunks)
+    return chunks[following] if following < len(chunks) else None
 
 
 def _ego(metrics: dict[str, Any], counts: Table | None, recording: Recording | None) -> str | None:

@@ -1,4 +1,4 @@
-"""What a study consisted of, for its page and its tables: configurations, scenes, seeds, versions and failed trials."""
+"""Facts about a study for its page and tables."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class FailedTrial:
 
 @dataclass(frozen=True, slots=True)
 class IdleAttack:
-    """A configuration whose attack was to begin after the end of its trials.
+    """A configuration whose attack would begin after the end of its trials.
 
-    begins_s, ends_s: s of scene time, of the attack and of the trials
-    scenes:           those in which that is so; empty: in all
+    begins_s, ends_s: s of scene time: start of the attack, end of the trials
+    scenes:           the scenes to which this applies; empty: all
     """
 
     configuration: str
@@ -39,12 +39,12 @@ _Named = TypeVar("_Named", FailedTrial, IdleAttack)
 class StudyFacts:
     """One study.
 
-    baseline:       label of the configuration that the others are paired with
+    baseline:       label of the configuration with which the others are compared
     configurations: by label, the scenario and its settings
     scenes, seeds:  planned for every configuration, all scenes with all seeds
-    frames:         of each trial, None for all that the scene has
-    done:           by configuration, how many trials have results
-    other_scenes:   labels of configurations that play another scene than the baseline, or one with other agents
+    frames:         of each trial, None for all of the scene
+    done:           number of trials with results, by configuration
+    other_scenes:   labels of configurations whose scene or agents differ from the baseline's
     idle:           configurations whose attack never began
     environment:    Python, the packages and a hash of the code that the results depend on
     """
@@ -63,7 +63,7 @@ class StudyFacts:
     idle: tuple[IdleAttack, ...] = ()
 
     def titled(self, titles: Mapping[str, str]) -> StudyFacts:
-        """The same with other names for configurations, by label."""
+        """A copy with configurations renamed; titles: new names by label."""
         return replace(
             self,
             baseline=titles.get(self.baseline, self.baseline),
@@ -76,17 +76,17 @@ class StudyFacts:
 
     @property
     def planned(self) -> int:
-        """Trials of each configuration."""
+        """Planned trials of each configuration."""
         return len(self.scenes) * len(self.seeds)
 
     @property
     def trials(self) -> int:
-        """Trials of all configurations."""
+        """Planned trials of all configurations."""
         return self.planned * len(self.configurations)
 
     @property
     def failures(self) -> str:
-        """`3 of 420 trials failed`, and of which configurations; "" if none did."""
+        """`3 of 420 trials failed`, and of which configurations; "" if none."""
         if not self.failed:
             return ""
         counts = {label: self.planned - self.done.get(label, 0) for label in self.configurations}

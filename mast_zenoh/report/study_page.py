@@ -1,4 +1,4 @@
-"""The page of a study with trials: one HTML file that needs no other."""
+"""Writes the self-contained HTML page of a study with trials."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mast_zenoh.report.study_facts import StudyFacts, plural
 from mast_zenoh.report.tables.study_rows import StudyRow
 from mast_zenoh.report.tables.study_sections import sections, side_by_side
 
-#: So many failed trials are listed openly, the rest behind a click.
+#: This many failed trials are listed; the others are folded.
 _SHOWN_AT_ONCE = 10
 
 
@@ -29,7 +29,7 @@ def write_page(folder: Path, rows: Sequence[StudyRow], facts: StudyFacts, figure
     content = {
         "title": f"Study {facts.name}",
         "headline": result(rows, facts, comparisons).removesuffix("."),
-        "facts": _line_of_facts(facts),
+        "facts": _facts(facts),
         "failures": facts.failures,
         "failed": facts.failed,
         "shown_at_once": _SHOWN_AT_ONCE,
@@ -51,7 +51,7 @@ def write_page(folder: Path, rows: Sequence[StudyRow], facts: StudyFacts, figure
     return render("study_trials.html.j2", content, folder)
 
 
-def _line_of_facts(facts: StudyFacts) -> list[str]:
+def _facts(facts: StudyFacts) -> list[str]:
     seeds = f"{facts.seeds[0]} to {facts.seeds[-1]}" if len(facts.seeds) > 1 else str(facts.seeds[0])
     done = sum(facts.done.values())
     return [

@@ -1,4 +1,4 @@
-"""The results of runs on the terminal. Draws nothing, so it costs no time."""
+"""Prints the results of runs on the terminal. Loads no drawing libraries."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rich.markup import escape
 
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.faulted import blame_table, check_lines
+from mast_zenoh.report.faulted import cause_table, check_lines
 from mast_zenoh.report.narrative.circumstances import reference_status, status
 from mast_zenoh.report.narrative.explanations import explanations
 from mast_zenoh.report.narrative.phrases import effects, plural
@@ -21,10 +21,10 @@ from mast_zenoh.report.tables.scores import as_rich, score_table
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
-    """Print the results of runs, given as run folders by label; the first or `baseline` is what others are held to.
+    """Print the results of run folders by label; the reference is `baseline`, or else the first.
 
     A run without a readable metrics.json gets dashes. Runs with links or faults also get the causes of their errors;
-    those that were checked, every check by name.
+    runs with checks get the outcome of every check.
     """
     folders = {label: RunFolder.load(path) for label, path in runs.items()}
     agent = next((run.ego for run in folders.values() if run.ego), "ego")
@@ -35,7 +35,7 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
 
 
 def show_run(console: Console, run_folder: Path, against: Path | None = None) -> None:
-    """Print the results of one run, and in one sentence what changed: against another run, or by its own measurements.
+    """Print the results of one run and its largest change, over a reference run if given.
 
     Raises NotComparable if the two cannot be compared.
     """
@@ -44,14 +44,14 @@ def show_run(console: Console, run_folder: Path, against: Path | None = None) ->
 
 
 def failure(run_folder: Path) -> str:
-    """What did not end well in a run, in one line; empty: nothing."""
+    """How a run failed, in one line; empty: it did not."""
     run = RunFolder.load(run_folder)
     text, message = status(run), str(run.run.get("message") or "")
     return f"{text}: {message}" if text and message else text
 
 
 def show_loaded(console: Console, run: RunFolder, reference: Reference | None = None) -> None:
-    """The same of a run that has been read."""
+    """Print the results of a loaded run; see `show_run`."""
     runs = {run.label: run} if reference is None else {reference.name: reference.run, run.label: run}
     metrics = {label: each.metrics for label, each in runs.items()}
     table = score_table(metrics, agent=run.ego or "ego", reference=reference.name if reference else None)
@@ -65,13 +65,13 @@ def show_loaded(console: Console, run: RunFolder, reference: Reference | None = 
 
 
 def _show_causes(console: Console, runs: Mapping[str, RunFolder], agent: str) -> None:
-    causes = blame_table({label: run.metrics for label, run in runs.items() if run.faulted}, agent)
+    causes = cause_table({label: run.metrics for label, run in runs.items() if run.faulted}, agent)
     if causes is not None:
         console.print(causes)
 
 
 def _show_lines(console: Console, label: str, run: RunFolder, reference: RunFolder | None = None) -> None:
-    """What interposers did, why it had limited effect, and every check."""
+    """Print what interposers did, why it had limited effect, and every check."""
     lines = []
     notable = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]
     why = explanations(run, reference)

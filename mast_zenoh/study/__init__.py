@@ -1,13 +1,13 @@
 """Studies: many runs, compared. The package can be called: `mast_zenoh.study("case_study")` carries out a study.
 
     interface   what calling the package does, and the object that it returns
-    definition  study files, checked, their grids spread out into configurations
+    definition  study files: validation, and expansion of grids into configurations
     comparison  every configuration once, with a run folder and a report each
-    trials      many seeds, kept one by one, resumed:
-                plan (which trials), identity (what each depends on), trial (one of them), execution (here, or on a
-                Dask cluster), store (the folder)
-    tables      what many trials leave: numbers (of one run), results (with increments), parameters (columns of the
-                grid), table_file (Parquet), statistics (intervals), summary (one estimate per configuration and series)
+    trials      many seeds, one result file per trial, resumable:
+                plan (list of trials), identity (digest of a trial's inputs), trial (runs one), execution (in this
+                process or on a Dask cluster), store (the study folder)
+    tables      outputs of many trials: numbers (of one run), results (with increments), parameters (grid columns),
+                table_file (Parquet), statistics (intervals), summary (one estimate per configuration and series)
 
 See docs/studies.md.
 """

@@ -1,4 +1,4 @@
-"""A study of a few named runs, one after the other, to be laid side by side."""
+"""Runs every configuration of a study once, for a side-by-side comparison."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from mast_zenoh.study.definition import Configuration, Study
 
 
 @dataclass(frozen=True)
-class Compared:
-    """A study that has ended: its folder, and the run of each configuration."""
+class ComparisonResult:
+    """A finished study: its folder, and the run of each configuration by label."""
 
     out: Path
     runs: dict[str, launcher.Run]
@@ -26,11 +26,11 @@ class Compared:
     @property
     def folders(self) -> dict[str, Path]:
         """The run folder of each configuration."""
-        return {label: ended.folder for label, ended in self.runs.items()}
+        return {label: finished.folder for label, finished in self.runs.items()}
 
     def raise_failures(self) -> None:
         """Raises HandlerFailed if handlers failed in any run and that was not allowed."""
-        failed = [f"in run {label}, {ended.error}" for label, ended in self.runs.items() if ended.error]
+        failed = [f"in run {label}, {finished.error}" for label, finished in self.runs.items() if finished.error]
         if failed:
             raise HandlerFailed("\n".join(failed))
 
@@ -44,35 +44,41 @@ def run(
     runtime: str | None = None,
     allow_failures: bool = False,
     console: Console | None = None,
-) -> Compared:
+) -> ComparisonResult:
     """Run every configuration once, in the first scene, with a run folder of its own.
 
-    Everything is resolved, and refused if it is wrong, before the first run starts. Arguments that are not None win
-    over the study's own. Raises what a run that failed has raised, after its run folder has been written. A run in
-    which handlers failed does not stop the others: `Compared.raise_failures` raises its error.
+    All configurations are resolved and validated before the first run starts. Arguments that are not None override
+    the study's own. If a run fails, its error is raised after its run folder has been written. Failed handlers do
+    not stop the other runs: `ComparisonResult.raise_failures` raises their error.
     """
     seed = study.seed if seed is None else seed
     frames = frames or study.frames
     resolved = {each.label: _resolve(study, each, seed, frames) for each in study.configurations}
     folder = run_folder.create(out, study.name)
-    for part in ("logs", "figures"):
-        (folder / part).rmdir()
+    for subfolder in ("logs", "figures"):
+        (folder / subfolder).rmdir()
     runs: dict[str, launcher.Run] = {}
-    place = runtime or study.runtime or "mesh"
+    chosen_runtime = runtime or study.runtime or "mesh"
 
-    def note(status: str) -> None:
+    def write_status(status: str) -> None:
         run_folder.write_json(folder / "study.json", {"name": study.name, "status": status, "runs": list(runs)})
 
-    with ending.written(note):
-        for label, run_ in resolved.items():
-            ended = launcher.run(run_, folder / label, runtime=place, allow_failures=allow_failures, console=console)
-            if ended.error and not isinstance(ended.error, HandlerFailed):
-                raise ended.error
-            runs[label] = ended
-    return Compared(folder, runs)
+    with ending.written(write_status):
+        for label, configuration_run in resolved.items():
+            finished = launcher.run(
+                configuration_run,
+                folder / label,
+                runtime=chosen_runtime,
+                allow_failures=allow_failures,
+                console=console,
+            )
+            if finished.error and not isinstance(finished.error, HandlerFailed):
+                raise finished.error
+            runs[label] = finished
+    return ComparisonResult(folder, runs)
 
 
 def _resolve(study: Study, configuration: Configuration, seed: int, frames: int | None) -> Resolved:
-    """One run of the study, with nothing left to decide."""
+    """The fully resolved run of one configuration."""
     file, loaded = scenario.load(configuration.scenario, (*study.scenes[0].settings, *configuration.settings))
     return scenario.resolve(file, loaded | {"name": configuration.label}, seed=seed, frames=frames)

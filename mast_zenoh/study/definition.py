@@ -1,4 +1,4 @@
-"""Study files: what `study(...)` returns, checked, and its grid spread out into configurations."""
+"""Study files: validates what `study(...)` returns and expands its grids."""
 
 from __future__ import annotations
 
@@ -16,39 +16,38 @@ from mast_zenoh.security.levels import LEVELS
 
 #: The keys of a study, and of one of its `runs`.
 KEYS = {
-    "name": "what the study is called",
+    "name": "name of the study",
     "runs": "label to dict(scenario=…, parameters=…, grid=…)",
     "baseline": "label of the run that the others are paired with; by default `baseline`, or else the first",
     "scenes": "short names, or dicts of launch-time parameters; by default the scenarios' own",
     "trials": "seeds for each configuration and scene; without it, every configuration is run once, with a report",
     "seed": "the first seed",
-    "frames": "how many to play, None for all",
+    "frames": "frames of each run, None for all",
     "runtime": "mesh or inproc",
-    "security": "levels at which the attackers that each run's scenario file lists are let loose on it",
+    "security": "security levels at which the attackers in each run's scenario file are tried",
 }
 RUN_KEYS = ("scenario", "parameters", "grid")
 RUNTIMES = ("mesh", "inproc")
-#: What the tables call their own columns, so that no parameter of a grid can be called that: results.parquet,
-#: frames.parquet, table.csv.
+#: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
 COLUMNS = {
     *("configuration", "scene", "seed", "who", "estimator", "metric", "value", "std", "frames"),
     *("frame", "agent", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"),
     *("mean", "std_over_frames", "mean_over_trials", "low", "high", "scenes_low", "scenes_high", "p", "p_holm"),
     *("scenes", "seeds", "seeds_left_out"),
 }
-#: Where the study file has a key of its own for what such a parameter is probably meant to do.
-_INSTEAD = {"scene": "; list scenes under `scenes`", "seed": "; say how many seeds under `trials`"}
+#: The key of the study file that replaces such a parameter.
+_SUGGESTIONS = {"scene": "; list scenes under `scenes`", "seed": "; say how many seeds under `trials`"}
 
 
 @dataclass(frozen=True)
 class Configuration:
     """One scenario under one choice of launch-time parameters.
 
-    label:    unlike that of any other: the run's, and the values of its grid: "uncoordinated-2"
+    label:    unique: the run's label and the values of its grid: "uncoordinated-2"
     run:      label of the run in the study file
     scenario: file, or name of one of ours
     settings: KEY=VALUE, as for `mast run --set`
-    point:    this configuration's choice from the grid
+    point:    this configuration's values of the grid's parameters
     """
 
     label: str
@@ -59,7 +58,7 @@ class Configuration:
 
 
 @dataclass(frozen=True)
-class Place:
+class StudyScene:
     """A scene of the study: its label, and the settings that choose it."""
 
     label: str
@@ -68,13 +67,13 @@ class Place:
 
 @dataclass(frozen=True)
 class Study:
-    """A study file with its parameters settled; trials None: it did not say how many."""
+    """A validated study file with its parameters set; trials: None if the file sets no number."""
 
     path: Path
     name: str
     configurations: tuple[Configuration, ...]
     baseline: str
-    scenes: tuple[Place, ...]
+    scenes: tuple[StudyScene, ...]
     trials: int | None
     seed: int
     frames: int | None
@@ -85,7 +84,7 @@ class Study:
 def load(name: str, settings: Sequence[str] = ()) -> Study:
     """The study of a file (or the name of one of ours) under `--set` settings of its parameters.
 
-    Raises ConfigurationError, which names the file, the place, what was found and what was expected.
+    Raises ConfigurationError, which names the file, the key, the value found and the value expected.
     """
     path, function = loading.function("studies", name, "study")
     return _called(path, function, *split(settings, function, str(path)))
@@ -109,20 +108,20 @@ def _called(
         raise
     except Exception as error:
         raise ConfigurationError(f"{path}: study(...): {type(error).__name__}: {error}") from error
-    return _checked(path, content)
+    return _validated(path, content)
 
 
-def _checked(path: Path, content: Any) -> Study:
+def _validated(path: Path, content: Any) -> Study:
     if not isinstance(content, dict) or not isinstance(content.get("runs"), dict) or not content["runs"]:
         raise ConfigurationError(f"{path}: study(...) must return a dict with `runs`: label to dict(scenario=…)")
     for key in content:
         if key not in KEYS:
             raise ConfigurationError(f"{path}: {key}: unknown key{nearest(str(key), KEYS)}")
-    configurations = tuple(each for label, run in content["runs"].items() for each in _spread(path, label, run))
+    configurations = tuple(each for label, run in content["runs"].items() for each in _expand(path, label, run))
     labels = [checked_name(each.label, f"{path}: runs") for each in configurations]
     if len(set(labels)) < len(labels):
-        twice = next(label for label in labels if labels.count(label) > 1)
-        raise ConfigurationError(f"{path}: runs: two configurations are called {twice!r}")
+        duplicate = next(label for label in labels if labels.count(label) > 1)
+        raise ConfigurationError(f"{path}: runs: two configurations are called {duplicate!r}")
     baseline = content.get("baseline", "baseline" if "baseline" in labels else labels[0])
     if baseline not in labels:
         raise ConfigurationError(f"{path}: baseline: found {baseline!r}{nearest(str(baseline), labels)}")
@@ -136,17 +135,17 @@ def _checked(path: Path, content: Any) -> Study:
         name=checked_name(content.get("name", name_of_file(path.stem)), f"{path}: name"),
         configurations=configurations,
         baseline=baseline,
-        scenes=_places(path, scenes),
-        trials=_whole(path, content, "trials", 1),
-        seed=_whole(path, content, "seed", 0) or 0,
-        frames=_whole(path, content, "frames", 1),
+        scenes=_scenes(path, scenes),
+        trials=_integer(path, content, "trials", 1),
+        seed=_integer(path, content, "seed", 0) or 0,
+        frames=_integer(path, content, "frames", 1),
         runtime=content.get("runtime"),
         security=_levels(path, content.get("security", ())),
     )
 
 
 def _levels(path: Path, content: Any) -> tuple[str, ...]:
-    """Levels of security, each once."""
+    """The security levels, without duplicates."""
     if not isinstance(content, (list, tuple)):
         raise ConfigurationError(f"{path}: security: found {content!r}, expected a list of {', '.join(LEVELS)}")
     for level in content:
@@ -155,7 +154,7 @@ def _levels(path: Path, content: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(content))
 
 
-def _spread(path: Path, label: Any, run: Any) -> list[Configuration]:
+def _expand(path: Path, label: Any, run: Any) -> list[Configuration]:
     """The configurations of one run: one for each point of its grid."""
     if not isinstance(run, dict) or "scenario" not in run:
         raise ConfigurationError(f"{path}: runs.{label}: found {run!r}, expected dict(scenario=…, parameters=…)")
@@ -170,52 +169,53 @@ def _spread(path: Path, label: Any, run: Any) -> list[Configuration]:
         if not isinstance(values, (list, tuple)) or not values:
             raise ConfigurationError(f"{path}: runs.{label}.grid.{name}: found {values!r}, expected a list of values")
         if name in COLUMNS:
-            where = f"{path}: runs.{label}.grid.{name}"
+            suggestion = _SUGGESTIONS.get(name, "")
             raise ConfigurationError(
-                f"{where}: the tables of results have a column of this name, expected another{_INSTEAD.get(name, '')}"
+                f"{path}: runs.{label}.grid.{name}: the tables of results have a column of this name, "
+                f"expected another{suggestion}"
             )
-    found = []
+    configurations = []
     for values in itertools.product(*grid.values()):
         point = dict(zip(grid, values, strict=True))
         settings = _settings({**run.get("parameters", {}), **point})
         name = "-".join([str(label), *map(str, values)])
         if "/" in name or name in ("", ".", ".."):
             raise ConfigurationError(f"{path}: runs: found the label {name!r}, expected one that can name a folder")
-        file = path.parent / str(run["scenario"])  # a scenario beside the study is found from anywhere
-        beside = str(file) if file.is_file() else str(run["scenario"])
-        found.append(Configuration(name, str(label), beside, settings, tuple(point.items())))
-    return found
+        sibling = path.parent / str(run["scenario"])  # scenario paths are relative to the study file
+        scenario_file = str(sibling) if sibling.is_file() else str(run["scenario"])
+        configurations.append(Configuration(name, str(label), scenario_file, settings, tuple(point.items())))
+    return configurations
 
 
-def _places(path: Path, scenes: Sequence[Any]) -> tuple[Place, ...]:
-    """The scenes, with labels that tell them apart: their values, or where these are alike keys and values."""
-    places = [_place(path, index, scene) for index, scene in enumerate(scenes)]
-    if len({place.label for place in places}) < len(places):
-        places = [Place(", ".join(place.settings) or "default", place.settings) for place in places]
-    for index, place in enumerate(places):
-        first = places.index(place)
+def _scenes(path: Path, scenes: Sequence[Any]) -> tuple[StudyScene, ...]:
+    """The scenes with unique labels: their values, or keys and values where values alone are ambiguous."""
+    labelled = [_scene(path, index, content) for index, content in enumerate(scenes)]
+    if len({scene.label for scene in labelled}) < len(labelled):
+        labelled = [StudyScene(", ".join(scene.settings) or "default", scene.settings) for scene in labelled]
+    for index, scene in enumerate(labelled):
+        first = labelled.index(scene)
         if first < index:
             raise ConfigurationError(
-                f"{path}: scenes[{index}]: the same as scenes[{first}] ({place.label}), expected each scene once"
+                f"{path}: scenes[{index}]: the same as scenes[{first}] ({scene.label}), expected each scene once"
             )
-    return tuple(places)
+    return tuple(labelled)
 
 
-def _place(path: Path, index: int, scene: Any) -> Place:
+def _scene(path: Path, index: int, scene: Any) -> StudyScene:
     if isinstance(scene, str):
         scene = {"scene": scene}
     if not isinstance(scene, Mapping):
         raise ConfigurationError(f"{path}: scenes[{index}]: found {scene!r}, expected a short name or a dict")
-    return Place(", ".join(str(value) for value in scene.values()) or "default", _settings(scene))
+    return StudyScene(", ".join(str(value) for value in scene.values()) or "default", _settings(scene))
 
 
 def _settings(parameters: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(f"{key}={value}" for key, value in parameters.items())
 
 
-def _whole(path: Path, content: Mapping[str, Any], key: str, least: int) -> int | None:
-    """A whole number from `least`, or None."""
+def _integer(path: Path, content: Mapping[str, Any], key: str, minimum: int) -> int | None:
+    """An optional integer of at least `minimum`."""
     value = content.get(key)
-    if value is not None and (type(value) is not int or value < least):
-        raise ConfigurationError(f"{path}: {key}: found {value!r}, expected a whole number from {least}")
+    if value is not None and (type(value) is not int or value < minimum):
+        raise ConfigurationError(f"{path}: {key}: found {value!r}, expected a whole number from {minimum}")
     return value

@@ -1,4 +1,4 @@
-"""Carries out trials: one after the other in this process, or fanned out with dask.distributed."""
+"""Runs trials, sequentially in this process or in parallel with dask.distributed."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from contextlib import contextmanager
 from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, StartError
-from mast_zenoh.study import trial as one
+from mast_zenoh.study import trial as trial_module
 from mast_zenoh.study.trial import Outcome, Trial
 
 _CONNECT_S = 20
 
-#: Of glibc's malloc: a worker keeps what it frees, because the next frame needs it again. Dask has it given back at
-#: once, and every page that is fetched anew costs.
-_KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": 2**31 - 1, "MALLOC_MMAP_THRESHOLD_": 2**30, "MALLOC_TOP_PAD_": 2**26}
+#: Environment of workers: glibc's malloc keeps freed memory for the next frame. Dask's default returns it to the
+#: system at once, and every page then has to be fetched again.
+_MALLOC_SETTINGS = {"MALLOC_TRIM_THRESHOLD_": 2**31 - 1, "MALLOC_MMAP_THRESHOLD_": 2**30, "MALLOC_TOP_PAD_": 2**26}
 
 
 def default_jobs() -> int:
-    """As many as this process may use cores; 1 without dask, which more would need."""
+    """The number of cores that this process may use; 1 if dask is not installed."""
     return len(os.sched_getaffinity(0)) if importlib.util.find_spec("distributed") else 1
 
 
@@ -37,26 +37,26 @@ def require(jobs: int, cluster: str | None) -> None:
         ) from None
 
 
-def carry_out(trials: Sequence[Trial], *, jobs: int, cluster: str | None) -> Generator[Outcome, None, None]:
-    """The outcomes of all trials, each as soon as it is there, in any order.
+def run_all(trials: Sequence[Trial], *, jobs: int, cluster: str | None) -> Generator[Outcome, None, None]:
+    """Yield the outcome of each trial as it completes, in any order.
 
     jobs:    local worker processes of one thread each; with 1 the trials run in this process, without dask
     cluster: address of a running Dask scheduler instead, such as tcp://HOST:8786
 
-    Closing the iterator, as an exception in its consumer does, gives up what is not done and ends the local workers.
+    Closing the iterator, as an exception in its consumer does, cancels unfinished trials and stops local workers.
     Raises ConfigurationError where dask is needed and not installed, StartError where no scheduler answers.
     """
     if cluster is None and jobs == 1:
         for trial in trials:
-            yield one.run(trial)
+            yield trial_module.run(trial)
         return
     require(jobs, cluster)
     with _client(jobs, cluster) as client:
-        yield from _fan_out(client, trials)
+        yield from _run_on_cluster(client, trials)
 
 
-def _fan_out(client: Any, trials: Sequence[Trial]) -> Iterator[Outcome]:
-    """Each scene is prepared by one task, on which the trials that play it depend."""
+def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Iterator[Outcome]:
+    """Prepare each scene in one task, on which the trials of that scene depend."""
     from distributed import as_completed
 
     prepared: dict[tuple[str, int], Any] = {}
@@ -65,13 +65,13 @@ def _fan_out(client: Any, trials: Sequence[Trial]) -> Iterator[Outcome]:
         for trial in trials:
             scene = trial.scene_key, trial.seed
             if scene not in prepared:
-                prepared[scene] = client.submit(one.prepare, trial, pure=False)
+                prepared[scene] = client.submit(trial_module.prepare, trial, pure=False)
             pending[client.submit(_run_after, trial, prepared[scene], pure=False)] = trial
         for future in as_completed(list(pending)):
             trial = pending.pop(future)
             try:
                 outcome = future.result()
-            except Exception as error:  # of the scene, or the worker died
+            except Exception as error:  # preparing the scene failed, or the worker died
                 outcome = Outcome.failed(trial, f"{type(error).__name__}: {error}")
             future.release()
             yield outcome
@@ -80,25 +80,25 @@ def _fan_out(client: Any, trials: Sequence[Trial]) -> Iterator[Outcome]:
 
 
 def _run_after(trial: Trial, prepared: None) -> Outcome:
-    """The trial, once its scene is prepared."""
-    return one.run(trial)
+    """Run a trial; `prepared` makes Dask prepare its scene first."""
+    return trial_module.run(trial)
 
 
 @contextmanager
 def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
-    """A client of the running scheduler, or of a cluster of this machine that ends with it."""
+    """A client of the running scheduler, or of a local cluster that stops with it."""
     import dask
     from distributed import Client, LocalCluster
 
     settings: dict[str, Any] = {
         "distributed.comm.timeouts.connect": f"{_CONNECT_S}s",
         "distributed.admin.tick.limit": "60s",
-        # What would interrupt a trial a hundred times a second and more, for pages that nobody opens.
+        # These interrupt a trial a hundred times a second or more, for dashboards that are not used here.
         "distributed.worker.profile.enabled": False,
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.system-monitor.interval": "10s",
     }
-    settings |= {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _KEEP_MEMORY.items()}
+    settings |= {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _MALLOC_SETTINGS.items()}
     with dask.config.set(settings):
         if cluster is not None:
             try:
@@ -108,7 +108,7 @@ def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
             with client:
                 yield client
             return
-        local = LocalCluster(
+        local_cluster = LocalCluster(
             n_workers=jobs,
             threads_per_worker=1,
             processes=True,
@@ -116,5 +116,5 @@ def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
             silence_logs=logging.CRITICAL,
             memory_limit=0,
         )
-        with local, Client(local) as client:
+        with local_cluster, Client(local_cluster) as client:
             yield client

@@ -1,4 +1,4 @@
-"""Every number in the metrics of one run as a flat list, whatever estimators and metrics there are."""
+"""Flattens the metrics of one run into a list of numbers."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from typing import Any, NamedTuple
 from mast_zenoh.metrics import CAUSES
 
 NAN = float("nan")
-#: Stands in the place of an estimator in what an adversary achieved.
+#: The estimator of numbers that tell what an adversary achieved.
 ACHIEVED = "achieved"
-#: Stands before the names of what an estimate would mean for driving.
+#: Prefix of the metrics that tell what an estimate would mean for driving.
 DRIVING = "driving"
-#: s; a trial whose least time to collision is below is critical: van der Horst (1990), see `braking.TimeToCollision`.
+#: s; a trial with a smaller minimum time to collision is critical: van der Horst (1990), see `braking.TimeToCollision`.
 CRITICAL_S = 1.5
-_LEAST_TTC, _CRITICAL = "min_ttc_s", "critical"
-#: Numbers of which no mean is taken: a trial without a collision course has none, so a mean is over the other trials.
-SELECTIVE = frozenset(f"{DRIVING}.{_LEAST_TTC}{suffix}" for suffix in ("", "_iob"))
+_MIN_TTC, _CRITICAL = "min_ttc_s", "critical"
+#: Metrics without a mean: a trial without a collision course has none, so a mean would skip it.
+SELECTIVE = frozenset(f"{DRIVING}.{_MIN_TTC}{suffix}" for suffix in ("", "_iob"))
 
 
 class Number(NamedTuple):
     """One number of one run.
 
-    who:       the agent, or what an achievement is that of: an adversary, or "all"
+    who:       the agent; of an achievement, the adversary, or "all" for all of them
     estimator: "local", "picture", "mission", …; ACHIEVED for achievements
-    metric:    its name; of nested blocks the names joined by dots: "fn_split.attack", "driving.braking_s"
-    std:       over frames, NaN where the metric is of the whole run; frames: how many, 0 for those
-    binary:    whether it is a yes or no, as 1 or 0
+    metric:    its name; names of nested blocks are joined by dots: "fn_split.attack", "driving.braking_s"
+    std:       over frames, NaN for a metric of the whole run; frames: how many, 0 for such a metric
+    binary:    whether it is a boolean, as 1 or 0
     """
 
     who: str
@@ -39,40 +39,40 @@ class Number(NamedTuple):
 
 
 def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
-    """The numbers of `agents`, `driving` and `achieved` in what metrics.json holds, in its order.
+    """The numbers below `agents`, `driving` and `achieved` of metrics.json, in file order.
 
-    `null` becomes NaN, true and false become 1 and 0, and what is not a number is left out. Of `causes` every cause has
-    a number of objects per frame, "fp inserted", also where it does not occur. Of driving there is also whether the
-    least time to collision is below CRITICAL_S, "driving.critical", which every trial has. Numbers of the wall clock
-    are in none of these blocks, so all depend on scenario and seed alone.
+    `null` becomes NaN, true and false become 1 and 0; other values are skipped. Every cause in `causes` gets a number
+    of objects per frame, "fp inserted", even if it does not occur. "driving.critical" tells whether the minimum time
+    to collision is below CRITICAL_S; every trial has it. These blocks hold no wall-clock times, so all numbers depend
+    on scenario and seed alone.
     """
     first, last = metrics.get("scored_frames") or (0, -1)
     frames = last - first + 1
     for agent, estimators in metrics.get("agents", {}).items():
         for estimator, content in estimators.items():
-            yield from _within(agent, estimator, (), content, frames)
+            yield from _flatten(agent, estimator, (), content, frames)
     for agent, estimators in metrics.get("driving", {}).items():
         for estimator, content in estimators.items():
-            yield from _within(agent, estimator, (DRIVING,), content, frames)
-            if _LEAST_TTC in content:
-                least = content[_LEAST_TTC]
-                critical = least is not None and least < CRITICAL_S
+            yield from _flatten(agent, estimator, (DRIVING,), content, frames)
+            if _MIN_TTC in content:
+                min_ttc = content[_MIN_TTC]
+                critical = min_ttc is not None and min_ttc < CRITICAL_S
                 yield Number(agent, estimator, f"{DRIVING}.{_CRITICAL}", float(critical), binary=True)
     for adversary, content in metrics.get(ACHIEVED, {}).items():
-        yield from _within(adversary, ACHIEVED, (), content, frames)
+        yield from _flatten(adversary, ACHIEVED, (), content, frames)
 
 
-def _within(who: str, estimator: str, path: tuple[str, ...], content: Any, frames: int) -> Iterator[Number]:
+def _flatten(who: str, estimator: str, path: tuple[str, ...], content: Any, frames: int) -> Iterator[Number]:
     if isinstance(content, Mapping) and content.keys() == {"mean", "std"}:
         mean, std = (NAN if content[name] is None else float(content[name]) for name in ("mean", "std"))
         yield Number(who, estimator, ".".join(path), mean, std, frames)
     elif isinstance(content, Mapping) and path[-1:] == ("causes",):
-        for what, counts in content.items():
+        for outcome, counts in content.items():
             for cause in (*CAUSES, *(each for each in counts if each not in CAUSES)):
-                yield Number(who, estimator, f"{what} {cause}", counts.get(cause, 0) / max(frames, 1), NAN, frames)
+                yield Number(who, estimator, f"{outcome} {cause}", counts.get(cause, 0) / max(frames, 1), NAN, frames)
     elif isinstance(content, Mapping):
         for name, part in content.items():
-            yield from _within(who, estimator, (*path, str(name)), part, frames)
+            yield from _flatten(who, estimator, (*path, str(name)), part, frames)
     elif isinstance(content, bool):
         yield Number(who, estimator, ".".join(path), float(content), binary=True)
     elif content is None or isinstance(content, (int, float)):

@@ -1,4 +1,4 @@
-"""The columns that the parameters of a study's grids add to its tables, each of one type."""
+"""Table columns for the parameters of a study's grids, each of one type."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Value = int | float | str
 
 
 def parameters(study: Study) -> dict[str, dict[str, Value]]:
-    """By parameter, the value of each configuration that has it, by the configuration's label.
+    """The values of each parameter by configuration label.
 
-    Numbers where all values of the parameter are numbers, else text. A configuration whose run does not sweep the
-    parameter is absent.
+    Values are numbers if all values of the parameter are numbers, else text. Configurations whose run does not sweep
+    the parameter are absent.
     """
     result: dict[str, dict[str, Any]] = {}
     for each in study.configurations:
@@ -34,25 +34,27 @@ def _as_text(values: dict[str, Any]) -> dict[str, Value]:
 
 
 class ParameterColumns:
-    """A column per parameter, after the first column of a table; null where a configuration does not have it.
+    """Inserts a column per parameter after a table's first column; null where it does not apply.
 
-    A parameter that is named like a column of the table, as a metric of the user may be, is called `grid.<name>`.
+    A parameter with the name of one of the table's columns (user-defined metrics add columns) becomes `grid.<name>`.
     """
 
-    def __init__(self, study: Study, taken: Collection[str]) -> None:
-        """taken: the names of the table's own columns."""
-        self._values = {f"grid.{name}" if name in taken else name: each for name, each in parameters(study).items()}
-        self._types = {name: pyarrow.array(list(each.values())).type for name, each in self._values.items()}
+    def __init__(self, study: Study, reserved: Collection[str]) -> None:
+        """reserved: names of the table's own columns."""
+        self._values = {
+            f"grid.{name}" if name in reserved else name: column for name, column in parameters(study).items()
+        }
+        self._types = {name: pyarrow.array(list(column.values())).type for name, column in self._values.items()}
 
-    def schema(self, own: pyarrow.Schema) -> pyarrow.Schema:
-        """That of the whole table; own: that of its own columns."""
+    def schema(self, table_schema: pyarrow.Schema) -> pyarrow.Schema:
+        """The schema with parameter columns; table_schema: without them."""
         fields = [pyarrow.field(name, self._column(name, "", 0).type) for name in self._values]
-        return pyarrow.schema([own.field(0), *fields, *list(own)[1:]])
+        return pyarrow.schema([table_schema.field(0), *fields, *list(table_schema)[1:]])
 
     def add(self, table: pyarrow.Table, configuration: str) -> pyarrow.Table:
-        """The table, all of whose rows are of one configuration, with these columns."""
-        for place, name in enumerate(self._values, 1):
-            table = table.add_column(place, name, self._column(name, configuration, len(table)))
+        """The table with parameter columns; all its rows belong to one configuration."""
+        for position, name in enumerate(self._values, 1):
+            table = table.add_column(position, name, self._column(name, configuration, len(table)))
         return table
 
     def _column(self, name: str, configuration: str, rows: int) -> pyarrow.Array:

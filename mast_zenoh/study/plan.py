@@ -1,4 +1,4 @@
-"""Which trials a study consists of. All that can be refused is refused here, before the first one runs."""
+"""Plans the trials of a study and validates all of them before the first one runs."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from mast_zenoh.study.trial import Trial
 
 
 def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: str) -> list[Trial]:
-    """Every configuration in every scene with `count` seeds from `seed`, those of one scene and seed together.
+    """One trial per configuration, scene and seed, grouped by scene and seed.
 
     Every configuration is resolved in every scene with the first seed. Raises what `scenario.load` and
     `scenario.resolve` raise.
     """
     environment = tuple(sorted(identity.environment().items()))
-    planned: list[list[Trial]] = [[] for _ in range(count)]
+    by_seed: list[list[Trial]] = [[] for _ in range(count)]
     result = []
-    for place in study.scenes:
-        for row in planned:
-            row.clear()
-        for each in study.configurations:
-            settings = (*place.settings, *each.settings)
-            path, loaded = scenario.load(each.scenario, settings)
+    for study_scene in study.scenes:
+        for seed_trials in by_seed:
+            seed_trials.clear()
+        for configuration in study.configurations:
+            settings = (*study_scene.settings, *configuration.settings)
+            path, loaded = scenario.load(configuration.scenario, settings)
             resolved = scenario.resolve(path, loaded, seed=seed, frames=frames)
             scene = registry.build(resolved.scene, scenes.Scene, f"{path}: scene")
             files = identity.files_key((*identity.user_files(path, loaded), *identity.input_files(scene)))
-            idle = _idle(resolved)
-            for index, row in enumerate(planned):
-                row.append(
+            idle = _idle_period(resolved)
+            for index, seed_trials in enumerate(by_seed):
+                seed_trials.append(
                     Trial(
                         digest=identity.digest(loaded, files, seed + index, frames, runtime),
-                        configuration=each.label,
-                        scene=place.label,
+                        configuration=configuration.label,
+                        scene=study_scene.label,
                         seed=seed + index,
-                        scenario=each.scenario,
+                        scenario=configuration.scenario,
                         settings=settings,
                         frames=frames,
                         runtime=runtime,
@@ -46,14 +46,14 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
                         idle=idle,
                     )
                 )
-        result += [trial for row in planned for trial in row]
+        result += [trial for seed_trials in by_seed for trial in seed_trials]
     return result
 
 
-def _idle(resolved: Resolved) -> tuple[float, float] | None:
-    """When the first attack would begin and when the run ends, s of scene time, if no adversary gets to attack.
+def _idle_period(resolved: Resolved) -> tuple[float, float] | None:
+    """Start of the first attack and end of the run, s, if the run ends before any attack.
 
-    None where one does, where there is none, and where an adversary's file does not say when it begins.
+    None if an attack starts in time, if there is none, or if an adversary's start is not known.
     """
     starts = attack_starts(resolved.nodes)
     timed = {name for names in starts.values() for name in names}

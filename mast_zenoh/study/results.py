@@ -1,4 +1,4 @@
-"""From the outcome of a trial to its results: all its numbers, and what its attack adds to the baseline's."""
+"""Results of a trial: all its numbers, and its increments over the baseline."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mast_zenoh.metrics import Table, increments
 from mast_zenoh.study.numbers import NAN, Number, numbers
 from mast_zenoh.study.trial import Outcome, Trial
 
-#: Stands in the place of an agent for all compromised agents together.
+#: The agent name of numbers of all compromised agents together.
 COMPROMISED = "compromised"
 #: The columns of results.parquet, and their types.
 _COLUMNS = {
@@ -27,69 +27,73 @@ _COLUMNS = {
 }
 
 
-def values(outcome: Outcome, paired: Outcome | None) -> list[Number]:
-    """All numbers of a trial that did not fail, and what its attack adds to them.
+def values(outcome: Outcome, baseline: Outcome | None) -> list[Number]:
+    """All numbers of a successful trial, and its increments over the baseline.
 
-    paired: the trial of the baseline in the same scene with the same seed; None: there is none to compare with
+    baseline: the outcome of the baseline in the same scene with the same seed; None: no increments
     """
     result = list(numbers(outcome.metrics))
-    if paired is not None and paired is not outcome:
-        result += _over_baseline(paired, outcome, result)
-        result += _of_the_paper(paired, outcome)
+    if baseline is not None and baseline is not outcome:
+        result += _increments_over_baseline(baseline, outcome, result)
+        result += _paper_increments(baseline, outcome)
     return result
 
 
 def ego(agents: Mapping[str, Any]) -> str:
-    """The agent from which everything is seen: the one named `ego`, else the first."""
+    """The agent whose estimates are scored: the one named `ego`, else the first."""
     return "ego" if "ego" in agents else next(iter(agents), "ego")
 
 
-def _over_baseline(paired: Outcome, outcome: Outcome, numbers_attacked: Sequence[Number]) -> Iterator[Number]:
-    """Every number of the ego less that of the baseline, `<metric>_iob`; frame by frame where it is a mean over frames.
+def _increments_over_baseline(
+    baseline: Outcome, outcome: Outcome, attacked_numbers: Sequence[Number]
+) -> Iterator[Number]:
+    """The ego's numbers minus those of the baseline, named `<metric>_iob`.
 
-    Frame by frame takes the scored frames in which both runs have a value.
+    Means over frames are subtracted frame by frame, over the scored frames in which both runs have a value.
     """
     who = ego(outcome.metrics.get("agents", {}))
-    before = {(each.estimator, each.metric): each.value for each in numbers(paired.metrics) if each.who == who}
-    tables = [_of_agent(_scored(each), who) for each in (paired, outcome)]
-    for number in numbers_attacked:
-        if number.who != who or (number.estimator, number.metric) not in before:
+    baseline_values = {
+        (each.estimator, each.metric): each.value for each in numbers(baseline.metrics) if each.who == who
+    }
+    tables = [_rows_by_estimator(_scored_rows(each), who) for each in (baseline, outcome)]
+    for number in attacked_numbers:
+        if number.who != who or (number.estimator, number.metric) not in baseline_values:
             continue
         name = f"{number.metric}_iob"
         series = [table.get(number.estimator, {}) for table in tables] if number.frames else [{}]
         if all(number.metric in each for each in series):
-            added = _frame_by_frame(series[0], series[1], number.metric)
-            mean, std = (added.mean(), added.std()) if len(added) else (NAN, NAN)
-            yield Number(who, number.estimator, name, float(mean), float(std), len(added))
+            differences = _frame_by_frame(series[0], series[1], number.metric)
+            mean, std = (differences.mean(), differences.std()) if len(differences) else (NAN, NAN)
+            yield Number(who, number.estimator, name, float(mean), float(std), len(differences))
         else:
-            yield Number(who, number.estimator, name, number.value - before[number.estimator, number.metric])
+            yield Number(who, number.estimator, name, number.value - baseline_values[number.estimator, number.metric])
 
 
-def _of_the_paper(paired: Outcome, outcome: Outcome) -> Iterator[Number]:
-    """The paper's increments that have another reference: over the ego (IoE), and of the compromised agents."""
+def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
+    """The paper's other increments: over the ego alone (IoE), and of the compromised agents."""
     who = ego(outcome.metrics["agents"])
-    added = increments(_scored(paired), _scored(outcome), agent=who, compromised=outcome.compromised)
-    n = added["frames"]
-    parts = [(who, "picture", f"{name}_ioe", added[name]["ioe"], n) for name in ("fn", "fp", "tp")]
+    summary = increments(_scored_rows(baseline), _scored_rows(outcome), agent=who, compromised=outcome.compromised)
+    n = summary["frames"]
+    rows = [(who, "picture", f"{name}_ioe", summary[name]["ioe"], n) for name in ("fn", "fp", "tp")]
     pooled_frames = n * len(outcome.compromised)
-    parts += [(COMPROMISED, "local", f"{name}_iob", added[name], pooled_frames) for name in ("cafn", "cafp")]
-    for agent, estimator, metric, content, frames in parts:
+    rows += [(COMPROMISED, "local", f"{name}_iob", summary[name], pooled_frames) for name in ("cafn", "cafp")]
+    for agent, estimator, metric, content, frames in rows:
         mean, std = (NAN if content[each] is None else content[each] for each in ("mean", "std"))
         yield Number(agent, estimator, metric, mean, std, frames)
 
 
-def _scored(outcome: Outcome) -> Table:
+def _scored_rows(outcome: Outcome) -> Table:
     """The rows of the frames that are scored."""
     first, last = outcome.metrics.get("scored_frames") or (0, -1)
     frame = outcome.per_frame["frame"]
-    inside = (frame >= first) & (frame <= last)
-    return {name: column[inside] for name, column in outcome.per_frame.items()}
+    scored = (frame >= first) & (frame <= last)
+    return {name: column[scored] for name, column in outcome.per_frame.items()}
 
 
-def _of_agent(table: Table, agent: str) -> dict[str, Table]:
-    """By estimator the rows of one agent."""
-    mine = table["agent"] == agent
-    rows = {name: column[mine] for name, column in table.items()}
+def _rows_by_estimator(table: Table, agent: str) -> dict[str, Table]:
+    """The rows of one agent by estimator."""
+    agent_rows = table["agent"] == agent
+    rows = {name: column[agent_rows] for name, column in table.items()}
     return {
         str(estimator): {name: column[rows["estimator"] == estimator] for name, column in rows.items()}
         for estimator in np.unique(rows["estimator"])
@@ -97,16 +101,16 @@ def _of_agent(table: Table, agent: str) -> dict[str, Table]:
 
 
 def _frame_by_frame(before: Table, after: Table, metric: str) -> Any:
-    """(n,) differences after less before, in the frames in which both are known."""
-    _, a, b = np.intersect1d(after["frame"], before["frame"], return_indices=True)
-    added = after[metric][a].astype(np.float64) - before[metric][b]
-    return added[~np.isnan(added)]
+    """(n,) differences `after` minus `before`, in the frames in which both have a value."""
+    _, after_rows, before_rows = np.intersect1d(after["frame"], before["frame"], return_indices=True)
+    differences = after[metric][after_rows].astype(np.float64) - before[metric][before_rows]
+    return differences[~np.isnan(differences)]
 
 
-def columns(trial: Trial, of_trial: Sequence[Number]) -> Table:
+def columns(trial: Trial, trial_numbers: Sequence[Number]) -> Table:
     """The rows of results.parquet of one trial."""
-    about = (trial.configuration, trial.scene, trial.seed)
-    rows = [about + number[:6] for number in of_trial]
+    key = (trial.configuration, trial.scene, trial.seed)
+    rows = [key + number[:6] for number in trial_numbers]
     by_column = list(zip(*rows, strict=True)) if rows else [()] * len(_COLUMNS)
     return {
         name: np.array(column, dtype=kind) for (name, kind), column in zip(_COLUMNS.items(), by_column, strict=True)
@@ -115,6 +119,6 @@ def columns(trial: Trial, of_trial: Sequence[Number]) -> Table:
 
 def frames(outcome: Outcome) -> Table:
     """The rows of frames.parquet of one trial."""
-    trial, n = outcome.trial, len(outcome.per_frame["frame"])
-    about = {"configuration": trial.configuration, "scene": trial.scene, "seed": trial.seed}
-    return {name: np.full(n, value) for name, value in about.items()} | outcome.per_frame
+    trial, count = outcome.trial, len(outcome.per_frame["frame"])
+    key = {"configuration": trial.configuration, "scene": trial.scene, "seed": trial.seed}
+    return {name: np.full(count, value) for name, value in key.items()} | outcome.per_frame

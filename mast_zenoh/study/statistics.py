@@ -1,10 +1,10 @@
 """Means and rates over trials, with 95 % intervals that hold for few trials.
 
-Trials are crossed: every scene is played with the same seeds. What two trials share (a scene's traffic, a seed's draws)
-makes them alike, so whole seeds and whole scenes are the units here, never single trials. docs/studies.md explains the
-intervals and lists their simulated coverage.
+Trials are crossed: every scene is played with the same seeds. Trials that share a scene (its traffic) or a seed (its
+draws) are correlated, so the units here are whole seeds and whole scenes, never single trials. docs/studies.md explains
+the intervals and lists their simulated coverage.
 
-Values are arrays (..., scenes, seeds), one value per trial and none missing; leading axes are independent samples.
+Values are arrays (..., scenes, seeds), one value per trial, none missing; leading axes are independent samples.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import numpy as np
 from scipy.special import betaincinv, stdtr, stdtrit
 
 from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.report.tables.study_rows import LEAST_SEEDS
+from mast_zenoh.report.tables.study_rows import MIN_SEEDS
 
 CONFIDENCE = 0.95
-#: Fewer seeds than this have no interval, and fewer scenes none to other scenes.
-LEAST_CLUSTERS = LEAST_SEEDS
+#: Minimum number of seeds for an interval, and of scenes for an interval to other scenes.
+MIN_CLUSTERS = MIN_SEEDS
 
 _UPPER = 0.5 + CONFIDENCE / 2.0
 
 
 class Moments(NamedTuple):
-    """Of the values of one trial's frames: their number, mean and standard deviation (divided by the number)."""
+    """Number, mean and population standard deviation of the values of one trial's frames."""
 
     n: int
     mean: float
@@ -46,22 +46,22 @@ def pooled(parts: Sequence[Moments]) -> tuple[float, float]:
     if n.sum() == 0.0:
         return float("nan"), float("nan")
     mean, std = np.array([part.mean for part in parts]), np.array([part.std for part in parts])
-    middle = float(np.average(mean, weights=n))
-    return middle, float(np.sqrt(np.average(std**2 + (mean - middle) ** 2, weights=n)))
+    overall_mean = float(np.average(mean, weights=n))
+    return overall_mean, float(np.sqrt(np.average(std**2 + (mean - overall_mean) ** 2, weights=n)))
 
 
 def over_seeds(values: Floats) -> Interval:
     """Interval of the mean over other seeds of these same scenes: Student's t over the seeds' averages.
 
-    Exact for normal averages, whatever the correlation between the scenes of one seed. None for fewer than
-    LEAST_CLUSTERS seeds, nor where all averages are equal: no spread says nothing about the next seed.
+    Exact for normal averages, for any correlation between the scenes of one seed. NaN for fewer than MIN_CLUSTERS
+    seeds, and where all averages are equal: without spread, nothing is known about the next seed.
     """
     mean, error = _seed_means(values)
-    return _around(mean, error, np.asarray(values.shape[-1] - 1.0))
+    return _t_interval(mean, error, np.asarray(values.shape[-1] - 1.0))
 
 
 def equals_zero(values: Floats) -> Floats:
-    """Two-sided p-value of the mean over other seeds being 0, by the t statistic of `over_seeds`; NaN without one."""
+    """Two-sided p-value of a zero mean over seeds, by the t statistic of `over_seeds`; NaN without one."""
     mean, error = _seed_means(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         p: Floats = 2.0 * stdtr(values.shape[-1] - 1.0, -np.abs(mean / error))
@@ -69,9 +69,9 @@ def equals_zero(values: Floats) -> Floats:
 
 
 def over_scenes(values: Floats) -> Interval:
-    """Interval of the mean over other scenes and seeds, both drawn at random; at least LEAST_CLUSTERS of each.
+    """Interval of the mean over other random scenes and seeds; needs MIN_CLUSTERS of each.
 
-    Two-way analysis of variance with mean squares A between scenes, B between seeds and C of what is left:
+    Two-way analysis of variance with mean squares A between scenes, B between seeds and C of the residuals:
     the variance of the mean is estimated by (A + max(B - C, 0)) / (scenes * seeds), its degrees of freedom by
     Satterthwaite's formula. The part of C is contained in A and in B and must count once. This is Hillis's interval
     for readers and cases (2007, Statistics in Medicine 26:596), with the degrees of freedom of both factors as in
@@ -80,19 +80,19 @@ def over_scenes(values: Floats) -> Interval:
     """
     scenes, seeds = values.shape[-2:]
     mean = values.mean(axis=(-2, -1))
-    if min(scenes, seeds) < LEAST_CLUSTERS:
-        return _around(mean, np.full_like(mean, np.nan), np.asarray(1.0))
+    if min(scenes, seeds) < MIN_CLUSTERS:
+        return _t_interval(mean, np.full_like(mean, np.nan), np.asarray(1.0))
     by_scene, by_seed = values.mean(axis=-1), values.mean(axis=-2)
-    left = values - by_scene[..., :, None] - by_seed[..., None, :] + mean[..., None, None]
+    residuals = values - by_scene[..., :, None] - by_seed[..., None, :] + mean[..., None, None]
     degrees = scenes - 1.0, seeds - 1.0, (scenes - 1.0) * (seeds - 1.0)
     a, b = seeds * by_scene.var(axis=-1, ddof=1), scenes * by_seed.var(axis=-1, ddof=1)
-    c = (left**2).sum(axis=(-2, -1)) / degrees[2]
+    c = (residuals**2).sum(axis=(-2, -1)) / degrees[2]
     total = a + np.maximum(b - c, 0.0)
     spread = a**2 / degrees[0] + np.where(b > c, b**2 / degrees[1] + c**2 / degrees[2], 0.0)
     error = np.sqrt(total / (scenes * seeds))
     error = np.where(_negligible(error, mean), np.nan, error)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return _around(mean, error, total**2 / spread)
+        return _t_interval(mean, error, total**2 / spread)
 
 
 def of_rate(successes: Floats) -> Interval:
@@ -100,24 +100,24 @@ def of_rate(successes: Floats) -> Interval:
 
     Clopper and Pearson's (1934, Biometrika 26:404) for the effective number of trials of Korn and Graubard (1998,
     Survey Methodology 24:193): the number of independent trials whose rate would vary as much as the seeds' averages
-    do, corrected for the degrees of freedom. It is the number of seeds where fewer than LEAST_CLUSTERS seeds have a
-    success, or a failure, since their spread is then not known. Never empty, also at 0 and 1; conservative.
+    do, corrected for the degrees of freedom. It is the number of seeds where fewer than MIN_CLUSTERS seeds have a
+    success, or a failure, since their spread is then not known. Conservative, with a width even at rates 0 and 1.
     """
     scenes, seeds = successes.shape[-2:]
     by_seed = successes.mean(axis=-2)
     rate = by_seed.mean(axis=-1)
-    if seeds < LEAST_CLUSTERS:
-        return _around(rate, np.full_like(rate, np.nan), np.asarray(1.0))
+    if seeds < MIN_CLUSTERS:
+        return _t_interval(rate, np.full_like(rate, np.nan), np.asarray(1.0))
     n, trials = np.full_like(rate, seeds), scenes * seeds
     variance = by_seed.var(axis=-1, ddof=1) / seeds
-    known: Bools = np.minimum((by_seed > 0.0).sum(axis=-1), (by_seed < 1.0).sum(axis=-1)) >= LEAST_CLUSTERS
-    known &= (variance > 0.0) & (scenes > 1)
+    estimable: Bools = np.minimum((by_seed > 0.0).sum(axis=-1), (by_seed < 1.0).sum(axis=-1)) >= MIN_CLUSTERS
+    estimable &= (variance > 0.0) & (scenes > 1)
     ratio = (stdtrit(trials - 1.0, _UPPER) / stdtrit(seeds - 1.0, _UPPER)) ** 2 * trials / (trials - 1.0)
-    n[known] = np.minimum(trials, ratio * (rate * (1.0 - rate))[known] / variance[known])
-    hits = rate * n
+    n[estimable] = np.minimum(trials, ratio * (rate * (1.0 - rate))[estimable] / variance[estimable])
+    successes_of_n = rate * n
     with np.errstate(invalid="ignore"):
-        low = np.where(rate > 0.0, betaincinv(hits, n - hits + 1.0, 1.0 - _UPPER), 0.0)
-        high = np.where(rate < 1.0, betaincinv(hits + 1.0, n - hits, _UPPER), 1.0)
+        low = np.where(rate > 0.0, betaincinv(successes_of_n, n - successes_of_n + 1.0, 1.0 - _UPPER), 0.0)
+        high = np.where(rate < 1.0, betaincinv(successes_of_n + 1.0, n - successes_of_n, _UPPER), 1.0)
     return Interval(low, high)
 
 
@@ -125,18 +125,18 @@ def _seed_means(values: Floats) -> tuple[Floats, Floats]:
     """Mean of the seeds' averages and its standard error; NaN for too few seeds and for equal averages."""
     averages = values.mean(axis=-2)
     seeds, mean = averages.shape[-1], averages.mean(axis=-1)
-    if seeds < LEAST_CLUSTERS:
+    if seeds < MIN_CLUSTERS:
         return mean, np.full_like(mean, np.nan)
     error = averages.std(axis=-1, ddof=1) / np.sqrt(seeds)
     return mean, np.where(_negligible(error, mean), np.nan, error)
 
 
 def _negligible(error: Floats, mean: Floats) -> Bools:
-    """Where a standard error is 0 but for rounding."""
+    """Where a standard error is 0 up to rounding."""
     negligible: Bools = error <= 1e-12 * np.maximum(1.0, np.abs(mean))
     return negligible
 
 
-def _around(mean: Floats, error: Floats, degrees: Floats) -> Interval:
+def _t_interval(mean: Floats, error: Floats, degrees: Floats) -> Interval:
     half = stdtrit(degrees, _UPPER) * error
     return Interval(mean - half, mean + half)

@@ -1,4 +1,4 @@
-"""The folder of a study: a file for each trial that is done, there whole or not at all."""
+"""The folder of a study: one file per finished trial, written atomically."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mast_zenoh.study.definition import Study
 from mast_zenoh.study.table_file import write_parquet
 from mast_zenoh.study.trial import Outcome, Trial
 
-_ABOUT = b"mast-zenoh"
+_METADATA = b"mast-zenoh"
 
 
 class Store:
@@ -28,31 +28,31 @@ class Store:
 
     @classmethod
     def create(cls, out: Path | None, study: Study, *, resume: bool) -> Store:
-        """A new folder, or with `resume` one in which trials may be already.
+        """Create a new study folder, or with `resume` open one that may hold trials.
 
-        Raises RunFolderError when a new folder is not empty, or one to resume is that of another study.
+        Raises RunFolderError if a new folder is not empty, or a folder to resume belongs to another study.
         """
         if not resume:
             folder = run_folder.create(out, study.name)
-            for part in ("logs", "figures"):
-                (folder / part).rmdir()
+            for subfolder in ("logs", "figures"):
+                (folder / subfolder).rmdir()
         elif out is None:
             raise RunFolderError("--resume: expected --out too, the folder of the study to go on with")
         elif not out.exists() or not any(out.iterdir()):
             return cls.create(out, study, resume=False)
         else:
             folder = out.resolve()
-            found = run_folder.read_json(folder / "study.json").get("name")
-            if found != study.name:
-                raise RunFolderError(f"{folder}: holds the study {found!r}, expected {study.name!r}")
+            stored_name = run_folder.read_json(folder / "study.json").get("name")
+            if stored_name != study.name:
+                raise RunFolderError(f"{folder}: holds the study {stored_name!r}, expected {study.name!r}")
         store = cls(folder)
         store._trials.mkdir(exist_ok=True)
-        for left in store._trials.glob(".*"):
-            left.unlink(missing_ok=True)  # of a study that was killed while it wrote
+        for leftover in store._trials.glob(".*"):
+            leftover.unlink(missing_ok=True)  # from a study that was killed while writing
         return store
 
-    def note(self, study: Study, trials: Sequence[Trial], failures: Mapping[str, str], status: str) -> None:
-        """Write study.json: what the study consists of, and how it stands."""
+    def write_status(self, study: Study, trials: Sequence[Trial], failures: Mapping[str, str], status: str) -> None:
+        """Write study.json: the study's configurations and trials, and its status."""
         content = {
             "name": study.name,
             "status": status,
@@ -79,9 +79,9 @@ class Store:
         run_folder.write_json(self.folder / "study.json", content)
 
     def save(self, outcome: Outcome) -> None:
-        """Keep what came of a trial."""
+        """Store the outcome of a trial."""
         trial = outcome.trial
-        about = {
+        metadata = {
             "configuration": trial.configuration,
             "scene": trial.scene,
             "seed": trial.seed,
@@ -92,30 +92,36 @@ class Store:
             "metrics": run_folder.finite(outcome.metrics),
         }
         table = to_arrow(outcome.per_frame)
-        table = table.replace_schema_metadata({_ABOUT: json.dumps(about, allow_nan=False).encode()})
+        table = table.replace_schema_metadata({_METADATA: json.dumps(metadata, allow_nan=False).encode()})
         write_parquet(self._path(trial), table)
 
     def load(self, trial: Trial) -> Outcome | None:
-        """What came of a trial; None if it is not done, its file is broken, or failures in it are not allowed now."""
+        """The stored outcome of a trial; None if absent, broken, or with failures not allowed."""
         try:
             table = read_arrow(self._path(trial))
-            about = json.loads(table.schema.metadata[_ABOUT])
+            metadata = json.loads(table.schema.metadata[_METADATA])
             columns = from_arrow(table)
-            if about["warning"] and not trial.allow_failures:
+            if metadata["warning"] and not trial.allow_failures:
                 return None
-            rest = {"cpu_s": about["cpu_s"], "warning": about["warning"]}
-            return Outcome(trial, about["metrics"], columns, tuple(about["compromised"]), **rest)
+            return Outcome(
+                trial,
+                metadata["metrics"],
+                columns,
+                tuple(metadata["compromised"]),
+                cpu_s=metadata["cpu_s"],
+                warning=metadata["warning"],
+            )
         except (OSError, ValueError, KeyError, TypeError, pyarrow.ArrowException):
             return None
 
     def frame_schema(self, trials: Sequence[Trial]) -> pyarrow.Schema:
-        """The columns that the tables per frame of any trial have that is done, together."""
+        """The union of the columns of all finished trials' tables per frame."""
         schemas = [pyarrow.schema([])]
         for trial in trials:
             try:
                 schemas.append(parquet.read_schema(self._path(trial)).remove_metadata())
             except (OSError, pyarrow.ArrowException):
-                continue  # not done, or broken
+                continue  # absent or broken
         return pyarrow.unify_schemas(schemas, promote_options="permissive")
 
     def _path(self, trial: Trial) -> Path:

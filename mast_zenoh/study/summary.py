@@ -1,4 +1,4 @@
-"""One estimate per configuration and series, from the numbers of its trials."""
+"""Summarises trials: one estimate per configuration and series."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from mast_zenoh.report.tables.study_rows import Estimate, Series, StudyRow
 from mast_zenoh.study import statistics
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import ACHIEVED, NAN, SELECTIVE, Number
-from mast_zenoh.study.ranges import possible
+from mast_zenoh.study.ranges import value_range
 from mast_zenoh.study.results import COMPROMISED, ego
 from mast_zenoh.study.statistics import Moments
 from mast_zenoh.study.trial import Outcome
 
 
 class Samples:
-    """The numbers that a study is summed up from: of the ego, of the compromised agents, and what attacks achieved."""
+    """The numbers that a study reports: of the ego, of the compromised agents, and of achievements."""
 
     def __init__(self, study: Study, seeds: Sequence[int]) -> None:
-        """seeds: those planned, for every configuration and scene."""
+        """seeds: the planned seeds of every configuration and scene."""
         self._study = study
-        self._scene = {place.label: index for index, place in enumerate(study.scenes)}
+        self._scene = {scene.label: index for index, scene in enumerate(study.scenes)}
         self._seed = {seed: index for index, seed in enumerate(seeds)}
         self._cells: dict[str, dict[Series, Floats]] = {each.label: {} for each in study.configurations}
         self._rates: set[Series] = set()
         self._ego = ""
 
-    def add(self, outcome: Outcome, of_trial: Iterable[Number]) -> None:
+    def add(self, outcome: Outcome, trial_numbers: Iterable[Number]) -> None:
         """Add the numbers of a trial, `results.values`."""
         self._ego = agent = self._ego or ego(outcome.metrics["agents"])
         trial = outcome.trial
-        place = self._scene[trial.scene], self._seed[trial.seed]
+        cell = self._scene[trial.scene], self._seed[trial.seed]
         cells = self._cells[trial.configuration]
-        for number in of_trial:
+        for number in trial_numbers:
             if number.metric in SELECTIVE:
                 continue
             if number.who in (agent, COMPROMISED) or number.estimator == ACHIEVED:
                 series = Series(*number[:3])
                 if series not in cells:
                     cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)
-                cells[series][:, *place] = number.value, number.std, number.frames
+                cells[series][:, *cell] = number.value, number.std, number.frames
                 if number.binary:
                     self._rates.add(series)
 
@@ -50,44 +50,44 @@ class Samples:
         """A row per configuration."""
         return [
             StudyRow(
-                label=each.label,
-                run=each.run,
-                point=dict(each.point),
+                label=configuration.label,
+                run=configuration.run,
+                point=dict(configuration.point),
                 estimates={
                     series: _estimate(series, *cell, rate=series in self._rates)
-                    for series, cell in self._cells[each.label].items()
+                    for series, cell in self._cells[configuration.label].items()
                 },
                 ego=self._ego or "ego",
             )
-            for each in self._study.configurations
+            for configuration in self._study.configurations
         ]
 
 
 def _estimate(series: Series, values: Floats, stds: Floats, frames: Floats, *, rate: bool) -> Estimate:
-    """Of (scenes, seeds) values each, NaN where a trial has none.
+    """The estimate of a series from arrays (scenes, seeds), NaN where a trial has no value.
 
-    Over frames of all trials; over trials of the seeds that have a value in every scene in which any has one. Bounds
-    are cut to what the quantity can be.
+    Statistics over frames use all trials. Statistics over trials use the seeds that have a value in every scene with
+    any value. Bounds are clipped to the possible range of the metric.
     """
     pooled = ~np.isnan(values) & ~np.isnan(stds) & (frames > 0)
     over_frames = [Moments(*each) for each in zip(frames[pooled], values[pooled], stds[pooled], strict=True)]
     mean, std = statistics.pooled(over_frames)
     known = ~np.isnan(values)
-    there = known.any(axis=1)
-    complete = values[there][:, known[there].all(axis=0)]
+    nonempty_scenes = known.any(axis=1)
+    complete = values[nonempty_scenes][:, known[nonempty_scenes].all(axis=0)]
     scenes, seeds = complete.shape
     left_out = values.shape[1] - seeds
     if not complete.size:
         return Estimate(mean, std, left_out=left_out)
-    middle = float(complete.mean())
+    trial_mean = float(complete.mean())
     low, high = statistics.of_rate(complete) if rate else statistics.over_seeds(complete)
-    wide = (NAN, NAN) if rate else statistics.over_scenes(complete)
-    least, most = possible(series)
-    low, high, wide_low, wide_high = np.clip([low, high, *wide], least, most).tolist()
+    scenes_interval = (NAN, NAN) if rate else statistics.over_scenes(complete)
+    minimum, maximum = value_range(series)
+    low, high, wide_low, wide_high = np.clip([low, high, *scenes_interval], minimum, maximum).tolist()
     return Estimate(
-        mean=mean if over_frames else middle,
+        mean=mean if over_frames else trial_mean,
         std=std,
-        trial_mean=middle,
+        trial_mean=trial_mean,
         low=low,
         high=high,
         scenes_low=wide_low,

@@ -1,4 +1,4 @@
-"""Writes what a study leaves: tables, figures and the page, from the trials that are done."""
+"""Writes the tables, figures and page of a study from its finished trials."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from mast_zenoh.study.trial import Outcome, Trial
 
 
 @dataclass(frozen=True)
-class Ended:
-    """A study whose trials have ended.
+class StudyResult:
+    """A finished study with trials.
 
-    rows: its estimates; facts: what it consisted of; files: all that were written; report: the HTML page
+    rows: its estimates; facts: its configurations, seeds and versions; files: all files written; report: HTML page
     """
 
     out: Path
@@ -45,7 +45,7 @@ class Ended:
             raise TrialsFailed(f"{len(failed)} trials failed; each can be run alone:\n" + "\n".join(lines))
 
 
-def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping[str, str]) -> Ended:
+def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping[str, str]) -> StudyResult:
     """Write all files of a study but study.json, from the trials that its folder has.
 
     trials:   those planned, all of one scene and seed together
@@ -61,16 +61,16 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     facts = StudyFacts(
         name=study.name,
         baseline=study.baseline,
-        configurations={each.label: (each.scenario, each.settings) for each in study.configurations},
-        scenes=tuple(place.label for place in study.scenes),
+        configurations={item.label: (item.scenario, item.settings) for item in study.configurations},
+        scenes=tuple(scene.label for scene in study.scenes),
         seeds=seeds,
         frames=trials[0].frames,
         runtime=trials[0].runtime,
         done=done,
-        failed=tuple(_failed(trial, failures[trial.digest]) for trial in trials if trial.digest in failures),
+        failed=tuple(_failed_trial(trial, failures[trial.digest]) for trial in trials if trial.digest in failures),
         environment=dict(trials[0].environment),
-        other_scenes=_other_scenes(trials, study.baseline),
-        idle=_idle(trials),
+        other_scenes=_configurations_with_other_scenes(trials, study.baseline),
+        idle=_idle_attacks(trials),
     )
     texts = {
         "table.csv": study_export.as_csv(rows, facts),
@@ -80,17 +80,17 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     for name, text in texts.items():
         (store.folder / name).write_text(text, encoding="utf-8")
     figures = figures_over_trials(rows, facts)
-    for each in figures.values():
-        each.save(store.folder)
+    for item in figures.values():
+        item.save(store.folder)
     names = ["results.parquet", "frames.parquet", *texts, *(f"{name}.png" for name in figures)]
     report = study_page.write_page(store.folder, rows, facts, figures)
-    return Ended(store.folder, rows, facts, [store.folder / name for name in names], report)
+    return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report)
 
 
 def _write_parquet(
     study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int]
 ) -> tuple[Counter[str], list[StudyRow]]:
-    """results.parquet and frames.parquet; how many trials of each configuration are done, and the rows of the tables.
+    """Write results.parquet and frames.parquet; returns finished trials by configuration, and table rows.
 
     Only the trials of one scene and seed are in memory at a time.
     """
@@ -104,13 +104,15 @@ def _write_parquet(
         TableFile(store.folder / "frames.parquet", per_frame.schema(frame_schema)) as frame_file,
     ):
         for group in _by_scene_and_seed(store, trials):
-            paired = next((each for each in group if each.trial.configuration == study.baseline), None)
+            baseline = next((each for each in group if each.trial.configuration == study.baseline), None)
             for outcome in group:
                 label = outcome.trial.configuration
-                of_trial = results.values(outcome, paired)
-                began = outcome.trial.idle is None  # an attack that never began neither succeeded nor failed
-                samples.add(outcome, of_trial if began else [n for n in of_trial if n.estimator != ACHIEVED])
-                trial_file.append(per_trial.add(to_arrow(results.columns(outcome.trial, of_trial)), label))
+                trial_numbers = results.values(outcome, baseline)
+                attacked = outcome.trial.idle is None  # an attack that never began neither succeeded nor failed
+                samples.add(
+                    outcome, trial_numbers if attacked else [n for n in trial_numbers if n.estimator != ACHIEVED]
+                )
+                trial_file.append(per_trial.add(to_arrow(results.columns(outcome.trial, trial_numbers)), label))
                 frame_file.append(per_frame.add(to_arrow(results.frames(outcome)), label))
                 done[label] += 1
     return done, samples.rows()
@@ -122,30 +124,30 @@ def _by_scene_and_seed(store: Store, trials: Sequence[Trial]) -> Iterator[list[O
         yield [outcome for outcome in map(store.load, group) if outcome is not None]
 
 
-def _other_scenes(trials: Sequence[Trial], baseline: str) -> tuple[str, ...]:
-    """The configurations whose recording is not that of the baseline in the same scene of the study."""
+def _configurations_with_other_scenes(trials: Sequence[Trial], baseline: str) -> tuple[str, ...]:
+    """Configurations whose recording differs from the baseline's in the same scene."""
     reference = {trial.scene: trial.scene_key for trial in trials if trial.configuration == baseline}
     return tuple(dict.fromkeys(trial.configuration for trial in trials if trial.scene_key != reference[trial.scene]))
 
 
-def _idle(trials: Sequence[Trial]) -> tuple[IdleAttack, ...]:
-    """The configurations whose attack never began in some scene."""
+def _idle_attacks(trials: Sequence[Trial]) -> tuple[IdleAttack, ...]:
+    """Configurations whose attack never began in some scene."""
     scenes = dict.fromkeys(trial.scene for trial in trials)
-    found: dict[str, dict[str, tuple[float, float]]] = {}
+    periods_by_label: dict[str, dict[str, tuple[float, float]]] = {}
     for trial in trials:
         if trial.idle is not None:
-            found.setdefault(trial.configuration, {})[trial.scene] = trial.idle
+            periods_by_label.setdefault(trial.configuration, {})[trial.scene] = trial.idle
     return tuple(
         IdleAttack(
             label,
-            min(begin for begin, _ in where.values()),
-            max(end for _, end in where.values()),
-            tuple(where) if len(where) < len(scenes) else (),
+            min(begin for begin, _ in periods.values()),
+            max(end for _, end in periods.values()),
+            tuple(periods) if len(periods) < len(scenes) else (),
         )
-        for label, where in found.items()
+        for label, periods in periods_by_label.items()
     )
 
 
-def _failed(trial: Trial, error: str) -> FailedTrial:
+def _failed_trial(trial: Trial, error: str) -> FailedTrial:
     """A failed trial for the tables, its error on one line."""
     return FailedTrial(trial.configuration, trial.scene, trial.seed, " ".join(error.split()), trial.command())

@@ -1,4 +1,4 @@
-"""One trial: a configuration, a scene and a seed, and what came of it. Workers import this, and little else."""
+"""Runs one trial: a configuration, a scene and a seed. Workers import little else."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from mast_zenoh.study import identity
 
 @dataclass(frozen=True)
 class Trial:
-    """What to run. `digest` says what the outcome depends on (`identity.digest`); equal digests, equal outcomes.
+    """One run of a study. Trials with equal digests (`identity.digest`) have equal outcomes.
 
     configuration, scene: labels in the study
     scenario, settings:   as for `mast run SCENARIO --set …`
-    scene_key:            the same for trials that play the same recording
-    environment:          code and versions that the outcome is to be that of
-    allow_failures:       whether the trial counts although handlers of its nodes failed
-    idle:                 s of scene time at which the first attack would begin and at which the trial ends, where it
-                          ends first; None: an attack begins, or there is none
+    scene_key:            equal for trials that play the same recording
+    environment:          code and versions that a worker must have
+    allow_failures:       whether the trial counts even if handlers of its nodes failed
+    idle:                 s of scene time: start of the first attack and end of the trial, if the trial ends first;
+                          None: an attack starts, or there is none
     """
 
     digest: str
@@ -57,12 +57,12 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial; error: why it failed, "" if it did not; warning: failures of handlers that were allowed.
+    """The outcome of a trial; error: why it failed, or ""; warning: handler failures that were allowed.
 
-    metrics:     what metrics.json holds
+    metrics:     content of metrics.json
     per_frame:   the columns of metrics.parquet
-    compromised: the agents on whose wires adversaries sit
-    cpu_s:       s, CPU time of the process that ran it; no part of the results
+    compromised: agents with adversaries on their wires
+    cpu_s:       s, CPU time of the process that ran it; not part of the results
     """
 
     trial: Trial
@@ -75,31 +75,31 @@ class Outcome:
 
     @classmethod
     def failed(cls, trial: Trial, reason: str) -> Outcome:
-        """Of a trial that has no results."""
+        """The outcome of a trial without results."""
         return cls(trial, {}, {}, error=reason)
 
 
 def prepare(trial: Trial) -> None:
-    """Prepare the trial's scene, so that others that play it find it in this machine's cache."""
+    """Prepare the trial's scene in this machine's cache, for all trials that play it."""
     _resolve(trial)
 
 
 def run(trial: Trial) -> Outcome:
-    """Run a trial. Whatever goes wrong with it is in the outcome."""
-    begun = time.process_time()
+    """Run a trial; errors are returned in the outcome."""
+    cpu_start_s = time.process_time()
     try:
-        here = identity.environment()
+        versions = identity.environment()
         for name, version in trial.environment:
-            if here.get(name) != version:
+            if versions.get(name) != version:
                 raise ConfigurationError(
-                    f"{name}: this worker has {here.get(name)}, the study was started with {version}"
+                    f"{name}: this worker has {versions.get(name)}, the study was started with {version}"
                 )
         resolved = _resolve(trial)
-        compromised = {str(s.config["agent"]) for s in resolved.nodes.values() if s.role == "adversary"}
-        play = _in_process if trial.runtime == "inproc" else _on_a_mesh
-        metrics, table, failed = play(resolved, trial.allow_failures)
-        cpu_s = round(time.process_time() - begun, 3)
-        warning = failures.summary(failed) if failed else ""
+        compromised = {str(spec.config["agent"]) for spec in resolved.nodes.values() if spec.role == "adversary"}
+        run_trial = _run_in_process if trial.runtime == "inproc" else _run_on_mesh
+        metrics, table, handler_failures = run_trial(resolved, trial.allow_failures)
+        cpu_s = round(time.process_time() - cpu_start_s, 3)
+        warning = failures.summary(handler_failures) if handler_failures else ""
         return Outcome(trial, metrics, table, tuple(sorted(compromised)), cpu_s=cpu_s, warning=warning)
     except Exception as error:
         return Outcome.failed(trial, f"{type(error).__name__}: {error}")
@@ -111,35 +111,35 @@ def _resolve(trial: Trial) -> Resolved:
 
 
 #: metrics.json, the columns of metrics.parquet, and the failures of handlers by node.
-Played = tuple[Mapping[str, Any], Table, Mapping[str, Sequence[failures.Entry]]]
+RunResult = tuple[Mapping[str, Any], Table, Mapping[str, Sequence[failures.Entry]]]
 
 
-def _in_process(resolved: Resolved, allow_failures: bool) -> Played:
+def _run_in_process(resolved: Resolved, allow_failures: bool) -> RunResult:
     process = InProcess(resolved)
     outcomes = process.run()
-    failed = process.failures()
-    if failed and not allow_failures:
-        raise HandlerFailed(failures.summary(failed))
-    evaluated = outcomes.get(EVALUATOR, {})
-    if "metrics" not in evaluated:
+    handler_failures = process.failures()
+    if handler_failures and not allow_failures:
+        raise HandlerFailed(failures.summary(handler_failures))
+    evaluation = outcomes.get(EVALUATOR, {})
+    if "metrics" not in evaluation:
         raise RunError("the evaluator returned no metrics")
     late = results.late(results.collations(outcomes, resolved.nodes))
-    return {**evaluated["metrics"], "late": late}, evaluated["tables"]["metrics"], failed
+    return {**evaluation["metrics"], "late": late}, evaluation["tables"]["metrics"], handler_failures
 
 
-def _on_a_mesh(resolved: Resolved, allow_failures: bool) -> Played:
-    from mast_zenoh.launch import folder as run_folder  # a trial in this process needs neither Zenoh nor Parquet
+def _run_on_mesh(resolved: Resolved, allow_failures: bool) -> RunResult:
+    from mast_zenoh.launch import folder as run_folder  # trials in this process need neither Zenoh nor Parquet
     from mast_zenoh.launch import run as launcher
     from mast_zenoh.launch.tables import read_table
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:
-        ended = launcher.run(resolved, folder / "run", allow_failures=allow_failures)
-        if isinstance(ended.error, HandlerFailed):
-            raise HandlerFailed(failures.summary(ended.failures))  # without the logs, which are not kept
-        if ended.error:
-            raise ended.error
-        metrics = run_folder.read_json(ended.folder / "metrics.json")
-        return metrics, read_table(ended.folder / "metrics.parquet"), ended.failures
+        finished = launcher.run(resolved, folder / "run", allow_failures=allow_failures)
+        if isinstance(finished.error, HandlerFailed):
+            raise HandlerFailed(failures.summary(finished.failures))  # without the logs, which are not kept
+        if finished.error:
+            raise finished.error
+        metrics = run_folder.read_json(finished.folder / "metrics.json")
+        return metrics, read_table(finished.folder / "metrics.parquet"), finished.failures
     finally:
         shutil.rmtree(folder, ignore_errors=True)

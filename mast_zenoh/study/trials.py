@@ -1,4 +1,4 @@
-"""A study of many trials: carried out, kept, and resumed."""
+"""Runs, stores and resumes studies of many trials."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mast_zenoh.launch import ending
 from mast_zenoh.study import execution, plan, tables
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.store import Store
-from mast_zenoh.study.tables import Ended
+from mast_zenoh.study.tables import StudyResult
 from mast_zenoh.study.trial import Trial
 
 
@@ -31,14 +31,14 @@ def run(
     runtime: str | None = None,
     allow_failures: bool = False,
     console: Console | None = None,
-) -> Ended:
+) -> StudyResult:
     """Run every configuration in every scene with `count` seeds, and write the tables.
 
-    allow_failures: whether a trial counts although handlers of its nodes failed; otherwise it has failed
-    jobs, cluster: see `execution.carry_out`; seed, frames, runtime: win over the study's own where not None
-    resume:        go on with the folder `out`: what is done there is not run again
+    allow_failures: whether a trial counts even if handlers of its nodes failed
+    jobs, cluster:  see `execution.run_all`; seed, frames, runtime: override the study's own where not None
+    resume:         continue in the folder `out`, without repeating finished trials
 
-    Each trial is written when it is done. Raises Interrupted on Ctrl-C: what is done is kept, to be resumed.
+    Each trial is stored when it is finished. Raises Interrupted on Ctrl-C; the study can then be resumed.
     """
     execution.require(jobs, cluster)
     console = console or Console(quiet=True)
@@ -48,33 +48,33 @@ def run(
     trials = [replace(trial, allow_failures=allow_failures) for trial in trials]
     store = Store.create(out, study, resume=resume)
     failures: dict[str, str] = {}
-    todo = [trial for trial in trials if not resume or store.load(trial) is None]
-    if len(todo) < len(trials):
-        console.print(f"{len(trials) - len(todo)} of {len(trials)} trials are done already", highlight=False)
+    pending = [trial for trial in trials if not resume or store.load(trial) is None]
+    if len(pending) < len(trials):
+        console.print(f"{len(trials) - len(pending)} of {len(trials)} trials are done already", highlight=False)
     hint = f"what is done is kept: go on with the same command and --out {store.folder} --resume"
-    with ending.written(lambda status: store.note(study, trials, failures, status)):
+    with ending.written(lambda status: store.write_status(study, trials, failures, status)):
         try:
-            _carry_out(store, todo, failures, jobs, cluster, console)
+            _run_trials(store, pending, failures, jobs, cluster, console)
             ended = tables.write(study, store, trials, failures)
         except (KeyboardInterrupt, OSError) as caught:
             raise ending.explained(caught, hint) from None
     if failures:
-        store.note(study, trials, failures, "failed")
+        store.write_status(study, trials, failures, "failed")
     return ended
 
 
-def _carry_out(
-    store: Store, todo: Sequence[Trial], failures: dict[str, str], jobs: int, cluster: str | None, console: Console
+def _run_trials(
+    store: Store, pending: Sequence[Trial], failures: dict[str, str], jobs: int, cluster: str | None, console: Console
 ) -> None:
-    """Run trials and keep what comes of them, under a progress bar."""
-    if not todo:
+    """Run trials and store their outcomes, with a progress bar."""
+    if not pending:
         return
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     with (
         Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress,
-        closing(execution.carry_out(todo, jobs=min(jobs, len(todo)), cluster=cluster)) as outcomes,
+        closing(execution.run_all(pending, jobs=min(jobs, len(pending)), cluster=cluster)) as outcomes,
     ):
-        bar = progress.add_task("trials", total=len(todo))
+        bar = progress.add_task("trials", total=len(pending))
         for outcome in outcomes:
             trial = outcome.trial
             if outcome.error:
@@ -82,7 +82,7 @@ def _carry_out(
             else:
                 store.save(outcome)
             if problem := outcome.error or outcome.warning:
-                what = "failed" if outcome.error else "warning"
-                line = f"{what}: {trial.configuration}, {trial.scene}, seed {trial.seed}: {problem}"
+                kind = "failed" if outcome.error else "warning"
+                line = f"{kind}: {trial.configuration}, {trial.scene}, seed {trial.seed}: {problem}"
                 progress.console.print(line, style="yellow", markup=False, highlight=False)
             progress.advance(bar)

@@ -23,7 +23,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
 from mast_zenoh.study.rogue.falsehoods import false_results, falsehoods
-from mast_zenoh.study.rogue.forgeries import Forgery, everything
+from mast_zenoh.study.rogue.forgeries import Forgery, all_forgeries
 from mast_zenoh.study.rogue.malformed import pack
 from mast_zenoh.study.rogue.position import MARKER, Position, position
 from mast_zenoh.study.rogue.sending import send
@@ -76,7 +76,7 @@ def untouched(twin: Path, ended: Ended, *without: str) -> None:
 
 def taken_and_told(node: str, forgery: Forgery) -> bool:
     """Whether a forgery in a node's own name is taken, and what comes of it is that node's own: its run may end."""
-    if forgery.own != node or refused(forgery.control, node, forgery.payload):
+    if forgery.sender != node or refused(forgery.control, node, forgery.payload):
         return False
     if forgery.control == "counts":
         return flow.decode_counts(forgery.payload).epoch == 1
@@ -89,7 +89,7 @@ def taken_and_told(node: str, forgery: Forgery) -> bool:
 
 def is_refused(node: str, forgery: Forgery) -> bool:
     """Whether somebody counts that a forgery was refused; one on a key of another does not get past the router."""
-    if forgery.own != node or forgery.control not in COUNTED:
+    if forgery.sender != node or forgery.control not in COUNTED:
         return False
     if refused(forgery.control, node, forgery.payload) or forgery.control == "file":
         return True
@@ -102,7 +102,7 @@ def is_refused(node: str, forgery: Forgery) -> bool:
 def test_forgeries_on_every_control_key_change_nothing_and_are_counted(
     run: Resolved, twin: Path, tmp_path: Path, nodes: tuple[str, ...]
 ) -> None:
-    forged = {node: [f for f in everything(at(run, node), COUNT) if not taken_and_told(node, f)] for node in nodes}
+    forged = {node: [f for f in all_forgeries(at(run, node), COUNT) if not taken_and_told(node, f)] for node in nodes}
     expected = Counter(f.key for node, forgeries in forged.items() for f in forgeries if is_refused(node, f))
     ended = play(tmp_path / "run", {node: sending(forgeries) for node, forgeries in forged.items()})
     assert (ended.code, ended.record["status"], ended.message) == (0, "ok", "")
@@ -194,9 +194,9 @@ def test_false_counters_end_the_run_and_name_the_node_or_change_nothing(
 ) -> None:
     where = at(run, node)
     sent, handled = {
-        "foreign sent": (where.foreign[:1] or where.hears[:1], ()),
+        "foreign sent": (where.foreign[:1] or where.subscribes[:1], ()),
         "foreign handled": ((), where.foreign[:1] or where.publishes[:1]),
-        "much handled": ((), where.hears),
+        "much handled": ((), where.subscribes),
         "much sent": (where.publishes, ()),
         "nothing": ((), ()),
     }[kind]

@@ -88,7 +88,7 @@ def test_above_the_level_open_no_node_can_claim_to_have_obeyed_what_was_not_sign
 @pytest.mark.parametrize("node", NODES)
 def test_the_launcher_concludes_a_run_whatever_one_node_hands_in(tmp_path: Path, node: str) -> None:
     payloads = [results.pack(outcome) for outcome in false_results(at(node))]
-    payloads += [forgery.payload for forgery in forgeries("result", at(node), 90) if forgery.own == node]
+    payloads += [forgery.payload for forgery in forgeries("result", at(node), 90) if forgery.sender == node]
     taken = [payload for payload in payloads if not refused("result", node, payload)]
     assert len(taken) > 60
     for number, payload in enumerate(taken):

@@ -20,7 +20,7 @@ def test_the_outsider(tmp_path: Path, level: str) -> None:
     path, loaded = scenario.load("rogue")
     attempts = comparison.load("rogue")
     resolved = scenario.resolve(path, loaded)
-    outcomes, stray = comparison.besiege(resolved, tmp_path / "run", level, attempts)
+    outcomes, stray = comparison.run_outsider(resolved, tmp_path / "run", level, attempts)
     assert outcomes.keys() == {attempt.name for attempt in attempts}
     succeeded = {name for name, outcome in outcomes.items() if outcome.succeeded}
     assert succeeded == (outcomes.keys() - NOWHERE if level == "open" else set()), outcomes

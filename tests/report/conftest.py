@@ -111,8 +111,8 @@ def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.
                             effect = (adversary, "adversary", frame, "inserted", k)
                             attacks.append((*effect, *nowhere, *now, 3.0, 1.0, 0.0))
                     if estimator == "picture":
-                        gone = truth.position[5]
-                        attacks.append((adversary, "adversary", frame, "removed", 99, *gone, *nowhere, *nowhere))
+                        removed = truth.position[5]
+                        attacks.append((adversary, "adversary", frame, "removed", 99, *removed, *nowhere, *nowhere))
             if frame % 9 == 0:
                 add("truth", "unevaluated", 77, -1, (60.0, -3.0, 0.75), 0.0)
             counts.append(
@@ -134,21 +134,22 @@ def summarise(counts: list[tuple[Any, ...]], attacks: list[tuple[Any, ...]]) -> 
     """metrics.json of the counts and the effects: every false object is an adversary's; `mission` is the picture."""
     ego: dict[str, Any] = {}
     for estimator in ("local", "picture"):
-        mine = np.array([row[3:6] for row in counts if row[2] == estimator], np.float64)
+        counts_of_estimator = np.array([row[3:6] for row in counts if row[2] == estimator], np.float64)
         ego[estimator] = {
-            name: {"mean": mine[:, i].mean(), "std": mine[:, i].std()} for i, name in enumerate(("fn", "fp", "tp"))
+            name: {"mean": counts_of_estimator[:, i].mean(), "std": counts_of_estimator[:, i].std()}
+            for i, name in enumerate(("fn", "fp", "tp"))
         } | {"rmse_m": 0.412, "id_switches": 1}
-        fn, fp, _ = mine.mean(axis=0)
+        fn, fp, _ = counts_of_estimator.mean(axis=0)
         ego[estimator]["fn_split"] = {"fault": 0.0, "attack": 0.0, "natural": fn}
         ego[estimator]["fp_split"] = {"fault": 0.0, "attack": fp, "natural": 0.0}
     latency = {"sim_to_picture": {"p50": 2.13, "p99": 4.9}}
     interposers = {}
     for name, victim in VICTIMS.items():
-        done = Counter(row[3] for row in attacks if row[0] == name)
-        if done:
-            told = {"messages": FRAMES, "effects": dict(done), "reports": done.total(), "agreement": "agrees"}
-            told |= {"unreported": 0, "unfounded": 0}
-            interposers[name] = {"role": "adversary", "wires": [f"agent/{victim}/detections"]} | told
+        effects = Counter(row[3] for row in attacks if row[0] == name)
+        if effects:
+            summary = {"messages": FRAMES, "effects": dict(effects), "reports": effects.total(), "agreement": "agrees"}
+            summary |= {"unreported": 0, "unfounded": 0}
+            interposers[name] = {"role": "adversary", "wires": [f"agent/{victim}/detections"]} | summary
     return {
         "frames": FRAMES,
         "scored_frames": [0, FRAMES - 1],
@@ -164,7 +165,7 @@ def summarise(counts: list[tuple[Any, ...]], attacks: list[tuple[Any, ...]]) -> 
 
 def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
     """wiring.json of five agents; each adversary sits on its victim's `message` wire."""
-    found: list[dict[str, Any]] = []
+    records: list[dict[str, Any]] = []
 
     def wire(key: str, kind: str, publisher: str, subscribers: list[str]) -> None:
         sitting = [a for a, victim in adversaries.items() if key == f"agent/{victim}/{message}"]
@@ -177,7 +178,7 @@ def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
             }
             for i, node in enumerate(chain)
         ]
-        found.append(
+        records.append(
             {"key": key, "message": kind, "publisher": publisher, "subscribers": subscribers}
             | {"legs": legs, "interposers": sitting}
         )
@@ -195,7 +196,7 @@ def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
         if message == "tracks":
             wire(f"attack/{adversary}/observation", "observation", adversary, ["coordinator"])
             wire(f"attack/{adversary}/directive", "directive", "coordinator", [adversary])
-    return {"wires": found}
+    return {"wires": records}
 
 
 def write_run(folder: Path, attack: str = "", *, nodes: dict[str, Any] | None = None) -> Path:

@@ -1,4 +1,4 @@
-"""What attacks achieved, why something had no effect, and what it would mean for driving."""
+"""Achievements of attacks, reasons for limited effects, and consequences for driving."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def why(run: RunFolder, table: dict[str, np.ndarray] | None, blamed_for: str = "
 
 
 @pytest.mark.parametrize(("error_m", "counts"), [(1.5, True), (15.0, False)])
-def test_a_double_beyond_the_gate_is_a_false_object_and_no_part_of_the_rmse(
+def test_duplicate_beyond_the_gate_is_false_and_not_in_the_rmse(
     attacked: RunFolder, error_m: float, counts: bool
 ) -> None:
     object.__setattr__(attacked, "targets", targets("moved", error_m_centre=error_m))
@@ -70,7 +70,7 @@ def test_a_double_beyond_the_gate_is_a_false_object_and_no_part_of_the_rmse(
     assert any(each.estimate == "picture" and each.weight > 0.0 for each in displaced) == counts
 
 
-def test_the_table_has_a_row_per_adversary_and_one_of_all(attacked: RunFolder) -> None:
+def test_table_has_a_row_per_adversary_and_one_for_all(attacked: RunFolder) -> None:
     attacked.metrics["achieved"] = {"adversary_1": ACHIEVED, "adversary_2": ACHIEVED, "all": ACHIEVED}
     rows = achieved_rows(attacked)
     assert [row.adversary for row in rows] == ["adversary_1", "adversary_2", "all together"]
@@ -80,29 +80,29 @@ def test_the_table_has_a_row_per_adversary_and_one_of_all(attacked: RunFolder) -
     assert (row.first_s, row.switches) == (("0.2", DASH), ("3", "0"))
 
 
-def test_a_run_without_adversaries_has_no_such_table(run_folder: Callable[..., Path]) -> None:
+def test_run_without_adversaries_has_no_achievement_table(run_folder: Callable[..., Path]) -> None:
     assert achieved_rows(RunFolder.load(run_folder())) == []
 
 
 def idle(run: RunFolder, received: int = 40) -> RunFolder:
-    told = {"role": "adversary", "wires": ["agent/infra_1/detections"], "messages": received, "effects": {}}
-    told |= {"reports": 0, "agreement": "nothing to report", "unreported": 0, "unfounded": 0}
-    run.metrics["interposers"] = {"adversary_1": told}
+    summary = {"role": "adversary", "wires": ["agent/infra_1/detections"], "messages": received, "effects": {}}
+    summary |= {"reports": 0, "agreement": "nothing to report", "unreported": 0, "unfounded": 0}
+    run.metrics["interposers"] = {"adversary_1": summary}
     return run
 
 
-def test_an_adversary_that_changed_nothing(attacked: RunFolder) -> None:
+def test_reason_for_an_adversary_that_changed_nothing(attacked: RunFolder) -> None:
     assert why(idle(attacked), None) == "it passed all 40 messages on unchanged"
     assert why(idle(attacked, received=0), None) == "no message reached it"
 
 
-def test_an_attack_that_was_to_begin_after_the_end(attacked: RunFolder) -> None:
+def test_reason_for_an_attack_planned_after_the_end(attacked: RunFolder) -> None:
     plan = {"label": "Attack", "kind": "attack", "at_s": 60.0, "until_s": None, "nodes": ["adversary_1"]}
     attacked.scenario["timeline"] = [plan]
     assert why(idle(attacked), None) == "its attack was to begin at 60 s, after the end of the run at 4.0 s"
 
 
-def test_the_settings_of_an_attack_tell_that_it_was_to_begin_after_the_end(attacked: RunFolder) -> None:
+def test_attack_settings_reveal_a_start_after_the_end(attacked: RunFolder) -> None:
     attack = {"type": "UncoordinatedAttack", "start_s": 60.0}
     attacked.scenario["nodes"] = {"adversary_1": {"config": {"attack": attack}}}
     assert why(idle(attacked), None) == "its attack was to begin at 60 s, after the end of the run at 4.0 s"
@@ -110,14 +110,14 @@ def test_the_settings_of_an_attack_tell_that_it_was_to_begin_after_the_end(attac
     assert why(idle(attacked), None) == "it passed all 40 messages on unchanged"
 
 
-def test_an_adversary_that_failed_before_it_changed_anything(attacked: RunFolder) -> None:
+def test_reason_for_an_adversary_that_failed_first(attacked: RunFolder) -> None:
     attacked.run["nodes"]["adversary_1"]["failures"] = {"detections": 3}
     assert why(idle(attacked), None) == "it changed nothing: detections failed 3 times"
     attacked.run["nodes"]["adversary_1"] |= {"failures": [], "exit": 1, "ended": "exit code 1"}
     assert why(idle(attacked), None) == "it crashed before it changed anything: exit code 1"
 
 
-def test_an_adversary_that_was_not_measured(attacked: RunFolder) -> None:
+def test_reason_for_an_adversary_without_measurements(attacked: RunFolder) -> None:
     attacked.metrics.pop("interposers")
     assert why(attacked, None) == "what it did was not measured"
 
@@ -134,7 +134,7 @@ def test_objects_inserted_out_of_the_egos_range_alone_were_rejected(attacked: Ru
     assert "the fusion rejected" in why(attacked, targets("inserted", x=500.0, judged_ego=False), **NOT_ACCEPTED)
 
 
-def test_objects_inserted_on_a_real_one_are_taken_for_it(attacked: RunFolder) -> None:
+def test_objects_inserted_on_a_real_object_match_it(attacked: RunFolder) -> None:
     truth = attacked.objects
     assert truth is not None
     at = (truth["frame"] == 20) & (truth["kind"] == "truth") & (truth["estimator"] == "picture")
@@ -146,18 +146,18 @@ def test_objects_inserted_on_a_real_one_are_taken_for_it(attacked: RunFolder) ->
     assert "the fusion rejected everything" in why(attacked, beside, **NOT_ACCEPTED)
 
 
-def test_objects_that_the_fusion_rejected(attacked: RunFolder) -> None:
+def test_reason_for_objects_rejected_by_the_fusion(attacked: RunFolder) -> None:
     assert "the fusion rejected everything" in why(attacked, targets("inserted", x=30.0, y=40.0), **NOT_ACCEPTED)
     half = NOT_ACCEPTED | {"inserted_share_centre": 1.0}
     assert "the ego did not take it over" in why(attacked, targets("inserted", x=30.0, y=40.0), **half)
 
 
-def test_objects_that_were_believed_need_no_reason(attacked: RunFolder) -> None:
+def test_accepted_objects_need_no_reason(attacked: RunFolder) -> None:
     believed = {"inserted": 1, "inserted_share_centre": 1.0, "inserted_share_ego": 1.0}
     assert why(attacked, targets("inserted", x=30.0, y=40.0), **believed) == ""
 
 
-def test_changes_in_frames_that_are_not_scored(attacked: RunFolder) -> None:
+def test_reason_for_changes_in_unscored_frames(attacked: RunFolder) -> None:
     attacked.metrics["scored_frames"] = [0, 10]
     believed = {"inserted": 1, "inserted_share_centre": 1.0, "inserted_share_ego": 1.0}
     reason = "everything that it did was in frames that are not scored"
@@ -176,7 +176,9 @@ HIDDEN: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("columns", "reason"), HIDDEN.values(), ids=HIDDEN)
-def test_objects_that_were_removed_and_not_missed(attacked: RunFolder, columns: dict[str, Any], reason: str) -> None:
+def test_reasons_for_removed_objects_that_were_not_missed(
+    attacked: RunFolder, columns: dict[str, Any], reason: str
+) -> None:
     nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
     assert reason in why(attacked, targets("removed", **columns), **nothing)
     assert why(attacked, targets("removed", **columns), **(nothing | {"hidden_share_ego": 1.0})) == ""
@@ -186,7 +188,7 @@ NOT_HIDDEN = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
 
 
 @pytest.mark.parametrize("first_dropped", [15, 25])
-def test_objects_in_dropped_messages_were_not_removed(attacked: RunFolder, first_dropped: int) -> None:
+def test_dropped_messages_have_reasons_of_their_own(attacked: RunFolder, first_dropped: int) -> None:
     effects = attacked.effects
     assert effects is not None
     mine = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
@@ -197,7 +199,7 @@ def test_objects_in_dropped_messages_were_not_removed(attacked: RunFolder, first
     assert why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN) == f"{removed}dropped: {reason}"
 
 
-def test_what_an_adversary_cannot_reach_has_dashes(attacked: RunFolder) -> None:
+def test_unreachable_estimates_show_dashes(attacked: RunFolder) -> None:
     attacked.metrics["achieved"] = dict.fromkeys(("adversary_1", "adversary_2", "all"), ACHIEVED)
     for name in ("adversary_1", "adversary_2"):
         for wire in attacked.wiring["wires"]:
@@ -222,13 +224,13 @@ def seen_by(run: RunFolder, *agents: str) -> None:
 
 def by_both(kind: str) -> dict[str, np.ndarray]:
     """What adversary_1 did, and adversary_2 to the same object in the same frames."""
-    mine = targets(kind, seen_by_others=True)
-    theirs = mine | {"adversary": np.full(10, "adversary_2", object)}
-    return {name: np.concatenate([mine[name], theirs[name]]) for name in mine}
+    first = targets(kind, seen_by_others=True)
+    second = first | {"adversary": np.full(10, "adversary_2", object)}
+    return {name: np.concatenate([first[name], second[name]]) for name in first}
 
 
 @pytest.mark.parametrize("kind", ["removed", "moved"])
-def test_an_agent_from_which_another_adversary_takes_the_object_does_not_see_it(attacked: RunFolder, kind: str) -> None:
+def test_agent_with_the_object_removed_by_another_adversary_does_not_see_it(attacked: RunFolder, kind: str) -> None:
     table = by_both("removed")
     table["kind"][table["adversary"] == "adversary_2"] = kind
     seen_by(attacked, "infra_1", "infra_3")
@@ -244,13 +246,13 @@ def test_an_agent_with_an_adversary_that_leaves_the_object_alone_sees_it(attacke
     assert "removed: other agents still saw what it removed, all the time" in why(attacked, table, **NOT_HIDDEN)
 
 
-def test_an_adversary_on_the_way_to_another_agent_does_not_speak_for_the_ego(attacked: RunFolder) -> None:
+def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: RunFolder) -> None:
     legs = [{"key": "cc/picture/@tap/infra_1/0", "from": "adversary_1", "to": ["infra_1"], "before": "infra_1"}]
     attacked.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
     assert why(attacked, None) == "it sat on the picture's way to infra_1, not to the ego"
 
 
-def test_the_terminal_and_the_page_say_what_had_limited_effect(attacked: RunFolder) -> None:
+def test_terminal_and_page_show_limited_effects(attacked: RunFolder) -> None:
     why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN)
     page = io.StringIO()
     show_loaded(Console(file=page, width=200), attacked)
@@ -261,7 +263,7 @@ def test_the_terminal_and_the_page_say_what_had_limited_effect(attacked: RunFold
     assert "no effect" not in html
 
 
-def test_objects_that_were_moved_and_not_displaced(attacked: RunFolder) -> None:
+def test_reason_for_moved_objects_without_displacement(attacked: RunFolder) -> None:
     nothing = {"moved": 1, "moved_share_centre": 0.0, "moved_share_ego": 0.0, "moved_error_m_centre": 0.4}
     reason = "the tracks of what it {} are 0.40 m off on average, which is no displacement"
     for kind, done in (("moved", "moved"), ("altered", "altered")):
@@ -272,7 +274,7 @@ def test_objects_that_were_moved_and_not_displaced(attacked: RunFolder) -> None:
             assert why(attacked, table, **nothing, **{f"id_switches_{who}": 2}) == "", "they are an effect, too"
 
 
-def test_what_the_headline_blames_an_adversary_for_had_an_effect(attacked: RunFolder) -> None:
+def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: RunFolder) -> None:
     assert attacked.objects is not None
     by = np.where(attacked.objects["outcome"] != "matched", "adversary_1", "")
     attacked.objects["by"] = by.astype(object)
@@ -300,7 +302,7 @@ def on_the_downlink(run: RunFolder) -> RunFolder:
         (0, "what it removed was still tracked by the ego: tracks outlive a gap"),
     ],
 )
-def test_behind_the_command_centre_only_the_ego_counts(attacked: RunFolder, tracked: int, reason: str) -> None:
+def test_downlink_manipulations_are_judged_by_the_ego_alone(attacked: RunFolder, tracked: int, reason: str) -> None:
     nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
     objects = on_the_downlink(attacked).objects
     assert objects is not None
@@ -310,7 +312,7 @@ def test_behind_the_command_centre_only_the_ego_counts(attacked: RunFolder, trac
     assert why(attacked, targets("removed", seen_by_others=True), **nothing) == f"removed: {reason}"
 
 
-def test_what_other_agents_see_most_of_the_time_is_given_in_per_cent(attacked: RunFolder) -> None:
+def test_visibility_for_other_agents_is_given_in_per_cent(attacked: RunFolder) -> None:
     nothing = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
     table = targets("removed", n=300)
     table["seen_by_others"] = np.arange(300) > 0
@@ -359,7 +361,7 @@ def test_driving_is_compared_with_another_run(run_folder: Callable[..., Path], a
     ("before", "after", "attack", "more"),
     [(0.0, 0.059, 0.0, "5.9%"), (0.1, 0.159, 0.02, "3.9%"), (0.0, 0.059, 0.059, ""), (0.1, 0.05, 0.0, "")],
 )
-def test_needless_braking_that_the_other_run_lacks_and_no_attack_explains_is_named(
+def test_unattributed_increase_of_needless_braking_is_reported(
     run_folder: Callable[..., Path], attacked: RunFolder, before: float, after: float, attack: float, more: str
 ) -> None:
     reference = RunFolder.load(run_folder())
@@ -369,13 +371,13 @@ def test_needless_braking_that_the_other_run_lacks_and_no_attack_explains_is_nam
     row = driving_rows(attacked, reference, "unattacked")[-1]
     assert (f"{more} more than unattacked, not attributed" in row.needless) == bool(more)
     often = f"The ego with the picture brakes needlessly in {more} of the scored frames"
-    said = f"{often} more than unattacked, not attributed."
+    sentence = f"{often} more than unattacked, not attributed."
     sentences = reading(attacked, Reference(reference, "unattacked"))
-    assert (said in sentences) == bool(more)
+    assert (sentence in sentences) == bool(more)
     assert any("not attributed" in each for each in sentences) == bool(more)
 
 
-def test_what_overlaps_the_ego_has_a_column_of_its_own(attacked: RunFolder) -> None:
+def test_objects_overlapping_the_ego_have_their_own_column(attacked: RunFolder) -> None:
     mission = DRIVES["mission"] | {"overlapping_objects": 0.75}
     attacked.metrics["driving"] = {"ego": {"mission": mission}}
     assert driving_rows(attacked)[0].overlapping == "0.75"
@@ -410,7 +412,7 @@ def test_needless_braking_is_drawn_when_it_happens(attacked: RunFolder) -> None:
     assert stretches == [(1.95, 2.25), (2.95, 3.05)]
 
 
-def test_an_older_run_says_that_achievements_are_not_known(run_folder: Callable[..., Path]) -> None:
+def test_older_runs_have_unknown_achievements(run_folder: Callable[..., Path]) -> None:
     folder = run_folder("uncoordinated")
     metrics = json.loads((folder / "metrics.json").read_text())
     for name in ("achieved", "driving", "interposers"):

@@ -1,4 +1,4 @@
-"""Over another run a cause is named only where nothing else than the adversaries can be the cause."""
+"""A cause over a reference run is named only if the runs differ in adversaries alone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.other_differences import named, other_differences
+from mast_zenoh.report.narrative.other_differences import join_differences, other_differences
 from mast_zenoh.report.narrative.reach import reaches
 from mast_zenoh.report.narrative.run import headline, reading
 from mast_zenoh.report.runfolder import RunFolder
@@ -49,7 +49,7 @@ def said(run: RunFolder, reference: RunFolder) -> str:
     return " ".join([headline(run, other), *reading(run, other)])
 
 
-def test_adversaries_their_coordinator_and_their_wires_are_no_other_difference(pair: tuple[Path, Path]) -> None:
+def test_added_adversaries_and_their_wires_are_not_other_differences(pair: tuple[Path, Path]) -> None:
     assert other_differences(*loaded(pair)) == ()
     assert "than other, due to adversary_1 and adversary_2" in headline(
         loaded(pair)[0], Reference(loaded(pair)[1], "other")
@@ -82,7 +82,7 @@ OTHERS: dict[str, tuple[str, Edit, str]] = {
 
 @pytest.mark.parametrize("place", [0, 1], ids=["in the attacked run", "in the other"])
 @pytest.mark.parametrize(("file", "change", "name"), OTHERS.values(), ids=OTHERS)
-def test_no_cause_is_named_where_the_runs_also_differ_in_something_else(
+def test_no_cause_is_named_if_runs_differ_otherwise(
     pair: tuple[Path, Path], file: str, change: Edit, name: str, place: int
 ) -> None:
     edit(pair[place] / file, change)
@@ -93,8 +93,8 @@ def test_no_cause_is_named_where_the_runs_also_differ_in_something_else(
 
 
 def test_only_three_differences_are_named() -> None:
-    assert named(("a", "b", "c", "d", "e")) == "a, b, c and 2 more"
-    assert named(("a", "b")) == "a and b"
+    assert join_differences(("a", "b", "c", "d", "e")) == "a, b, c and 2 more"
+    assert join_differences(("a", "b")) == "a and b"
 
 
 def test_the_same_adversaries_with_other_settings_are_a_difference(pair: tuple[Path, Path], tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_the_same_adversaries_with_other_settings_are_a_difference(pair: tuple[P
     assert "due to" not in said(run, weaker)
 
 
-def test_a_run_without_adversaries_blames_none_for_what_it_has_more(pair: tuple[Path, Path]) -> None:
+def test_increase_without_adversaries_is_not_attributed(pair: tuple[Path, Path]) -> None:
     edit(pair[1] / "metrics.json", lambda data: data["agents"]["ego"]["picture"]["fp"].update(mean=30.0))
     attacked, clean = loaded(pair)
     assert "not attributed: the runs differ in adversary_1, adversary_2 and coordinator" in said(clean, attacked)
@@ -119,7 +119,7 @@ def test_a_decrease_has_no_cause(pair: tuple[Path, Path]) -> None:
     assert text.endswith("fewer false objects a frame in the common picture than other")
 
 
-def test_what_an_adversary_cannot_reach_is_not_its_doing(pair: tuple[Path, Path]) -> None:
+def test_unreachable_changes_are_not_attributed_to_an_adversary(pair: tuple[Path, Path]) -> None:
     edit(pair[0] / "metrics.json", lambda data: data["agents"]["ego"]["local"]["fn"].update(mean=30.0))
     run, reference = loaded(pair)
     assert headline(run, Reference(reference, "other")).endswith(
@@ -139,7 +139,7 @@ def test_an_adversary_before_one_agent_reaches_neither_the_picture_nor_the_other
     assert not reaches(run, "eve", "mission", "infra_1")
 
 
-def test_dropped_messages_explain_what_no_single_object_does(pair: tuple[Path, Path]) -> None:
+def test_dropped_messages_can_be_the_cause(pair: tuple[Path, Path]) -> None:
     def change(data: dict[str, Any]) -> None:
         data["agents"]["ego"]["picture"] |= {"fn": {"mean": 30.0}, "fn_split": {"fault": 0.0, "attack": 0.0}}
         data["interposers"] = {"adversary_1": data["interposers"]["adversary_1"] | {"effects": {"dropped": 8}}}

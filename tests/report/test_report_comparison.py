@@ -48,7 +48,7 @@ def test_the_terminal_has_both_runs_and_the_difference(pair: Pair) -> None:
     assert "6.2 more false objects a frame" in page.getvalue()
 
 
-def test_runs_of_one_name_are_told_apart_by_their_folders(pair: Pair) -> None:
+def test_runs_of_equal_name_are_distinguished_by_folder(pair: Pair) -> None:
     run, other = pair
     for folder in pair:
         edit(folder / "run.json", lambda data: data.update(name="mine"))
@@ -61,7 +61,7 @@ def score_with(folder: Path, **options: Any) -> None:
     edit(folder / "scenario.json", lambda data: data.update(nodes={"evaluator": {"config": config}}))
 
 
-def test_metrics_of_ones_own_do_not_keep_runs_from_being_compared(pair: Pair) -> None:
+def test_user_defined_metrics_do_not_prevent_comparison(pair: Pair) -> None:
     run, other = pair
     score_with(run, metrics=[{"type": "FalseNearby"}])
     score_with(other)
@@ -103,7 +103,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
 
 
 @pytest.mark.parametrize(("spoil", "message"), REFUSED.values(), ids=REFUSED)
-def test_what_cannot_be_compared_is_refused(pair: Pair, spoil: Callable[[Path], Any], message: str) -> None:
+def test_incomparable_runs_are_rejected(pair: Pair, spoil: Callable[[Path], Any], message: str) -> None:
     run, other = pair
     for folder in pair:
         score_with(folder)
@@ -112,7 +112,7 @@ def test_what_cannot_be_compared_is_refused(pair: Pair, spoil: Callable[[Path], 
         write_report(run, against=other)
 
 
-def test_another_scene_is_refused(pair: Pair) -> None:
+def test_different_scene_is_rejected(pair: Pair) -> None:
     run, other = pair
     scene = RunFolder.load(other).recording
     assert scene is not None
@@ -122,7 +122,7 @@ def test_another_scene_is_refused(pair: Pair) -> None:
         write_report(run, against=other)
 
 
-def test_without_recordings_the_scenarios_say_whether_the_scenes_are_one(pair: Pair) -> None:
+def test_without_recordings_scenes_are_compared_by_scenario(pair: Pair) -> None:
     run, other = pair
     (other / "scene.npz").unlink()
     assert comparison.reference(RunFolder.load(run), other).name == "baseline-1"
@@ -131,7 +131,7 @@ def test_without_recordings_the_scenarios_say_whether_the_scenes_are_one(pair: P
         comparison.reference(RunFolder.load(run), other)
 
 
-def test_runs_with_other_agents_that_are_not_scored_are_refused(pair: Pair) -> None:
+def test_runs_with_different_unscored_agents_are_rejected(pair: Pair) -> None:
     run, other = pair
     scene = RunFolder.load(other).recording
     assert scene is not None

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from mast_zenoh.report import terminal
-from mast_zenoh.report.faulted import blame_rows, check_lines, check_rows, late_rows, latency_rows
-from mast_zenoh.report.figures.bands import Band, bands, lanes, placed
+from mast_zenoh.report.faulted import cause_rows, check_lines, check_rows, late_rows, latency_rows
+from mast_zenoh.report.figures.bands import Band, bands, lanes, place_bands
 from mast_zenoh.report.figures.causes import causes_over_time
 from mast_zenoh.report.figures.charts import counts_over_time
 from mast_zenoh.report.html import write_report
@@ -88,7 +88,7 @@ def test_the_page_has_the_split_the_checks_and_the_latency(attacked_and_faulted:
 
 
 @pytest.mark.parametrize("attack", ["", "uncoordinated"])
-def test_a_run_without_links_and_faults_has_none_of_that(run_folder: Callable[..., Path], attack: str) -> None:
+def test_run_without_links_and_faults_has_no_such_sections(run_folder: Callable[..., Path], attack: str) -> None:
     folder = run_folder(attack)
     edit(folder / "scenario.json", timeline=[ATTACK] if attack else [], period_ns=100_000_000)
     run = RunFolder.load(folder)
@@ -116,7 +116,7 @@ def test_bands_and_their_names_are_above_the_counts(attacked_and_faulted: Path) 
     assert [text.get_text() for text in figure.legends[0].get_texts()][:2] == ["fault", "attack"]
 
 
-def test_runs_compared_show_the_band_that_they_share_once(run_folder: Callable[..., Path]) -> None:
+def test_shared_band_of_compared_runs_is_shown_once(run_folder: Callable[..., Path]) -> None:
     runs = [
         RunFolder.load(faulted(run_folder(), PARTITION)),
         RunFolder.load(faulted(run_folder("coordinated"), PARTITION, ATTACK)),
@@ -125,7 +125,7 @@ def test_runs_compared_show_the_band_that_they_share_once(run_folder: Callable[.
     assert [(band.start, band.end) for band in bands(runs, timed=False)] == [(5.0, 15.0), (15.0, np.inf)]
 
 
-def test_a_link_that_is_there_from_beginning_to_end_is_no_band(run_folder: Callable[..., Path]) -> None:
+def test_permanent_link_has_no_band(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(faulted(run_folder(), WIRELESS))
     assert run.faulted
     assert bands([run], timed=True) == []
@@ -145,7 +145,7 @@ def test_missed_objects_are_stacked_by_cause(attacked_and_faulted: Path) -> None
         assert area.get_paths()[0].vertices[:, 1].max() == counts[column].max() > 0
 
 
-def test_an_older_run_without_causes_has_no_chart_of_them(run_folder: Callable[..., Path]) -> None:
+def test_run_without_causes_has_no_chart_of_causes(run_folder: Callable[..., Path]) -> None:
     folder = run_folder()
     edit(folder / "scenario.json", timeline=[PARTITION])
     path = folder / "objects.parquet"
@@ -169,20 +169,20 @@ SOME_BANDS = st.lists(
 
 @settings(max_examples=40)
 @given(SOME_BANDS)
-def test_neither_bands_nor_names_lie_on_each_other(rows: list[tuple[float, float, str, bool]]) -> None:
+def test_bands_and_labels_do_not_overlap(rows: list[tuple[float, float, str, bool]]) -> None:
     width, low, high = 10.0, 0.0, 20.0
     marked = sorted((Band(label, attack, at, at + lasts) for at, lasts, label, attack in rows), key=lambda b: b.start)
-    found, left_out = placed(marked, low, high, width)
-    assert len(found) + left_out == len(marked)
-    for one, other in itertools.combinations(found, 2):
+    bands_in_lanes, left_out = place_bands(marked, low, high, width)
+    assert len(bands_in_lanes) + left_out == len(marked)
+    for one, other in itertools.combinations(bands_in_lanes, 2):
         if one.lane == other.lane:
             assert min(one.band.end, high) <= other.band.start
-    assert lanes(found) <= 9
+    assert lanes(bands_in_lanes) <= 9
 
 
-def test_many_faults_at_a_time_go_into_lanes_of_their_own_and_what_has_none_is_counted() -> None:
-    found, left_out = placed([Band("Loss infra_1", False, 1.0, 5.0)] * 12, 0.0, 10.0, 10.0)
-    assert [each.lane for each in found] == list(range(9))
+def test_simultaneous_faults_use_separate_lanes_and_surplus_is_counted() -> None:
+    bands_in_lanes, left_out = place_bands([Band("Loss infra_1", False, 1.0, 5.0)] * 12, 0.0, 10.0, 10.0)
+    assert [each.lane for each in bands_in_lanes] == list(range(9))
     assert left_out == 3
 
 
@@ -190,11 +190,11 @@ def test_many_faults_at_a_time_go_into_lanes_of_their_own_and_what_has_none_is_c
     ("start", "end", "x", "align"), [(1.0, 9.0, 1.07, "left"), (1.0, 1.2, 1.27, "left"), (9.5, 9.7, 9.43, "right")]
 )
 def test_a_name_stands_inside_its_band_or_beside_it(start: float, end: float, x: float, align: str) -> None:
-    ((only,), _) = placed([Band("Kill infra_1", False, start, end)], 0.0, 10.0, 10.0)
+    ((only,), _) = place_bands([Band("Kill infra_1", False, start, end)], 0.0, 10.0, 10.0)
     assert (only.x, only.align) == (pytest.approx(x), align)
 
 
-def test_failed_checks_come_first_and_what_was_not_checked_last() -> None:
+def test_failed_checks_come_first_and_skipped_ones_last() -> None:
     assert [(row.name, row.outcome) for row in check_rows(CHECKS)] == [
         ("collation", "failed"),
         ("sequence numbers", "ok"),
@@ -209,11 +209,11 @@ def test_failed_checks_come_first_and_what_was_not_checked_last() -> None:
     assert check_lines({}) == []
 
 
-def test_what_metrics_do_not_tell_has_no_row() -> None:
-    assert blame_rows({}) == []
-    assert blame_rows({"agents": {"ego": {"picture": {"fn": {"mean": 1.0}}, "local": {}}}}) == []
+def test_missing_metrics_have_no_row() -> None:
+    assert cause_rows({}) == []
+    assert cause_rows({"agents": {"ego": {"picture": {"fn": {"mean": 1.0}}, "local": {}}}}) == []
     nothing = dict.fromkeys(("fault", "attack", "natural"))
-    (row,) = blame_rows({"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}})
+    (row,) = cause_rows({"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}})
     assert row.missed == (DASH, DASH, DASH)
     assert latency_rows({"latency_ms": {"sim_to_picture": {"p50": 1.0}}}) == []
     assert late_rows({}) == []
@@ -225,7 +225,7 @@ def shown(*folders: Path) -> str:
     return console.export_text()
 
 
-def test_the_terminal_tells_of_runs_with_faults_who_is_to_blame(
+def test_terminal_shows_causes_of_errors_for_runs_with_faults(
     attacked_and_faulted: Path, run_folder: Callable[..., Path]
 ) -> None:
     text = shown(attacked_and_faulted)
@@ -236,7 +236,7 @@ def test_the_terminal_tells_of_runs_with_faults_who_is_to_blame(
     assert "check" not in plain
 
 
-def test_the_words_leave_out_what_was_not_measured(run_folder: Callable[..., Path]) -> None:
+def test_sentences_omit_unmeasured_causes(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(faulted(run_folder(), PARTITION))
     object.__setattr__(run, "metrics", {"agents": {"ego": {"picture": {}}}})
     assert not any("faults" in sentence for sentence in reading(run))

@@ -56,7 +56,7 @@ def clean(run_folder: Callable[..., Path]) -> FrameView:
     return view
 
 
-def test_the_colour_key_is_that_of_the_paper() -> None:
+def test_colours_are_those_of_the_paper() -> None:
     for outcome, (r, g, b) in {
         "truth matched": (1, 1, 1),
         "track matched": (0, 0, 1),
@@ -68,24 +68,24 @@ def test_the_colour_key_is_that_of_the_paper() -> None:
         assert np.abs(np.round(colour - 0.12) - [r, g, b]).max() == 0, outcome
 
 
-def test_false_tracks_and_what_was_inserted_are_not_seen_by_the_ego_alone(attacked: FrameView) -> None:
-    shown = panels(attacked)
-    assert pixels(shown["mission"], "track false") == pixels(shown["picture"], "track false")
-    assert pixels(shown["picture"], "track false") > 250
-    assert pixels(shown["local"], "track false") == 0
+def test_false_tracks_and_insertions_are_absent_from_the_ego_alone_panel(attacked: FrameView) -> None:
+    drawn = panels(attacked)
+    assert pixels(drawn["mission"], "track false") == pixels(drawn["picture"], "track false")
+    assert pixels(drawn["picture"], "track false") > 250
+    assert pixels(drawn["local"], "track false") == 0
     # The compromised sensors are marked in both panels, the inserted objects in the picture.
-    assert pixels(shown["picture"], "adversary") > pixels(shown["local"], "adversary") + 300 > 300
+    assert pixels(drawn["picture"], "adversary") > pixels(drawn["local"], "adversary") + 300 > 300
 
 
-def test_missed_and_matched_objects_are_seen_in_both(clean: FrameView) -> None:
-    shown = panels(clean)
-    for panel in shown.values():
+def test_missed_and_matched_objects_are_drawn_in_both_panels(clean: FrameView) -> None:
+    drawn = panels(clean)
+    for panel in drawn.values():
         assert pixels(panel, "truth missed") > 50
         assert pixels(panel, "truth matched") > 15
         assert pixels(panel, "track matched") > 50
         assert pixels(panel, "track false") == 0
         assert pixels(panel, "adversary") == 0
-    assert pixels(shown["local"], "truth missed") > pixels(shown["picture"], "truth missed")
+    assert pixels(drawn["local"], "truth missed") > pixels(drawn["picture"], "truth missed")
 
 
 def test_unevaluated_objects_are_green(run_folder: Callable[..., Path]) -> None:
@@ -148,7 +148,7 @@ def eye() -> Eye:
     return Eye(Camera(), np.zeros(3), rotation_from_yaw(0.0))
 
 
-def test_lines_are_cut_at_the_camera() -> None:
+def test_lines_are_clipped_at_the_near_plane() -> None:
     ahead, behind, through = [[10, 1, 1], [20, 1, 1]], [[-10, 1, 1], [-20, 1, 1]], [[-10, 1, 1], [10, 1, 1]]
     drawn = eye().lines(np.array([ahead, behind, through], float))
     assert drawn.shape == (2, 2, 2)
@@ -157,7 +157,7 @@ def test_lines_are_cut_at_the_camera() -> None:
     assert drawn[1, 1] == pytest.approx([400 - 40, 300 + 24])
 
 
-def test_faces_are_cut_at_the_camera() -> None:
+def test_faces_are_clipped_at_the_near_plane() -> None:
     wall = np.array([[-5, 3, 0], [15, 3, 0], [15, 3, 8], [-5, 3, 8]], float)
     face = eye().face(wall)
     assert face is not None
@@ -167,6 +167,6 @@ def test_faces_are_cut_at_the_camera() -> None:
 
 
 def test_a_picture_is_a_data_uri_and_knows_its_size(clean: FrameView) -> None:
-    made = picture("x", birdseye_figure(clean), "alt", "caption")
-    assert made.source.startswith("data:image/png;base64,iVBOR")
-    assert made.pixels == image_of(made.png).shape[1::-1]
+    rendered = picture("x", birdseye_figure(clean), "alt", "caption")
+    assert rendered.source.startswith("data:image/png;base64,iVBOR")
+    assert rendered.pixels == image_of(rendered.png).shape[1::-1]

@@ -34,14 +34,14 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
-        told = dict(attrs)
+        attributes = dict(attrs)
         self.links += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
-        if "id" in told:
-            self.ids.append(told["id"] or "")
+        if "id" in attributes:
+            self.ids.append(attributes["id"] or "")
         if tag == "img":
-            self.images.append(told)
+            self.images.append(attributes)
         if tag == "tr":
-            self.rows.append((told.get("class") or "", ""))
+            self.rows.append((attributes.get("class") or "", ""))
 
     def handle_data(self, data: str) -> None:
         self.text += data
@@ -68,14 +68,14 @@ def assert_self_contained(page: Page, folder: Path) -> None:
     assert "@import" not in page.source
 
 
-def test_a_run_report_needs_nothing_but_itself(run_folder: RunFolderFixture) -> None:
+def test_run_report_is_self_contained(run_folder: RunFolderFixture) -> None:
     folder = run_folder("uncoordinated")
     page = Page(write_report(folder))
     assert_self_contained(page, folder)
     assert all(link.startswith("data:") for link in page.links)
 
 
-def test_every_figure_is_in_the_page_and_lies_beside_it_as_png(run_folder: RunFolderFixture) -> None:
+def test_every_figure_is_in_the_page_and_saved_as_png(run_folder: RunFolderFixture) -> None:
     folder = run_folder("uncoordinated")
     page = Page(write_report(folder))
     saved = {path.stem: path.read_bytes() for path in (folder / "figures").glob("*.png")}
@@ -127,7 +127,7 @@ def test_the_same_run_gives_the_same_report_byte_for_byte(run_folder: RunFolderF
     assert write_report(folder).read_bytes() == first
 
 
-def test_hostile_names_do_no_harm(run_folder: RunFolderFixture) -> None:
+def test_names_are_escaped_in_html(run_folder: RunFolderFixture) -> None:
     evil = '<script>alert("x")</script>'
     node = {"role": evil, "pid": 1, "exit": 1, "ended": evil, "restarts": 0}
     folder = run_folder("uncoordinated", nodes={evil: node, "$x^{": node})
@@ -157,21 +157,21 @@ MISSING = {
 
 
 @pytest.mark.parametrize("name", sorted(MISSING))
-def test_what_is_missing_is_named_and_the_rest_is_shown(run_folder: RunFolderFixture, name: str) -> None:
+def test_missing_file_is_named_and_the_remainder_is_shown(run_folder: RunFolderFixture, name: str) -> None:
     folder = run_folder("uncoordinated")
     (folder / name).unlink()
     page = Page(write_report(folder))
     assert f"{name} is absent" in page.text
-    shown = {path.stem for path in (folder / "figures").glob("*.png")}
-    assert shown == {"birdseye", "camera", "counts", "wiring"} - MISSING[name]
+    parsed = {path.stem for path in (folder / "figures").glob("*.png")}
+    assert parsed == {"birdseye", "camera", "counts", "wiring"} - MISSING[name]
 
 
 @pytest.mark.parametrize("name", sorted(MISSING))
-def test_what_is_broken_off_is_named(run_folder: RunFolderFixture, name: str) -> None:
+def test_truncated_file_is_named(run_folder: RunFolderFixture, name: str) -> None:
     folder = run_folder("uncoordinated")
     (folder / name).write_bytes((folder / name).read_bytes()[:-20])
-    (told,) = RunFolder.load(folder).missing
-    assert told.startswith(f"{name} cannot be read")
+    (page,) = RunFolder.load(folder).missing
+    assert page.startswith(f"{name} cannot be read")
 
 
 def test_an_interrupted_run_still_has_a_report(run_folder: RunFolderFixture) -> None:
@@ -194,7 +194,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
         write_report(tmp_path / "nothing")
 
 
-def test_a_frame_can_be_asked_for_if_the_run_has_it(run_folder: RunFolderFixture) -> None:
+def test_existing_frame_can_be_requested(run_folder: RunFolderFixture) -> None:
     folder = run_folder("uncoordinated")
     assert "t = 0.7 s (frame 7)" in (Page(write_report(folder, frame=7)).images[0]["alt"] or "")
     with pytest.raises(RunFolderError, match="frame 40 was asked for, expected one of 0 to 39"):
@@ -218,7 +218,7 @@ def test_a_study_report_compares_its_runs_in_one_frame(study: Page, tmp_path: Pa
         assert f"{name}/report.html" in study.links
 
 
-def test_a_study_with_a_run_that_never_got_to_its_scores(run_folder: RunFolderFixture, tmp_path: Path) -> None:
+def test_study_report_with_an_unscored_run(run_folder: RunFolderFixture, tmp_path: Path) -> None:
     runs = {"baseline": run_folder(), "uncoordinated": run_folder("uncoordinated")}
     for path in [*runs["uncoordinated"].glob("*.parquet"), runs["uncoordinated"] / "metrics.json"]:
         path.unlink()
@@ -227,7 +227,7 @@ def test_a_study_with_a_run_that_never_got_to_its_scores(run_folder: RunFolderFi
     assert "2 runs" in page.text
 
 
-def test_a_study_of_runs_that_left_nothing(run_folder: RunFolderFixture, tmp_path: Path) -> None:
+def test_study_report_of_empty_runs(run_folder: RunFolderFixture, tmp_path: Path) -> None:
     folder = run_folder()
     for path in folder.iterdir():
         if path.is_file() and path.name != "run.json":

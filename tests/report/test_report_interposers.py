@@ -1,4 +1,4 @@
-"""What interposers did, beside what they reported: verdicts, live ones, those on the picture's way."""
+"""Effects and reports of interposers: verdicts, live insertion, downlink."""
 
 from __future__ import annotations
 
@@ -49,16 +49,21 @@ def run_of(
 
 
 def only(run: RunFolder) -> Interposer:
-    (found,) = interposers(run)
-    return found
+    (matches,) = interposers(run)
+    return matches
 
 
-def test_what_it_did_stands_beside_what_it_reported() -> None:
-    found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}))
-    assert (found.verdict, found.reports_text, found.other, found.changed) == ("silent", "nothing", "2 corrupted", 5)
+def test_measured_effects_are_compared_with_reports() -> None:
+    by_name = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}))
+    assert (by_name.verdict, by_name.reports_text, by_name.other, by_name.changed) == (
+        "silent",
+        "nothing",
+        "2 corrupted",
+        5,
+    )
     lying = MEASURED | {"reports": 7, "agreement": "disagrees", "unreported": 1, "unfounded": 3}
-    found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": lying}))
-    assert found.reports_text == "7 (1 unreported, 3 unfounded)"
+    by_name = only(run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": lying}))
+    assert by_name.reports_text == "7 (1 unreported, 3 unfounded)"
 
 
 FAILURE = {"handler": "on_tracks", "count": 4, "frames": 4, "first_frame": 1, "last_frame": 4}
@@ -89,21 +94,21 @@ EXPECTED = {
 
 
 @pytest.mark.parametrize("node", CRASHES.values(), ids=CRASHES)
-def test_a_crash_goes_before_what_it_reported(node: dict[str, Any]) -> None:
+def test_crash_takes_precedence_over_reports(node: dict[str, Any]) -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
     assert only(run).verdict == "crashed"
     assert "mallory crashed." in reading(run)
 
 
 @pytest.mark.parametrize(("node", "words"), FAILED.values(), ids=FAILED)
-def test_a_node_whose_handler_failed_has_not_crashed(node: dict[str, Any], words: str) -> None:
+def test_failed_handler_is_not_a_crash(node: dict[str, Any], words: str) -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
     assert only(run).verdict == "failed"
     assert f"mallory's handlers {words}." in reading(run)
 
 
 @pytest.mark.parametrize("node", EXPECTED.values(), ids=EXPECTED)
-def test_a_node_that_was_ended_on_purpose_has_not_crashed(node: dict[str, Any]) -> None:
+def test_intended_exit_is_not_a_crash(node: dict[str, Any]) -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
     assert only(run).verdict == "silent"
     assert exit_expected(node)
@@ -122,14 +127,14 @@ def test_a_crash_says_how_often_a_handler_failed(node: dict[str, Any], words: st
     assert only(run).failures == words
 
 
-def test_an_adversary_on_the_downlink_is_named_by_its_victim() -> None:
+def test_adversary_on_the_downlink_is_described_by_its_victim() -> None:
     run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
     assert only(run).before == ("ego",)
     assert adversaries_by_agent(interposers(run)) == {"ego": ("mallory",)}
     assert compromised(run) == "the picture's way to ego"
 
 
-def test_the_table_of_wires_says_before_whom_alone_a_node_stands() -> None:
+def test_wire_table_names_the_only_subscriber_behind_an_interposer() -> None:
     run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
     (row,) = wire_rows(run)
     assert row.before == {"mallory": ("ego",)}
@@ -154,7 +159,7 @@ def targets(adversary: str, kind: str, objects: list[int]) -> dict[str, Any]:
     }
 
 
-def test_rows_of_objects_are_told_from_objects_and_from_messages() -> None:
+def test_effects_distinguish_rows_objects_and_messages() -> None:
     done = MEASURED | {"effects": {"inserted": 5, "moved": 3, "dropped": 2}}
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": done})
     assert effects(only(run)) == "5 rows of objects inserted, 3 rows of objects moved, 2 messages dropped"
@@ -166,7 +171,7 @@ def test_rows_of_objects_are_told_from_objects_and_from_messages() -> None:
     assert effects(only(run)) == "1 row of 1 object inserted, 1 message dropped"
 
 
-def test_clutter_is_no_object_and_what_is_no_target_leaves_their_number_open() -> None:
+def test_clutter_is_not_an_object_and_rows_without_target_hide_the_number() -> None:
     done = MEASURED | {"effects": {"removed": 3}}
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": done})
     object.__setattr__(run, "targets", targets("mallory", "removed", [7, 7, -1]))
@@ -175,7 +180,7 @@ def test_clutter_is_no_object_and_what_is_no_target_leaves_their_number_open() -
     assert effects(only(run)) == "3 rows of objects removed"
 
 
-def test_a_node_on_a_wire_of_no_agent_is_named_by_the_wire() -> None:
+def test_interposer_on_a_wire_without_agent_is_described_by_the_wire() -> None:
     assert compromised(run_of([wire("cc/picture", ("mallory",))])) == "the wire cc/picture"
 
 
@@ -183,11 +188,11 @@ LIVE = {"action": "intercept", "node": "mallory", "wires": ["agent/infra_1/track
 RELEASE = {"action": "release", "node": "mallory", "wires": ["agent/infra_1/tracks"], "frame": 90}
 
 
-def test_a_node_that_came_and_went_while_the_run_went_on_is_named_and_drawn() -> None:
+def test_interposer_removed_during_the_run_is_named_and_drawn() -> None:
     run = run_of([wire("agent/infra_1/tracks")], {"mallory": MEASURED}, interceptions=(LIVE, RELEASE))
-    found = only(run)
-    assert (found.live, found.released) == (44, 90)
-    assert found.description == "mallory (inserted live in frame 44)"
+    by_name = only(run)
+    assert (by_name.live, by_name.released) == (44, 90)
+    assert by_name.description == "mallory (inserted live in frame 44)"
     (row,) = wire_rows(run)
     assert row.intercepted
     assert row.when == {"mallory": "frames 44 to 89"}
@@ -200,19 +205,19 @@ def test_a_node_that_came_and_went_while_the_run_went_on_is_named_and_drawn() ->
     assert b"<svg" in svg(figure)
 
 
-def test_a_node_that_is_still_there_is_drawn_once() -> None:
+def test_live_interposer_that_remains_is_drawn_once() -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, interceptions=(LIVE,))
     (only_wire,) = all_wires(run)
     assert only_wire["interposers"] == ["mallory"]
     assert wire_rows(run)[0].when == {"mallory": "from frame 44"}
 
 
-def test_an_interposer_of_a_run_without_measurements_says_so() -> None:
-    found = only(run_of([wire("agent/infra_1/tracks", ("mallory",))]))
-    assert (found.verdict, found.effects, found.changed) == ("not measured", None, 0)
+def test_interposer_without_measurements_is_marked() -> None:
+    interposer = only(run_of([wire("agent/infra_1/tracks", ("mallory",))]))
+    assert (interposer.verdict, interposer.effects, interposer.changed) == ("not measured", None, 0)
 
 
-def test_links_come_last_and_are_no_adversaries() -> None:
+def test_links_come_last_and_are_not_adversaries() -> None:
     link = MEASURED | {"role": "link", "effects": {"dropped": 9}}
     chain = wire("agent/infra_1/tracks", ("link_1",))
     chain["interposers"].append("mallory")

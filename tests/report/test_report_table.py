@@ -72,7 +72,7 @@ def counts(fp: list[int], first: int = 0) -> dict[str, Any]:
     }
 
 
-def test_counts_per_frame_say_how_changes_spread() -> None:
+def test_counts_per_frame_give_the_spread_of_changes() -> None:
     table = score_table(RUNS, counts={"baseline": counts([0, 1, 0]), "uncoordinated": counts([0, 4, 6])})
     assert table.cell("fp", "uncoordinated", "picture").change.std == pytest.approx(np.std([0, 3, 6]))
     (row,) = (row for row in table.rows if (row.measure.key, row.run) == ("fp", "uncoordinated"))
@@ -117,7 +117,7 @@ def test_metrics_of_the_user_have_rows_of_their_own() -> None:
     assert "| errors nearby | run |" in as_markdown(table)
 
 
-def test_what_is_not_known_is_a_dash() -> None:
+def test_unknown_values_are_dashes() -> None:
     table = score_table({"baseline": {}, "uncoordinated": metrics((1.0, 2.0, 3.0)) | {"agents": {}}})
     assert as_markdown(table).splitlines()[2] == "| missed (FN) | baseline |" + " \u2013 |" * 7
 
@@ -141,7 +141,7 @@ def test_the_terminal_tables_fit_80_columns() -> None:
     assert "…" not in text
 
 
-def test_of_one_run_the_terminal_shows_three_estimates_and_no_changes() -> None:
+def test_terminal_table_of_one_run_has_three_estimates_and_no_changes() -> None:
     text = printed(score_table({"run": RUNS["baseline"]}))
     for heading in ("ego alone", "picture", "ego with"):
         assert heading in text

@@ -1,4 +1,4 @@
-"""Which frame the pictures show, and which part of the world."""
+"""The frame and the window that pictures show."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ def test_the_worst_frame_since_the_attack_began_is_shown() -> None:
     assert choose_frame(a_run([(9, 9), (0, 0), (1, 2), (2, 2), (0, 4)], attack=[11, 14])) == 13
 
 
-def test_against_a_baseline_it_is_the_frame_that_is_worse_by_most() -> None:
+def test_with_a_baseline_the_frame_with_the_largest_difference_is_shown() -> None:
     baseline = a_run([(0, 0), (0, 0), (0, 0), (4, 0), (0, 1)])
     assert choose_frame(a_run([(0, 0), (0, 0), (1, 2), (4, 1), (0, 5)], attack=[11]), baseline) == 14
 
 
-def test_without_an_attack_it_is_the_frame_in_which_the_picture_helps_most() -> None:
+def test_without_an_attack_the_frame_with_the_largest_benefit_is_shown() -> None:
     assert choose_frame(a_run([(1, 0), (1, 0), (3, 0)], local=[(4, 0), (6, 0), (7, 0)])) == 11
 
 
-def test_an_attack_outside_the_scored_frames_leaves_the_rule_of_other_runs() -> None:
+def test_attack_outside_scored_frames_does_not_affect_the_choice() -> None:
     assert choose_frame(a_run([(1, 0), (0, 0), (0, 0)], local=[(1, 0), (2, 0), (9, 0)], attack=[50])) == 12
 
 
@@ -94,7 +94,7 @@ def test_runs_share_the_frame_of_the_largest_effect() -> None:
     assert choose_common_frame([baseline, a_run([(0, 0)] * 4)], baseline) == choose_frame(baseline)
 
 
-def test_the_window_is_square_and_holds_all_that_is_near(run_folder: Callable[..., Path]) -> None:
+def test_window_is_square_and_contains_all_nearby_objects(run_folder: Callable[..., Path]) -> None:
     view = frame_view(RunFolder.load(run_folder()), 20)
     assert view is not None
     x, y, half = window([view])
@@ -104,7 +104,7 @@ def test_the_window_is_square_and_holds_all_that_is_near(run_folder: Callable[..
     assert np.abs(near[:, :2] - [x, y]).max() <= half
 
 
-def test_what_an_adversary_does_far_away_is_not_in_the_view(run_folder: Callable[..., Path]) -> None:
+def test_distant_manipulations_are_not_in_the_view(run_folder: Callable[..., Path]) -> None:
     view = frame_view(RunFolder.load(run_folder("uncoordinated")), 20)
     assert view is not None
     assert len(view.before.added) == 10

@@ -28,8 +28,8 @@ def a_wire(
     targets = [*([stop] for stop in chain), subscribers]
     keys = [*(f"{key}/@tap/{i}" for i in range(len(chain))), key]
     legs = [{"key": k, "from": stop, "to": to} for k, stop, to in zip(keys, [publisher, *chain], targets, strict=True)]
-    told = {"key": key, "message": message, "publisher": publisher, "subscribers": subscribers}
-    return told | {"legs": legs, "interposers": list(chain)}
+    record = {"key": key, "message": message, "publisher": publisher, "subscribers": subscribers}
+    return record | {"legs": legs, "interposers": list(chain)}
 
 
 def mesh(agents: int, chain: int, message: str) -> RunFolder:
@@ -106,7 +106,7 @@ def test_a_link_before_one_subscriber_stands_beside_it_and_leaves_the_others_alo
     assert not any(line.intercepted for line in plan.lines.values())
 
 
-def test_who_sits_on_the_trunk_intercepts_the_wire_for_all() -> None:
+def test_interposer_on_the_trunk_intercepts_all_branches() -> None:
     run = branched(("mallory",))
     plan = layout(run)
     assert plan is not None
@@ -129,7 +129,7 @@ def test_a_coordinator_stands_above_its_adversaries(run_folder: Callable[..., Pa
     assert plan.lines[coordinator, Spot("adversary_1", after=1)].messages == ["directive"]
 
 
-def test_listeners_and_the_clock_are_left_to_the_table(run_folder: Callable[..., Path]) -> None:
+def test_listeners_and_the_clock_are_not_drawn(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder("uncoordinated"))
     plan = layout(run)
     assert plan is not None
@@ -145,7 +145,7 @@ def test_the_table_begins_with_the_intercepted_wires(run_folder: Callable[..., P
     assert rows[0].interposers == ("adversary_1",)
 
 
-def test_adversaries_are_known_by_the_agent_whose_wire_they_sit_on(run_folder: Callable[..., Path]) -> None:
+def test_adversaries_are_grouped_by_the_agent_of_their_wire(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder("uncoordinated"))
     assert adversaries_by_agent(interposers(run)) == {"infra_1": ("adversary_1",), "infra_3": ("adversary_2",)}
     assert adversaries_by_agent(interposers(mesh(2, 1, "tracks"))) == {}
@@ -159,7 +159,7 @@ def test_nothing_to_draw_gives_no_diagram() -> None:
     assert draw_wiring(a_run([a_wire("clock", "clock", "simulator", ["ego"])])) is None
 
 
-def test_a_node_of_an_unknown_role_and_odd_names_are_drawn() -> None:
+def test_unknown_roles_and_unusual_names_are_drawn() -> None:
     run = a_run([a_wire("x", "y$_{", "my$node^{", ["a name that is far too long for its box", "ego"])])
     figure = draw_wiring(run)
     assert figure is not None

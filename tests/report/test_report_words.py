@@ -14,7 +14,7 @@ import pytest
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.attack_period import while_attacked
 from mast_zenoh.report.narrative.circumstances import compromised
-from mast_zenoh.report.narrative.phrases import listed
+from mast_zenoh.report.narrative.phrases import join_names
 from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import score_table
@@ -26,13 +26,13 @@ def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
     path.write_text(json.dumps(data))
 
 
-def test_an_unattacked_run_is_summed_up_by_what_it_misses(run_folder: Callable[..., Path]) -> None:
+def test_headline_of_an_unattacked_run_gives_missed_objects(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder())
     expected = "The common picture misses 1.2 objects a frame, the ego alone 10.5, the ego with the picture 1.2"
     assert headline(run) == expected
 
 
-def test_an_attacked_run_is_summed_up_by_the_largest_change_and_who_made_it(run_folder: Callable[..., Path]) -> None:
+def test_headline_of_an_attacked_run_names_largest_change_and_adversary(run_folder: Callable[..., Path]) -> None:
     run = RunFolder.load(run_folder("uncoordinated"))
     assert compromised(run) == "two of four roadside sensors"
     assert headline(run) == (
@@ -76,7 +76,7 @@ SCORES = {
 
 @pytest.mark.parametrize("estimate", ["local", "picture", "mission"])
 @pytest.mark.parametrize("key", sorted(SCORES))
-def test_no_change_of_any_kind_in_any_estimate_goes_unmentioned(
+def test_every_kind_of_change_in_every_estimate_is_reported(
     run_folder: Callable[..., Path], key: str, estimate: str
 ) -> None:
     folder, reference = run_folder("coordinated"), RunFolder.load(run_folder())
@@ -111,7 +111,7 @@ def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_folder: C
     assert "2.0 more false objects a frame for infra_1 with the picture than unattacked" in text
 
 
-ON_THE_WAY: dict[str, tuple[dict[str, float], str]] = {
+IN_TRANSIT: dict[str, tuple[dict[str, float], str]] = {
     "the ego acts on it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 1.0},
         "1.0 more false object a frame for the ego with the picture than unattacked, by no measured cause",
@@ -139,8 +139,8 @@ ON_THE_WAY: dict[str, tuple[dict[str, float], str]] = {
 }
 
 
-@pytest.mark.parametrize(("more", "expected"), ON_THE_WAY.values(), ids=ON_THE_WAY)
-def test_a_change_of_the_picture_on_its_way_says_what_the_ego_acts_on(
+@pytest.mark.parametrize(("more", "expected"), IN_TRANSIT.values(), ids=IN_TRANSIT)
+def test_change_of_the_picture_in_transit_reports_what_the_ego_acts_on(
     run_folder: Callable[..., Path], more: dict[str, float], expected: str
 ) -> None:
     folder = run_folder()
@@ -174,7 +174,7 @@ def test_effects_without_a_change_of_scores_are_named(run_folder: Callable[..., 
     assert "nothing" not in text
 
 
-def test_scores_that_are_the_same_but_for_driving_say_so(run_folder: Callable[..., Path]) -> None:
+def test_difference_in_driving_alone_is_reported(run_folder: Callable[..., Path]) -> None:
     folder, other = run_folder("uncoordinated"), run_folder()
     agents = RunFolder.load(other).metrics["agents"]
 
@@ -193,7 +193,7 @@ def test_scores_that_are_the_same_but_for_driving_say_so(run_folder: Callable[..
     assert headline(reference.run, same).startswith("Every score is that of itself")
 
 
-def test_a_run_with_failures_says_so_first(run_folder: Callable[..., Path]) -> None:
+def test_headline_of_a_failed_run_begins_with_the_failure(run_folder: Callable[..., Path]) -> None:
     folder = run_folder("uncoordinated")
     failure = {"handler": "on_detections", "count": 19, "frames": 19, "first_frame": 11, "last_frame": 29}
     failure |= {"exception": "ValueError: no", "where": "mine.py:3"}
@@ -217,7 +217,7 @@ def test_a_reference_that_did_not_end_well_is_named_first(
     assert text.startswith(f"Compared with unattacked, which {ended}: Two of four roadside sensors compromised: 6.2")
 
 
-def test_damaged_metrics_are_told_from_absent_ones(run_folder: Callable[..., Path]) -> None:
+def test_damaged_and_absent_metrics_are_distinguished(run_folder: Callable[..., Path]) -> None:
     folder = run_folder("uncoordinated")
     (folder / "metrics.json").write_text('{"agents": ')
     run = RunFolder.load(folder)
@@ -229,7 +229,7 @@ def test_damaged_metrics_are_told_from_absent_ones(run_folder: Callable[..., Pat
     assert headline(RunFolder.load(folder)) == "No scores: this run did not get as far as its evaluation"
 
 
-def test_adversaries_that_pass_everything_on_are_told_from_those_that_were_not_measured(
+def test_passive_and_unmeasured_adversaries_are_distinguished(
     run_folder: Callable[..., Path],
 ) -> None:
     folder, reference = run_folder("uncoordinated"), RunFolder.load(run_folder())
@@ -316,8 +316,13 @@ def test_a_study_names_the_strongest_attack_and_every_run(three_runs: dict[str, 
     assert "(+4.0 while the attack lasts), due to adversary_1 and adversary_2" in text
 
 
-def test_lists_read_like_lists() -> None:
-    assert [listed(names) for names in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == ["", "a", "a and b", "a, b and c"]
+def test_join_names() -> None:
+    assert [join_names(names) for names in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == [
+        "",
+        "a",
+        "a and b",
+        "a, b and c",
+    ]
 
 
 def test_every_kind_of_change_is_named_with_its_own_cause(run_folder: Callable[..., Path]) -> None:
@@ -343,7 +348,7 @@ def test_the_causes_of_other_changes_are_named_again(run_folder: Callable[..., P
     assert sentence in reading(RunFolder.load(folder))
 
 
-def test_what_happens_to_the_picture_on_its_way_is_named(run_folder: Callable[..., Path]) -> None:
+def test_changes_of_the_picture_in_transit_are_reported(run_folder: Callable[..., Path]) -> None:
     folder = run_folder()
 
     def change(metrics: dict[str, Any]) -> None:
@@ -355,7 +360,7 @@ def test_what_happens_to_the_picture_on_its_way_is_named(run_folder: Callable[..
     assert sentence in reading(RunFolder.load(folder))
 
 
-def test_a_difference_that_nothing_measured_explains_says_so(run_folder: Callable[..., Path]) -> None:
+def test_difference_without_measured_cause_is_reported(run_folder: Callable[..., Path]) -> None:
     folder = run_folder()
     reference = RunFolder.load(folder)
     edit(folder / "metrics.json", lambda metrics: metrics["agents"]["ego"]["local"]["fn"].update(mean=30.0))
@@ -363,7 +368,7 @@ def test_a_difference_that_nothing_measured_explains_says_so(run_folder: Callabl
     assert text == "19.5 more missed objects a frame in what the ego sees alone than the other, by no measured cause"
 
 
-def test_without_another_run_the_headline_tells_what_attacks_do_to_what_the_ego_acts_on(
+def test_headline_without_reference_reports_attacks_on_what_the_ego_acts_on(
     run_folder: Callable[..., Path],
 ) -> None:
     folder = run_folder("uncoordinated")

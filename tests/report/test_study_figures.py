@@ -49,12 +49,12 @@ def test_a_numeric_parameter_goes_along_x_before_a_category_and_categories_are_n
 
 
 def test_further_parameters_make_a_panel_for_each_choice() -> None:
-    found = panels([BASELINE, *grid("a", n=(1, 2, 3), start_s=(1.0, 4.0), kind=("far", "near"))], "baseline")
-    assert [panel.title for panel in found] == ["a, kind = far", "a, kind = near"]
-    assert list(labels(found[0])) == ["start (s) = 1", "start (s) = 4"]
+    result = panels([BASELINE, *grid("a", n=(1, 2, 3), start_s=(1.0, 4.0), kind=("far", "near"))], "baseline")
+    assert [panel.title for panel in result] == ["a, kind = far", "a, kind = near"]
+    assert list(labels(result[0])) == ["start (s) = 1", "start (s) = 4"]
 
 
-def test_runs_without_a_sweep_stand_side_by_side() -> None:
+def test_runs_without_a_sweep_share_one_panel() -> None:
     (panel,) = panels([BASELINE, row("a", {"n": 2}, 1.0), row("b", {}, 2.0)], "baseline")
     assert (panel.x, panel.ticks, panel.numeric) == ("", ("a-2", "b"), False)
 
@@ -70,9 +70,9 @@ def test_runs_without_a_sweep_stand_side_by_side() -> None:
 def test_every_configuration_is_shown_exactly_once(grids, count: int) -> None:
     rows = [BASELINE, row("alone", {}, 1.0)]
     rows += [each for index, values in enumerate(grids) for each in grid(f"run{index}", **values)]
-    shown = [row.label for panel in panels(rows, "baseline") for curve in panel.curves for row in curve.rows]
-    assert sorted(shown) == sorted(row.label for row in rows[1:])
-    assert len(shown) == count + 1
+    labels = [row.label for panel in panels(rows, "baseline") for curve in panel.curves for row in curve.rows]
+    assert sorted(labels) == sorted(row.label for row in rows[1:])
+    assert len(labels) == count + 1
 
 
 @pytest.mark.parametrize(
@@ -88,13 +88,13 @@ def test_parameters_are_labelled_in_words_with_their_unit(parameter: str, label:
     assert label_of(parameter) == label
 
 
-def test_figures_are_the_same_every_time_and_say_what_they_rest_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     from mast_zenoh.report.figures import study
 
     rows = [BASELINE, *grid("a", n=(1, 2), fp=(1.0, 5.0, 20.0)), *grid("b", n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 9.0))]
     drawn = []
-    made = study._draw
-    monkeypatch.setattr(study, "_draw", lambda *words: drawn.append(made(*words)) or drawn[-1])
+    pictures = study._draw
+    monkeypatch.setattr(study, "_draw", lambda *words: drawn.append(pictures(*words)) or drawn[-1])
     first, again = figures_over_trials(rows, facts(rows)), figures_over_trials(rows, facts(rows))
     assert list(first) == ["increments", "increments_mission", "success"]
     assert {name: each.png for name, each in first.items()} == {name: each.png for name, each in again.items()}
@@ -116,7 +116,7 @@ def test_figures_are_the_same_every_time_and_say_what_they_rest_on(monkeypatch: 
         ),
     ],
 )
-def test_figures_say_why_there_is_no_bar(
+def test_figures_explain_missing_bars(
     monkeypatch: pytest.MonkeyPatch, seeds: int, half: float, footer: str, caption: str
 ) -> None:
     from mast_zenoh.report.figures import study
@@ -124,8 +124,8 @@ def test_figures_say_why_there_is_no_bar(
     added = {Series("ego", "picture", "fp_iob"): estimate(2.0, half, seeds=seeds)}
     rows = [BASELINE, StudyRow("a", "a", {}, added)]
     footers = []
-    made = study._draw
-    monkeypatch.setattr(study, "_draw", lambda *words: footers.append(words[-1]) or made(*words))
+    pictures = study._draw
+    monkeypatch.setattr(study, "_draw", lambda *words: footers.append(words[-1]) or pictures(*words))
     figure = figures_over_trials(rows, facts(rows))["increments"]
     assert footer in footers[0]
     assert figure.caption.endswith(f"agents. {caption}")

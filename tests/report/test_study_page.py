@@ -1,4 +1,4 @@
-"""The page of a study with trials: one file, failures first, nothing of the study's text taken as HTML."""
+"""The page of a study with trials: self-contained, failures first, text escaped."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ def page(tmp_path: Path):
 
 
 def test_page_needs_no_other_file(page) -> None:
-    made = page()
-    assert all(link.startswith("data:image/png") for link in made.links)
-    assert len(made.links) == 3
-    assert not {"script", "link", "iframe"} & set(made.tags)
-    assert "url(" not in made.source
+    parsed = page()
+    assert all(link.startswith("data:image/png") for link in parsed.links)
+    assert len(parsed.links) == 3
+    assert not {"script", "link", "iframe"} & set(parsed.tags)
+    assert "url(" not in parsed.source
 
 
-def test_page_tells_the_result_what_was_run_and_how_many_comparisons_there_are(page) -> None:
+def test_page_shows_result_configurations_and_number_of_comparisons(page) -> None:
     text = "".join(page().text.split())
     for part in (
         "The largest change of false or missed objects in what the ego acts on: in uncoordinated n=2 "
@@ -76,14 +76,14 @@ def test_page_tells_the_result_what_was_run_and_how_many_comparisons_there_are(p
     assert "trialsfailed" not in text
 
 
-def test_failed_trials_come_first_in_red_with_seed_error_and_command(page) -> None:
-    made = page(FAILED)
-    assert made.source.index('role="alert"') < made.source.index("<figure")
-    assert "12 of 420 trials failed: uncoordinated n=1 false_positives=5.0 12 of 60." in made.text
+def test_failed_trials_are_listed_first_with_seed_error_and_command(page) -> None:
+    parsed = page(FAILED)
+    assert parsed.source.index('role="alert"') < parsed.source.index("<figure")
+    assert "12 of 420 trials failed: uncoordinated n=1 false_positives=5.0 12 of 60." in parsed.text
     for trial in FAILED:
-        assert trial.command in made.text
-        assert f"seed {trial.seed}: " in made.text
-    assert made.text.count("RunError: <b>bold</b> failure") == 12
-    assert "b" not in made.tags
-    assert "2 more" in made.text, "the first ten are listed openly"
-    assert "48 of 60" in made.text
+        assert trial.command in parsed.text
+        assert f"seed {trial.seed}: " in parsed.text
+    assert parsed.text.count("RunError: <b>bold</b> failure") == 12
+    assert "b" not in parsed.tags
+    assert "2 more" in parsed.text, "the first ten are listed openly"
+    assert "48 of 60" in parsed.text

@@ -43,19 +43,19 @@ def test_numbers_have_two_decimals_and_no_negative_zero(value: float, text: str)
     assert number(value) == text
 
 
-def test_estimates_show_either_of_their_spreads() -> None:
+def test_estimates_show_spread_over_frames_or_over_trials() -> None:
     both = Estimate(3.42, 1.2, 3.4, 3.1, 3.7, seeds=20)
     assert over_frames(both) == "3.42 ± 1.20"
     assert over_trials(both) == "3.40 [3.10, 3.70]"
     assert over_frames(Estimate()) == over_trials(Estimate()) == "\u2013"
 
 
-def test_estimates_without_an_interval_say_why() -> None:
+def test_missing_intervals_are_explained() -> None:
     assert over_trials(Estimate(3.4, 1.2, 3.4, seeds=4)) == "3.40 (n < 5)"
     assert over_trials(Estimate(0.0, 0.0, 0.0, seeds=20)) == "0.00 (all equal)"
 
 
-def test_narrow_intervals_get_the_decimals_that_show_their_width() -> None:
+def test_narrow_intervals_get_more_decimals() -> None:
     assert over_trials(Estimate(trial_mean=0.0163, low=0.0143, high=0.0183, seeds=20)) == "0.016 [0.014, 0.018]"
 
 
@@ -82,7 +82,7 @@ def test_terminal_names_failed_trials_first() -> None:
     assert "failed" not in shown()
 
 
-def test_estimates_of_the_ego_that_never_change_are_one_sentence_instead_of_a_table() -> None:
+def test_unchanged_estimates_of_the_ego_become_one_sentence() -> None:
     text = " ".join(shown().split())
     assert "Not changed in any trial: ego alone." in text
     assert "What the attack adds: ego alone" not in text
@@ -90,7 +90,7 @@ def test_estimates_of_the_ego_that_never_change_are_one_sentence_instead_of_a_ta
     assert "What the attack adds: ego alone" in shown([BASELINE, changed])
 
 
-def test_means_over_trials_that_differ_from_those_over_frames_are_shown() -> None:
+def test_differing_means_over_trials_and_frames_are_both_shown() -> None:
     odd = StudyRow("x", "x", {}, {Series("ego", "picture", "fp_iob"): Estimate(3.0, 1.0, 2.5, 2.0, 3.0, seeds=6)})
     assert "2.50 [2.00, 3.00]" in shown([BASELINE, odd])
 
@@ -142,16 +142,18 @@ def test_holm_adjusts_step_by_step() -> None:
     assert holm([]) == []
 
 
-def test_comparisons_are_those_of_the_tables_and_the_others_are_counted_apart() -> None:
+def test_comparisons_outside_the_tables_are_counted_separately() -> None:
     extra = replace(ROWS[1], estimates={**ROWS[1].estimates, Series("ego", "mission", "my_metric_iob"): estimate(1.0)})
-    found = compare([BASELINE, extra], "baseline")
-    assert found.count == 5, "fp and fn of picture and mission, fp of the compromised; those all equal have no test"
-    assert found.others == 1
-    assert found.bonferroni == pytest.approx(0.01)
-    assert found.remaining() == 3
+    comparisons = compare([BASELINE, extra], "baseline")
+    assert comparisons.count == 5, (
+        "fp and fn of picture and mission, fp of the compromised; those all equal have no test"
+    )
+    assert comparisons.others == 1
+    assert comparisons.bonferroni == pytest.approx(0.01)
+    assert comparisons.remaining() == 3
 
 
-def test_result_is_the_largest_change_that_remains_of_what_the_ego_acts_on() -> None:
+def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> None:
     text = result(ROWS, facts(ROWS), compare(ROWS, "baseline"))
     assert text == (
         "The largest change of false or missed objects in what the ego acts on: in uncoordinated-3 the ego with the "
@@ -178,7 +180,7 @@ def test_result_of_an_attack_that_reduces_something_says_fewer() -> None:
         (None, "No trial has the results of its baseline beside it"),
     ],
 )
-def test_result_without_a_sure_change_says_so(estimates: Estimate | None, text: str) -> None:
+def test_result_without_a_significant_change_is_stated(estimates: Estimate | None, text: str) -> None:
     known = {Series("ego", "picture", "fp_iob"): estimates} if estimates else {}
     rows = [BASELINE, StudyRow("a", "a", {}, known)]
     assert text in result(rows, facts(rows), compare(rows, "baseline"))
@@ -197,7 +199,7 @@ def words(**increments: Estimate) -> tuple[str, list[str]]:
 SAME = Estimate(0.57, 0.5, 0.57, scenes=1, seeds=5)
 
 
-def test_a_difference_that_is_the_same_in_all_seeds_is_certain_and_comes_before_rmse() -> None:
+def test_equal_difference_in_all_seeds_is_certain_and_precedes_rmse() -> None:
     headline, others = words(fn_iob=SAME, fp_iob=estimate(0.0, p=0.9), rmse_m_iob=estimate(0.0006, 0.0002))
     assert headline == (
         "The largest change of false or missed objects in the picture: in a the picture has 0.57 more missed objects a "
@@ -208,7 +210,7 @@ def test_a_difference_that_is_the_same_in_all_seeds_is_certain_and_comes_before_
     assert not any("missed objects" in sentence for sentence in others)
 
 
-def test_the_headline_is_of_identities_before_rmse_and_never_of_less_than_a_centimetre() -> None:
+def test_headline_prefers_identity_switches_and_ignores_rmse_below_one_centimetre() -> None:
     rmse, switches, nothing = estimate(0.2, 0.1), estimate(0.1, 0.05), estimate(0.0, p=0.9)
     assert "0.10 more identity switches" in words(fp_iob=nothing, id_switches_iob=switches, rmse_m_iob=rmse)[0]
     assert "0.20 m more RMSE" in words(fp_iob=nothing, rmse_m_iob=rmse)[0]
@@ -217,7 +219,7 @@ def test_the_headline_is_of_identities_before_rmse_and_never_of_less_than_a_cent
     assert any(sentence.startswith("RMSE: in a the picture has 0.0006 m more") for sentence in others)
 
 
-def test_what_is_equal_in_all_trials_is_unchanged_and_not_merely_indistinguishable() -> None:
+def test_equal_values_in_all_trials_are_reported_as_unchanged() -> None:
     equal = Estimate(0.0, 0.0, 0.0, scenes=1, seeds=5)
     _, others = words(fp_iob=estimate(2.0), fn_iob=estimate(0.0, p=0.9), id_switches_iob=equal)
     assert "Unchanged in all trials: identity switches." in others
@@ -227,12 +229,12 @@ def test_what_is_equal_in_all_trials_is_unchanged_and_not_merely_indistinguishab
 
 
 @pytest.mark.parametrize("same", [replace(SAME, seeds=4), replace(SAME, trial_mean=0.0), replace(SAME, low=0.5)])
-def test_a_difference_of_few_seeds_or_of_none_or_with_spread_is_not_certain(same: Estimate) -> None:
+def test_differences_with_few_seeds_zero_mean_or_spread_are_not_certain(same: Estimate) -> None:
     assert SAME.certain
     assert not same.certain
 
 
-def test_seeds_left_out_are_told_for_all_numbers_or_for_those_that_lack_them() -> None:
+def test_seeds_left_out_are_reported_per_affected_number() -> None:
     whole = replace(estimate(1.0), seeds=18, left_out=2)
     some = {Series("ego", "picture", "fp"): estimate(1.0), Series("ego", "picture", "rmse_m"): whole}
     rows = [StudyRow("a", "a", {}, {Series("ego", "picture", "fp"): whole}), StudyRow("b", "b", {}, some)]
@@ -244,25 +246,25 @@ def test_seeds_left_out_are_told_for_all_numbers_or_for_those_that_lack_them() -
     ]
 
 
-def test_attacks_that_never_began_are_named_first_and_have_no_other_result() -> None:
+def test_attacks_that_never_began_are_reported_first() -> None:
     late = IdleAttack("uncoordinated-1", 4.0, 3.8)
-    said = "The attack of uncoordinated-1 never began: it begins at 4 s, and the trials end after 3.8 s."
+    sentences = "The attack of uncoordinated-1 never began: it begins at 4 s, and the trials end after 3.8 s."
     alone = [BASELINE, ROWS[1]]
     known = replace(facts(alone), idle=(late,))
-    assert result(alone, known, compare(alone, "baseline")) == said
+    assert result(alone, known, compare(alone, "baseline")) == sentences
     assert other_changes(alone, known, compare(alone, "baseline")) == []
     both = replace(facts(ROWS), idle=(late,))
     assert result(ROWS, both, compare(ROWS, "baseline")).startswith(
-        f"{said} The largest change of false or missed objects in what the ego acts on: in uncoordinated-3 "
+        f"{sentences} The largest change of false or missed objects in what the ego acts on: in uncoordinated-3 "
     )
-    assert said.replace("-1", " n=1") in study.as_markdown(ROWS, both).split("##")[0]
+    assert sentences.replace("-1", " n=1") in study.as_markdown(ROWS, both).split("##")[0]
     part = replace(late, scenes=("short:0",))
     text = result(alone, replace(known, idle=(part,)), compare(alone, "baseline"))
     assert text.startswith("The attack of uncoordinated-1 never began in short:0: ")
     assert "The largest change" in text
 
 
-def test_latex_marks_what_remains_after_holms_procedure() -> None:
+def test_latex_marks_significant_differences_after_holm() -> None:
     text = study_export.as_latex(ROWS, facts(ROWS))
     assert r"9.00 \pm 1.25^{*}" in text
     assert text.count("^{*}") == sum(
@@ -271,7 +273,7 @@ def test_latex_marks_what_remains_after_holms_procedure() -> None:
     assert "% * remains distinguishable from 0 after Holm's procedure" in text
 
 
-def test_tables_and_sentences_say_which_number_is_which_parameter() -> None:
+def test_tables_and_sentences_name_parameters() -> None:
     rows = [BASELINE, *grid("attacked", false_positives=(2.0, 8.0), share=(0.0, 0.5))]
     name, known = "attacked false_positives=8.0 share=0.0", facts(rows)
     markdown, latex = study.as_markdown(rows, known), study_export.as_latex(rows, known)

@@ -48,8 +48,8 @@ def normal(shared: float, between_scenes: float = 0.0) -> Draw:
 
     def draw(rng: np.random.Generator, n: int, scenes: int, seeds: int) -> tuple[Floats, float]:
         of_seed = np.sqrt(shared) * rng.standard_normal((n, 1, seeds))
-        rest = np.sqrt(1.0 - shared) * rng.standard_normal((n, scenes, seeds))
-        return 3.0 + of_seed + rest + between_scenes * rng.standard_normal((n, scenes, 1)), 3.0
+        residual = np.sqrt(1.0 - shared) * rng.standard_normal((n, scenes, seeds))
+        return 3.0 + of_seed + residual + between_scenes * rng.standard_normal((n, scenes, 1)), 3.0
 
     return draw
 
@@ -86,10 +86,10 @@ def _bank() -> dict[tuple[str, str], Floats]:
     """By configuration and metric (scenes, seeds) increments, as recorded."""
     with BANK.open() as file:
         lines = list(csv.reader(line for line in file if not line.startswith("#")))[1:]
-    found: dict[tuple[str, str], list[list[float]]] = {}
+    samples: dict[tuple[str, str], list[list[float]]] = {}
     for configuration, metric, _, *values in lines:
-        found.setdefault((configuration, metric), []).append([float(value) for value in values])
-    return {key: np.array(rows) for key, rows in found.items()}
+        samples.setdefault((configuration, metric), []).append([float(value) for value in values])
+    return {key: np.array(rows) for key, rows in samples.items()}
 
 
 def worlds() -> Iterator[World]:
@@ -134,12 +134,12 @@ def table() -> dict[str, dict[tuple[int, int], float]]:
     }
 
 
-def as_markdown(found: dict[str, dict[tuple[int, int], float]]) -> str:
+def as_markdown(coverages: dict[str, dict[tuple[int, int], float]]) -> str:
     """The table of docs/studies.md."""
     cells = [(scenes, seeds) for scenes in SCENES for seeds in SEEDS]
     lines = ["| scenes \u00d7 seeds | " + " | ".join(f"{scenes} \u00d7 {seeds}" for scenes, seeds in cells) + " |"]
     lines.append("|---|" + "---:|" * len(cells))
-    for name, values in found.items():
+    for name, values in coverages.items():
         texts = (f"{values[cell]:.1f}" if cell in values else "" for cell in cells)
         lines.append(f"| {name} | " + " | ".join(texts) + " |")
     return "\n".join(lines)

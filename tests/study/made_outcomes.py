@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.study.definition import Configuration, Place, Study
+from mast_zenoh.study.definition import Configuration, Study, StudyScene
 from mast_zenoh.study.trial import Outcome, Trial
 
 FRAMES = 4
@@ -15,10 +15,12 @@ FRAMES = 4
 
 def study(points: dict[str, dict[str, Any]], scenes: int = 2) -> Study:
     """A study of a baseline and a configuration for each label and point of a grid."""
-    found = [Configuration("baseline", "baseline", "baseline", (), ())]
-    found += [Configuration(label, "attacked", "attacked", (), tuple(point.items())) for label, point in points.items()]
-    places = tuple(Place(f"scene {index}", ()) for index in range(scenes))
-    return Study(Path("made.py"), "made", tuple(found), "baseline", places, None, 0, None, None)
+    configurations = [Configuration("baseline", "baseline", "baseline", (), ())]
+    configurations += [
+        Configuration(label, "attacked", "attacked", (), tuple(point.items())) for label, point in points.items()
+    ]
+    places = tuple(StudyScene(f"scene {index}", ()) for index in range(scenes))
+    return Study(Path("made.py"), "made", tuple(configurations), "baseline", places, None, 0, None, None)
 
 
 def trial(configuration: str, scene: int, seed: int) -> Trial:

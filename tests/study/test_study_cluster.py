@@ -1,4 +1,4 @@
-"""Studies on several processes: the same tables, whoever runs the trials, and whatever is killed in between."""
+"""Studies on several processes give equal tables, also after interruptions."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def study(study_file: Path, out: Path, *words: str) -> list[str]:
 
 
 @pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
-def test_a_study_of_two_jobs_that_is_stopped_is_resumed_and_gives_the_same_tables(
+def test_interrupted_study_of_two_jobs_resumes_with_equal_tables(
     study_file: Path, reference: dict[str, bytes], tmp_path: Path, stop: signal.Signals
 ) -> None:
     out = tmp_path / "out"
@@ -65,19 +65,19 @@ def test_a_study_of_two_jobs_that_is_stopped_is_resumed_and_gives_the_same_table
     until(lambda: len(list((out / "trials").glob("[!.]*"))) >= 2 if out.exists() else False, "two trials")
     workers = psutil.Process(running.pid).children(recursive=True)
     running.send_signal(stop)
-    said, _ = running.communicate(timeout=DEADLINE_S)
+    output, _ = running.communicate(timeout=DEADLINE_S)
     _, alive = psutil.wait_procs(workers, timeout=DEADLINE_S)
     assert not alive, "workers outlive the study"
-    kept = {path.name: path.stat().st_mtime_ns for path in (out / "trials").glob("[!.]*")}
-    assert len(kept) >= 2
+    finished = {path.name: path.stat().st_mtime_ns for path in (out / "trials").glob("[!.]*")}
+    assert len(finished) >= 2
     if stop == signal.SIGINT:
-        assert running.returncode == 130, said
-        assert "--resume" in said
+        assert running.returncode == 130, output
+        assert "--resume" in output
     again = mast(*study(study_file, out, "--jobs", "1", "--resume"), cwd=tmp_path)
-    said, _ = again.communicate(timeout=DEADLINE_S)
-    assert again.returncode == 0, said
-    assert f"{len(kept)} of 12 trials are done already" in said or len(kept) == 12
-    for name, written in kept.items():
+    output, _ = again.communicate(timeout=DEADLINE_S)
+    assert again.returncode == 0, output
+    assert f"{len(finished)} of 12 trials are done already" in output or len(finished) == 12
+    for name, written in finished.items():
         assert (out / "trials" / name).stat().st_mtime_ns == written, "a finished trial was run again"
     assert tables(out) == reference
 
@@ -127,12 +127,12 @@ def test_a_scheduler_and_two_workers_started_by_hand_run_the_study(
         joined = ("worker", "--scheduler-file", str(where), "--nthreads", "1", "--no-dashboard", "--no-nanny")
         with dask(*joined, cwd=tmp_path), dask(*joined, cwd=tmp_path):
             running = mast(*study(study_file, tmp_path / "out", "--cluster", address_in(where)), cwd=tmp_path)
-            said, _ = running.communicate(timeout=DEADLINE_S)
-            assert running.returncode == 0, said
+            output, _ = running.communicate(timeout=DEADLINE_S)
+            assert running.returncode == 0, output
     assert tables(tmp_path / "out") == reference
 
 
-def test_a_cluster_that_does_not_answer_is_named(study_file: Path, tmp_path: Path, monkeypatch) -> None:
+def test_unreachable_cluster_is_named(study_file: Path, tmp_path: Path, monkeypatch) -> None:
     from mast_zenoh.study import execution
 
     monkeypatch.setattr(execution, "_CONNECT_S", 1)

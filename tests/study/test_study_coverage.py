@@ -1,4 +1,4 @@
-"""Simulated studies: how often a 95 % interval holds the truth, and that docs/studies.md tells it as it is."""
+"""Simulated coverage of 95 % intervals, as documented in docs/studies.md."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ def simulated() -> Coverage:
 
 
 @pytest.mark.parametrize("world", list(interval_coverage.worlds()), ids=lambda world: world.name)
-def test_intervals_cover_93_to_97_per_cent_where_that_is_claimed(
-    simulated: Coverage, world: interval_coverage.World
-) -> None:
+def test_claimed_intervals_cover_93_to_97_per_cent(simulated: Coverage, world: interval_coverage.World) -> None:
     claimed = {
         cell: percent
         for cell, percent in simulated[world.name].items()
@@ -43,9 +41,9 @@ def test_three_correlated_scenes_of_twenty_seeds_are_covered(simulated: Coverage
 def test_page_shows_the_simulated_coverage(simulated: Coverage) -> None:
     """Within 0.3: another version of NumPy may draw other samples."""
     lines = [line.strip("| \n").split(" | ") for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| ")]
-    shown = {line[0].strip(): [cell.strip(" |") for cell in line[1:]] for line in lines}
+    documented = {line[0].strip(): [cell.strip(" |") for cell in line[1:]] for line in lines}
     for line in interval_coverage.as_markdown(simulated).splitlines()[2:]:
         name, *cells = (cell.strip() for cell in line.strip("|").split("|"))
-        assert name in shown, name
-        values = [float(cell) for cell in shown[name] if cell]
+        assert name in documented, name
+        values = [float(cell) for cell in documented[name] if cell]
         assert values == pytest.approx([float(cell) for cell in cells if cell], abs=0.3), name

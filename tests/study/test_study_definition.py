@@ -34,7 +34,7 @@ def test_a_grid_becomes_a_configuration_for_each_point(load) -> None:
     assert (last.run, last.point) == ("attacked", (("n_adversaries", 2), ("false_positives", 0.5)))
 
 
-def test_the_baseline_is_the_one_named_or_the_one_of_that_name_or_the_first(load) -> None:
+def test_baseline_is_the_given_one_or_named_baseline_or_the_first(load) -> None:
     assert load(runs()).baseline == "baseline"
     assert load(runs() | {"baseline": "attacked"}).baseline == "attacked"
     assert load({"runs": {"plain": {"scenario": "baseline"}}}).baseline == "plain"
@@ -47,7 +47,7 @@ def test_scenes_are_short_names_or_parameters(load) -> None:
     assert [place.settings for place in load(runs()).scenes] == [()]
 
 
-def test_scenes_of_equal_values_are_told_apart_by_their_keys(load) -> None:
+def test_scenes_with_equal_values_are_labelled_with_keys(load) -> None:
     study = load(runs() | {"scenes": [{"scene": "a", "n_mobile": 1}, {"scene": "a", "scene_index": 1}]})
     assert [place.label for place in study.scenes] == ["scene=a, n_mobile=1", "scene=a, scene_index=1"]
 
@@ -79,7 +79,7 @@ def test_scenes_of_equal_values_are_told_apart_by_their_keys(load) -> None:
         ({"runs": {"a/b": {"scenario": "baseline"}}}, r"found the label 'a/b', expected one that can name a folder"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_place(load, content: Any, message: str) -> None:
+def test_invalid_values_are_named_with_their_key(load, content: Any, message: str) -> None:
     with pytest.raises(ConfigurationError, match=rf"mine\.py: .*{message}"):
         load(content)
 
@@ -96,14 +96,14 @@ def test_an_error_in_the_function_names_the_file(tmp_path: Path) -> None:
         definition.load(str(tmp_path / "mine.py"))
 
 
-def test_a_scenario_beside_the_study_is_found_from_anywhere(tmp_path: Path) -> None:
+def test_scenario_paths_are_relative_to_the_study_file(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text("def scenario():\n    return {}\n")
     (tmp_path / "mine.py").write_text("def study():\n    return dict(runs=dict(a=dict(scenario='own.py')))\n")
     assert definition.load(str(tmp_path / "mine.py")).configurations[0].scenario == str(tmp_path / "own.py")
 
 
 @pytest.mark.parametrize(("name", "labels"), [("case_study", 3), ("monte_carlo", 7)])
-def test_our_own_studies_are_sound(name: str, labels: int) -> None:
+def test_shipped_studies_are_valid(name: str, labels: int) -> None:
     study = definition.load(name)
     assert len(study.configurations) == labels
     assert study.baseline == "baseline"

@@ -1,4 +1,4 @@
-"""A detour passes every byte on, until it is turned."""
+"""A detour relays every byte until it is redirected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mast_zenoh.study.rogue.detour import Detour
 
 @contextmanager
 def echo(word: bytes) -> Iterator[int]:
-    """A server that answers everything with this word before it; its port."""
+    """The port of a server that echoes data with a prefix."""
     listening = socket.create_server(("127.0.0.1", 0))
     served: list[socket.socket] = []
 
@@ -39,22 +39,22 @@ def echo(word: bytes) -> Iterator[int]:
         thread.join()
 
 
-def asked(link: socket.socket) -> bytes:
+def reply(link: socket.socket) -> bytes:
     link.sendall(b"?")
     return link.recv(100)
 
 
-def test_connections_go_where_they_are_meant_for_until_it_is_turned_and_again_when_it_is_turned_back() -> None:
+def test_connections_go_to_the_target_except_while_redirected() -> None:
     before = threading.active_count()
     with echo(b"true") as port, echo(b"rogue") as other, Detour(lambda: port) as detour:
         first = socket.create_connection(("127.0.0.1", detour.port), 5)
-        assert asked(first) == b"true?"
-        for turned, word in ((other, b"rogue?"), (None, b"true?")):
-            detour.turn(turned)
+        assert reply(first) == b"true?"
+        for override, word in ((other, b"rogue?"), (None, b"true?")):
+            detour.redirect(override)
             assert first.recv(100) == b"", "what is connected is cut"
             first.close()
             first = socket.create_connection(("127.0.0.1", detour.port), 5)
-            assert asked(first) == word
+            assert reply(first) == word
         first.close()
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and thread.name != "MainThread" and thread.daemon:
@@ -62,7 +62,7 @@ def test_connections_go_where_they_are_meant_for_until_it_is_turned_and_again_wh
     assert threading.active_count() == before
 
 
-def test_where_nobody_listens_nobody_is_connected_for_long() -> None:
+def test_connection_to_a_closed_port_is_closed() -> None:
     with echo(b"") as port:
         pass
     with Detour(lambda: port) as detour, socket.create_connection(("127.0.0.1", detour.port), 5) as link:

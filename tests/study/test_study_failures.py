@@ -22,7 +22,7 @@ def study():
         seed=3,
     )
 """
-SAID = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
+MESSAGE = "eve.on_detections failed 3 times in 3 frames (5 to 7): ValueError: no [plan] for frame 5 ("
 
 
 @pytest.fixture
@@ -32,18 +32,18 @@ def study(tmp_path: Path) -> definition.Study:
     return definition.load(str(tmp_path / "study.py"))
 
 
-def test_a_trial_whose_handler_failed_says_what_failed_where_and_how_to_see_it(study, tmp_path: Path) -> None:
+def test_failed_handler_of_a_trial_is_reported_with_location_and_command(study, tmp_path: Path) -> None:
     ended = trials.run(study, tmp_path / "out", count=1)
     (failed,) = ended.facts.failed
     assert failed.configuration == "first"
     assert failed.error.startswith("HandlerFailed: handlers failed, so the numbers may be wrong:")
-    assert SAID in failed.error
+    assert MESSAGE in failed.error
     assert f"{tmp_path / 'attack.py'}:" in failed.error
     assert "--allow-failures" not in failed.command
 
 
 @pytest.mark.mesh
-def test_a_trial_on_a_mesh_says_the_same(study, tmp_path: Path) -> None:
+def test_failed_handler_of_a_mesh_trial_is_reported(study, tmp_path: Path) -> None:
     reasons = [
         trials.run(study, tmp_path / runtime, count=1, runtime=runtime).facts.failed[0].error
         for runtime in ("inproc", "mesh")
@@ -51,7 +51,7 @@ def test_a_trial_on_a_mesh_says_the_same(study, tmp_path: Path) -> None:
     assert reasons[0] == reasons[1]
 
 
-def test_allowed_failures_of_a_trial_count_and_are_not_taken_for_sound_later(study, tmp_path: Path) -> None:
+def test_trials_with_allowed_failures_are_repeated_once_failures_are_not_allowed(study, tmp_path: Path) -> None:
     ended = trials.run(study, tmp_path / "out", count=1, allow_failures=True)
     assert ended.facts.failed == ()
     again = trials.run(study, tmp_path / "out", count=1, resume=True)
@@ -62,11 +62,11 @@ def test_allowed_failures_of_a_trial_count_and_are_not_taken_for_sound_later(stu
     assert "--allow-failures" in commands["first"]
 
 
-def noted(ended: trials.Ended) -> list[dict]:
+def noted(ended: trials.StudyResult) -> list[dict]:
     return json.loads((ended.out / "study.json").read_text())["trials"]
 
 
-def test_a_comparison_plays_and_writes_all_and_then_raises(study, tmp_path: Path) -> None:
+def test_comparison_finishes_all_runs_before_raising(study, tmp_path: Path) -> None:
     ended = comparison.run(study, tmp_path / "out", runtime="inproc")
     assert set(ended.folders) == {"first", "baseline"}
     assert all((folder / "metrics.json").is_file() for folder in ended.folders.values())
@@ -77,7 +77,7 @@ def test_a_comparison_plays_and_writes_all_and_then_raises(study, tmp_path: Path
 
 @pytest.mark.parametrize("words", [(), ("--trials", "1", "--jobs", "1")], ids=["single runs", "trials"])
 @pytest.mark.parametrize("allowed", [False, True])
-def test_the_command_line_writes_all_and_ends_with_the_code_of_the_failure(
+def test_command_line_writes_all_results_and_exits_with_the_failure_code(
     study, tmp_path: Path, monkeypatch, capsys, words: tuple[str, ...], allowed: bool
 ) -> None:
     more = (*words, *(["--allow-failures"] if allowed else []))
@@ -85,15 +85,15 @@ def test_the_command_line_writes_all_and_ends_with_the_code_of_the_failure(
     monkeypatch.setattr("sys.argv", command)
     with pytest.raises(SystemExit) as ended:
         app.main()
-    said = capsys.readouterr()
+    captured = capsys.readouterr()
     assert int(ended.value.code or 0) == (0 if allowed else 24 if words else 30)
-    assert SAID in said.err + said.out, "a warning at least"
-    assert "Traceback" not in said.err
+    assert MESSAGE in captured.err + captured.out, "a warning at least"
+    assert "Traceback" not in captured.err
     written = tmp_path / "out" / ("table.md" if words else "report.html")
     assert written.is_file()
 
 
-def test_allowed_failures_are_no_matter_for_a_study_of_outsiders(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_rogue_study_rejects_allow_failures(tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr("sys.argv", ["mast", "study", "rogue", "--allow-failures"])
     with pytest.raises(SystemExit) as ended:
         app.main()

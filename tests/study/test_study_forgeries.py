@@ -1,4 +1,4 @@
-"""What insiders send: the same for the same seed, and refused by its decoder where it is called malformed."""
+"""Forged messages: reproducible by seed, and rejected by their decoder if malformed."""
 
 from __future__ import annotations
 
@@ -27,46 +27,44 @@ def standing(node: str = "infra_1") -> Position:
 @every_kind
 @settings(max_examples=20)
 @given(seed=st.integers(0, 1 << 32), node=st.sampled_from(["infra_1", "broker", "recorder", "evaluator"]))
-def test_a_malformed_forgery_is_refused_with_a_message_error_and_nothing_else(
-    control: str, seed: int, node: str
-) -> None:
+def test_malformed_forgery_raises_message_error_only(control: str, seed: int, node: str) -> None:
     for forgery in forgeries(control, standing(node), 6, seed):
         taken = not refused(control, node, forgery.payload)
-        assert not (taken and forgery.made == MALFORMED), forgery
+        assert not (taken and forgery.defect == MALFORMED), forgery
 
 
 @every_kind
-def test_two_hundred_forgeries_are_refused_or_taken_and_all_kinds_are_among_them(control: str) -> None:
-    made = forgeries(control, standing(), 200)
-    assert len(made) == 200
-    assert {each.made for each in made} == {MALFORMED, DAMAGED, FALSE}
-    assert len({each.payload for each in made}) > 20
-    for each in made:
+def test_two_hundred_forgeries_cover_all_defects(control: str) -> None:
+    messages = forgeries(control, standing(), 200)
+    assert len(messages) == 200
+    assert {each.defect for each in messages} == {MALFORMED, DAMAGED, FALSE}
+    assert len({each.payload for each in messages}) > 20
+    for each in messages:
         was_refused = refused(control, "infra_1", each.payload)
-        assert was_refused or each.made != MALFORMED, each.payload[:100]
+        assert was_refused or each.defect != MALFORMED, each.payload[:100]
 
 
 @every_kind
-def test_the_same_seed_gives_the_same_forgeries_and_another_seed_others(control: str) -> None:
+def test_forgeries_depend_on_the_seed_alone(control: str) -> None:
     first, again, other = (forgeries(control, standing(), 30, seed) for seed in (1, 1, 2))
     assert first == again
     assert first != other
 
 
-def test_what_is_of_ones_own_goes_to_ones_own_key_and_to_those_of_others() -> None:
+def test_kinds_with_a_key_per_node_use_own_and_other_keys() -> None:
     where = standing()
     for control in ("counts", "result", "fetch", "file", "failed", "leave", "drain"):
-        owners = {each.own for each in forgeries(control, where, 200)}
+        owners = {each.sender for each in forgeries(control, where, 200)}
         assert where.node in owners
         assert owners & {*where.others}
     assert {each.key for each in forgeries("stop", where, 200)} == {"stop"}
-    assert not {*where.publishes, *where.hears} & {*where.foreign}
+    assert not {*where.publishes, *where.subscribes} & {*where.foreign}
 
 
 @every_kind
-def test_what_unpacks_to_far_more_than_it_is_takes_no_memory(control: str) -> None:
-    made = [each for each in forgeries(control, standing(), 200) if each.made == MALFORMED]
-    heavy = sorted((each.payload for each in made), key=len)[-5:]
+def test_payloads_that_unpack_to_far_more_use_little_memory(control: str) -> None:
+    messages = [each for each in forgeries(control, standing(), 200) if each.defect == MALFORMED]
+    heavy = sorted((each.payload for each in messages), key=len)[-5:]
     tracemalloc.start()
     try:
         for payload in heavy:

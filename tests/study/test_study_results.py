@@ -18,11 +18,11 @@ from mast_zenoh.study.table_file import TableFile
 NAN = float("nan")
 
 
-def by_name(found) -> dict[tuple[str, str, str], Number]:
-    return {(each.who, each.estimator, each.metric): each for each in found}
+def by_name(numbers) -> dict[tuple[str, str, str], Number]:
+    return {(each.who, each.estimator, each.metric): each for each in numbers}
 
 
-def test_every_number_of_every_estimator_is_found_whatever_its_name() -> None:
+def test_all_numbers_of_all_estimators_are_listed() -> None:
     metrics = {
         "scored_frames": [10, 19],
         "agents": {
@@ -37,34 +37,34 @@ def test_every_number_of_every_estimator_is_found_whatever_its_name() -> None:
         "latency_ms": {"sim_to_picture": {"p50": 3.0}},
         "frames_per_second": 200.0,
     }
-    found = by_name(numbers(metrics))
-    assert found["ego", "picture_on_arrival", "fn"] == ("ego", "picture_on_arrival", "fn", 2.0, 0.5, 10, False)
-    assert np.isnan(found["ego", "picture_on_arrival", "rmse_m"].value)
-    assert found["ego", "picture", "fp inserted"][3:6:2] == (3.0, 10), "30 in 10 frames"
-    assert found["ego", "picture", "fn clutter"].value == 0.0, "a cause that did not occur"
-    assert found["ego", "picture", "fp_split.attack"].value == 3.0
-    assert np.isnan(found["ego", "mission", "my_metric"].value)
-    assert found["ego", "mission", "braked"][3::3] == (1.0, True)
-    assert found["ego", "truth", "driving.braking_s"].value == 1.5
-    assert found["ego", "mission", "driving.braking_s"].value == 2.0
-    assert found["all", "achieved", "hidden"][3::3] == (0.0, True)
-    assert np.isnan(found["adversary_1", "achieved", "time_to_first_false_s"].value)
-    assert not {"note", "list", "latency_ms", "frames_per_second"} & {metric for _, _, metric in found}
+    listed = by_name(numbers(metrics))
+    assert listed["ego", "picture_on_arrival", "fn"] == ("ego", "picture_on_arrival", "fn", 2.0, 0.5, 10, False)
+    assert np.isnan(listed["ego", "picture_on_arrival", "rmse_m"].value)
+    assert listed["ego", "picture", "fp inserted"][3:6:2] == (3.0, 10), "30 in 10 frames"
+    assert listed["ego", "picture", "fn clutter"].value == 0.0, "a cause that did not occur"
+    assert listed["ego", "picture", "fp_split.attack"].value == 3.0
+    assert np.isnan(listed["ego", "mission", "my_metric"].value)
+    assert listed["ego", "mission", "braked"][3::3] == (1.0, True)
+    assert listed["ego", "truth", "driving.braking_s"].value == 1.5
+    assert listed["ego", "mission", "driving.braking_s"].value == 2.0
+    assert listed["all", "achieved", "hidden"][3::3] == (0.0, True)
+    assert np.isnan(listed["adversary_1", "achieved", "time_to_first_false_s"].value)
+    assert not {"note", "list", "latency_ms", "frames_per_second"} & {metric for _, _, metric in listed}
 
 
 def test_every_number_of_the_ego_has_an_increment_over_the_baseline_of_its_trial() -> None:
-    mine = {"my_metric": 5.0, "seen": True}
+    attacked = {"my_metric": 5.0, "seen": True}
     before = outcome("baseline", 0, 0, fp=1.0, agents={"mission": {"my_metric": 2.0, "seen": False}})
-    after = outcome("attacked", 0, 0, fp=4.0, agents={"mission": mine, "picture": {"only_here": 1.0}})
-    found = {(v.estimator, v.metric): v for v in results.values(after, before) if v.who == "ego"}
-    assert found["picture", "fp_iob"][3:6] == (3.0, 0.0, FRAMES), "frame by frame, in the scored frames"
-    assert found["mission", "fp_iob"].value == 3.0
-    assert found["local", "fp_iob"].value == 0.0
-    assert found["mission", "rmse_m_iob"].value == pytest.approx(0.03)
-    assert found["mission", "my_metric_iob"].value == 3.0
-    assert found["mission", "seen_iob"].value == 1.0
-    assert found["picture", "fp_ioe"].value == 4.0
-    assert ("picture", "only_here_iob") not in found, "the baseline has no such number"
+    after = outcome("attacked", 0, 0, fp=4.0, agents={"mission": attacked, "picture": {"only_here": 1.0}})
+    by_series = {(v.estimator, v.metric): v for v in results.values(after, before) if v.who == "ego"}
+    assert by_series["picture", "fp_iob"][3:6] == (3.0, 0.0, FRAMES), "frame by frame, in the scored frames"
+    assert by_series["mission", "fp_iob"].value == 3.0
+    assert by_series["local", "fp_iob"].value == 0.0
+    assert by_series["mission", "rmse_m_iob"].value == pytest.approx(0.03)
+    assert by_series["mission", "my_metric_iob"].value == 3.0
+    assert by_series["mission", "seen_iob"].value == 1.0
+    assert by_series["picture", "fp_ioe"].value == 4.0
+    assert ("picture", "only_here_iob") not in by_series, "the baseline has no such number"
     assert not any(v.metric.endswith("_iob") for v in results.values(before, before)), "the baseline itself"
     assert not any(v.metric.endswith("_iob") for v in results.values(after, None)), "its baseline failed"
 
@@ -74,24 +74,24 @@ def test_each_parameter_of_the_grid_is_a_column_of_its_type() -> None:
         "a": {"n": 1, "x": 0.5, "kind": "static", "on": True, "mixed": 3},
         "b": {"n": 2, "x": 2, "kind": "moving", "on": False, "mixed": "all"},
     }
-    mine = study(points)
+    grid_study = study(points)
     own = pyarrow.schema([("configuration", pyarrow.string()), ("value", pyarrow.float64())])
-    columns = ParameterColumns(mine, own.names)
+    columns = ParameterColumns(grid_study, own.names)
     rows = [
         columns.add(pyarrow.table({"configuration": [label], "value": [1.0]}), label)
         for label in ("baseline", "b", "a")
     ]
-    made = pyarrow.concat_tables(rows)
-    assert made.schema == columns.schema(own)
-    assert made.column_names == ["configuration", "n", "x", "kind", "on", "mixed", "value"]
-    values = made.to_pydict()
+    with_columns = pyarrow.concat_tables(rows)
+    assert with_columns.schema == columns.schema(own)
+    assert with_columns.column_names == ["configuration", "n", "x", "kind", "on", "mixed", "value"]
+    values = with_columns.to_pydict()
     assert values["n"] == [None, 2, 1]
     assert values["x"] == [None, 2.0, 0.5]
     assert values["kind"] == [None, "moving", "static"]
     assert values["on"] == [None, "False", "True"], "text: a truth value is no number"
     assert values["mixed"] == [None, "all", "3"]
-    assert pyarrow.types.is_integer(made.schema.field("n").type)
-    assert pyarrow.types.is_floating(made.schema.field("x").type)
+    assert pyarrow.types.is_integer(with_columns.schema.field("n").type)
+    assert pyarrow.types.is_floating(with_columns.schema.field("x").type)
 
 
 def test_a_parameter_named_like_a_metric_of_the_user_keeps_both_columns() -> None:
@@ -100,7 +100,7 @@ def test_a_parameter_named_like_a_metric_of_the_user_keeps_both_columns() -> Non
     assert columns.add(table, "a").to_pydict() == {"configuration": ["a"], "grid.clearance": [7], "clearance": [1.5]}
 
 
-def test_tables_written_in_pieces_are_one_table_in_which_missing_columns_are_null(tmp_path, monkeypatch) -> None:
+def test_pieces_form_one_table_with_nulls_for_missing_columns(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(TableFile, "ROW_GROUP", 3)
     text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
     schema = pyarrow.schema([("name", text), ("mine", pyarrow.float64())])
@@ -128,7 +128,7 @@ def summary(outcomes, seeds: int, scenes: int = 2):
     return {row.label: row for row in samples.rows()}
 
 
-def test_intervals_are_cut_to_what_a_quantity_can_be_but_differences_are_not() -> None:
+def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
     """Six seeds, of which one differs: Student's t reaches beyond 0, or 1."""
     rare = [0.0, 0.0, 0.0, 0.0, 0.0, 0.6]
     done = []
@@ -150,12 +150,12 @@ def test_intervals_are_cut_to_what_a_quantity_can_be_but_differences_are_not() -
         share = each.trial_mean > 0.5
         assert (each.high if share else each.low) == (1.0 if share else 0.0), metric
         assert each.low < each.trial_mean < each.high
-    assert row.get("my_metric", "mission").low < 0.0, "nobody knows what a user's metric can be"
+    assert row.get("my_metric", "mission").low < 0.0, "a user's metric may have any range"
     assert row.get("fp_iob").low < -1.0 < row.get("fp_iob").high
     assert row.get("fp_ioe").low < 0.0
 
 
-def test_the_time_to_collision_of_a_study_counts_trials_without_one_too() -> None:
+def test_critical_share_counts_trials_without_a_collision_course() -> None:
     """The attack makes five more of six trials critical, yet the mean of the least times there are would rise."""
     done = []
     for seed in range(6):
@@ -185,9 +185,9 @@ def test_seeds_that_lack_a_trial_are_left_out_and_counted() -> None:
     ]
     rows = summary(done, 8)
     added = rows["attacked"].get("fp_iob")
-    kept = [seed for seed in range(8) if seed not in (3, 5)]
+    outcomes = [seed for seed in range(8) if seed not in (3, 5)]
     assert (added.seeds, added.left_out, added.scenes) == (6, 2, 2)
-    assert added.trial_mean == pytest.approx(extra[:, kept].mean())
+    assert added.trial_mean == pytest.approx(extra[:, outcomes].mean())
     assert added.low < added.trial_mean < added.high
     assert (rows["attacked"].get("fp").seeds, rows["baseline"].get("fp").seeds) == (7, 7)
 
@@ -199,7 +199,7 @@ def test_four_seeds_have_a_mean_but_no_interval_and_no_test() -> None:
     assert np.isnan([row.get("fp").low, row.get("fp").high, row.get("fp_iob").p]).all()
 
 
-def test_truth_values_become_success_rates_with_an_interval_also_when_all_succeed() -> None:
+def test_booleans_become_success_rates_with_an_interval() -> None:
     done = [
         outcome("attacked", scene, seed, achieved={"all": {"accepted": True, "hidden": seed < 3 and scene == 0}})
         for scene in range(2)

@@ -1,4 +1,4 @@
-"""What an outsider is to try is checked before anything starts, and the table says what came of it."""
+"""Attackers are validated before a study starts; the table shows their effects."""
 
 from __future__ import annotations
 
@@ -19,45 +19,45 @@ from mast_zenoh.report.tables import attempts as attempts_table
 from mast_zenoh.report.tables.attempts import STRAY, AttemptRow
 from mast_zenoh.study import definition
 from mast_zenoh.study.rogue import comparison
+from mast_zenoh.study.rogue.attacked_run import attacker_errors
 from mast_zenoh.study.rogue.attempts import Attempt, Outcome, RogueRouter
 from mast_zenoh.study.rogue.forgeries import MALFORMED
 from mast_zenoh.study.rogue.infiltration import Finding
 from mast_zenoh.study.rogue.insiders import ForgeControls
 from mast_zenoh.study.rogue.position import position
-from mast_zenoh.study.rogue.siege import attackers_own
 
 BASELINE = "loading.function('scenarios', 'baseline', 'scenario')"
 INJECT = "dict(type='Inject', name='a', wire='cc/picture')"
 
 
 def listed(tmp_path: Path, *attempts: str) -> list[Attempt]:
-    """The attempts of a scenario file that lists these."""
+    """Load the attempts of a scenario file that lists these."""
     file = tmp_path / "mine.py"
     file.write_text(f"def scenario():\n    return {{}}\ndef outsider():\n    return [{', '.join(attempts)}]\n")
     return comparison.load(str(file))
 
 
-def test_our_outsider_tries_all_that_the_threat_model_names() -> None:
+def test_shipped_outsider_makes_every_attempt_of_the_threat_model() -> None:
     attempts = {attempt.name: attempt for attempt in comparison.load("rogue")}
     assert {attempt.shows for attempt in attempts.values()} >= {"nothing", "foreign", "expired", "infra_1"}
     kinds = {type(attempt).__name__ for attempt in attempts.values()}
     assert kinds == {"Inject", "Eavesdrop", "AskRouter", "DuplicateSession", "RogueRouter"}
-    assert [a.detours for a in attempts.values() if isinstance(a, RogueRouter)] == ["infra_2"]
+    assert [a.detour_node for a in attempts.values() if isinstance(a, RogueRouter)] == ["infra_2"]
 
 
-def test_our_insiders_are_one_of_each_role_but_the_drivers() -> None:
+def test_shipped_insiders_cover_every_role_except_the_driver() -> None:
     path, loaded = scenario.load("rogue")
     nodes = scenario.resolve(path, loaded | {"run": {"record": True}}, frames=1, record=True).nodes
     insiders = comparison.load_insiders("rogue")
     assert {nodes[insider.node].role for insider in insiders} == {spec.role for spec in nodes.values()} - {"simulator"}
 
 
-def test_a_file_may_list_insiders_of_its_own_kind_and_no_outsider(tmp_path: Path) -> None:
+def test_scenario_file_may_define_insiders_and_no_outsider(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
         "from mast_zenoh.study.rogue.insiders import Insider\n"
         "class Mute(Insider):\n"
-        "    def act(self, siege, session, position):\n"
+        "    def act(self, attacked_run, session, position):\n"
         "        return 0\n"
         "def scenario():\n    return {}\n"
         "def insiders():\n    return [dict(type='Mute', name='mute', node='ego')]\n"
@@ -67,7 +67,7 @@ def test_a_file_may_list_insiders_of_its_own_kind_and_no_outsider(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("listed", "said"),
+    ("listed", "message"),
     [
         ("", "lists no attackers: expected a function `outsider` or `insiders`"),
         ("def insiders():\n    return [dict(type='ForgeControls', name='a', node='infra_9')]", "no node 'infra_9'"),
@@ -75,27 +75,27 @@ def test_a_file_may_list_insiders_of_its_own_kind_and_no_outsider(tmp_path: Path
         ("def insiders():\n    return 2 * [dict(type='ForgeControls', name='a', node='ego')]", "the name 'a'"),
     ],
 )
-def test_a_study_without_attackers_or_with_impossible_ones_is_refused(tmp_path: Path, listed: str, said: str) -> None:
+def test_study_without_attackers_or_with_invalid_ones_is_rejected(tmp_path: Path, listed: str, message: str) -> None:
     (tmp_path / "mine.py").write_text(f"from mast_zenoh.config import loading\n_, scenario = {BASELINE}\n{listed}\n")
     content = f"dict(name='s', runs=dict(a=dict(scenario={str(tmp_path / 'mine.py')!r})), security=['acl'])"
     (tmp_path / "s.py").write_text(f"def study():\n    return {content}\n")
-    with pytest.raises(ConfigurationError, match=said):
+    with pytest.raises(ConfigurationError, match=message):
         comparison.run(definition.load(str(tmp_path / "s.py")), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("node", ["infra_1", "evaluator"])
-def test_what_is_forged_in_the_names_of_others_is_never_a_lie_of_the_node_itself_and_the_other_way_round(
+def test_forged_controls_are_false_either_in_the_nodes_own_name_or_in_other_names(
     node: str,
 ) -> None:
     path, loaded = scenario.load("rogue")
     where = position(scenario.resolve(path, loaded, frames=1), node, "1.0")
-    of_others = ForgeControls("a", node).chosen(where)
-    own = ForgeControls("a", node, own=True).chosen(where)
+    of_others = ForgeControls("a", node).select_messages(where)
+    own = ForgeControls("a", node, own=True).select_messages(where)
     assert len(of_others) == len(own) == 30
     assert {each.control for each in of_others} == {*CONTROLS}
-    assert all(each.made == MALFORMED for each in of_others if each.own == node)
-    assert {each.own for each in own} == {node}
+    assert all(each.defect == MALFORMED for each in of_others if each.sender == node)
+    assert {each.sender for each in own} == {node}
     assert {each.control for each in own} == {"counts", "failed", "result", "fetch", "file"}
 
 
@@ -107,23 +107,23 @@ SOUND = Finding("ego", ["infra_1", "infra_10"], True, "", 10, 10, (), True, ())
     [
         (SOUND, "no effect"),
         (replace(SOUND, metrics=False), "succeeds: the run looks sound, but differs"),
-        (replace(SOUND, changed=["clock"]), "succeeds: changed what others said (1 wires)"),
+        (replace(SOUND, changed=["clock"]), "succeeds: changed other nodes' messages (1 wires)"),
         (replace(SOUND, frames=4), "succeeds: stopped the run early, after 4 of 10 frames"),
         (replace(SOUND, failure="stall: ego has not reported"), "ends the run, and is named"),
         (replace(SOUND, failure="infra_10.start failed: ego"), "succeeds: ends the run, and infra_10 is named"),
-        (replace(SOUND, failure="stopped", frames=1), "succeeds: ends the run, and nobody is named"),
+        (replace(SOUND, failure="stopped", frames=1), "succeeds: ends the run, and no node is named"),
         (replace(SOUND, failure="ego: x", strays=["/tmp/x"]), "succeeds: wrote outside the run folder (/tmp/x)"),
         (replace(SOUND, ended=False), "succeeds: stalled the run"),
         (replace(SOUND, ended=False, crash="ValueError: x"), "succeeds: crashed the launcher (ValueError: x)"),
     ],
 )
-def test_a_verdict_on_an_insider_is_of_what_the_run_has_left_behind(finding: Finding, verdict: str) -> None:
+def test_verdict_on_an_insider_follows_from_the_finding(finding: Finding, verdict: str) -> None:
     assert finding.verdict == verdict
     assert finding.succeeded == verdict.startswith("succeeds")
 
 
 @pytest.mark.parametrize(
-    ("attempts", "said"),
+    ("attempts", "message"),
     [
         ((INJECT, INJECT), "two attempts have the name 'a'"),
         ((INJECT, INJECT.replace("'a'", "'b'")), "two attempts have the key 'cc/picture'"),
@@ -131,21 +131,19 @@ def test_a_verdict_on_an_insider_is_of_what_the_run_has_left_behind(finding: Fin
         ((INJECT.replace("wire", "wires"),), "'wire'"),
     ],
 )
-def test_attempts_that_cannot_be_made_or_told_apart_are_refused(tmp_path: Path, attempts, said: str) -> None:
-    with pytest.raises(ConfigurationError, match=said):
+def test_invalid_or_ambiguous_attempts_are_rejected(tmp_path: Path, attempts, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
         listed(tmp_path, *attempts)
 
 
-def test_a_study_that_is_stopped_keeps_what_was_found_and_says_how_it_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupted_study_keeps_its_rows_and_status(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def outside(each: Any, level: str, folder: Path) -> list[AttemptRow]:
         if level != "open":
             raise KeyboardInterrupt
         assert json.loads((folder / "study.json").read_text())["status"] == "running"
         return [ROWS[0]]
 
-    monkeypatch.setattr(comparison, "_outside", outside)
+    monkeypatch.setattr(comparison, "_outsider_rows", outside)
     with pytest.raises(Interrupted, match=r"what was found is in .*study\.json"):
         comparison.run(definition.load("rogue"), tmp_path / "out")
     written = json.loads((tmp_path / "out" / "study.json").read_text())
@@ -153,16 +151,16 @@ def test_a_study_that_is_stopped_keeps_what_was_found_and_says_how_it_ended(
     assert written["rows"] == [ROWS[0]._asdict()]
 
 
-def test_an_attacker_whose_own_code_fails_is_named_with_file_and_line(tmp_path: Path) -> None:
+def test_error_in_an_attackers_code_names_file_and_line(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("def act():\n    return 1 / 0\n")
     act = loading.module(file).act
     named = r"the attacker 'a' failed: ZeroDivisionError.*mine\.py:2"
-    with pytest.raises(HandlerFailed, match=named), attackers_own("a", act):
+    with pytest.raises(HandlerFailed, match=named), attacker_errors("a", act):
         act()
 
 
-def test_the_study_names_its_levels_and_refuses_others(tmp_path: Path) -> None:
+def test_study_levels_are_validated(tmp_path: Path) -> None:
     assert definition.load("rogue").security == ("open", "tls", "mtls", "acl")
     with pytest.raises(ConfigurationError, match="'mtls'"):
         definition.load("rogue", ["levels=open,mtsl"])
@@ -179,7 +177,7 @@ def test_the_study_names_its_levels_and_refuses_others(tmp_path: Path) -> None:
         (Outcome(lured=1), True),
     ],
 )
-def test_an_attempt_succeeds_when_anything_got_in_or_out_or_astray(outcome: Outcome, succeeded: bool) -> None:
+def test_attempt_succeeds_if_any_message_was_injected_overheard_or_diverted(outcome: Outcome, succeeded: bool) -> None:
     assert outcome.succeeded is succeeded
 
 
@@ -195,7 +193,7 @@ ROWS = [
 ]
 
 
-def test_the_table_has_a_line_for_each_attempt_and_a_column_for_each_level() -> None:
+def test_table_has_a_line_per_attempt_and_a_column_per_level() -> None:
     lines = attempts_table.as_markdown(ROWS).splitlines()
     assert lines[0] == "| attempt | open | acl |"
     assert lines[2] == "| inject | succeeds (in 40/40) | no effect (in 0/40) |"
@@ -204,7 +202,7 @@ def test_the_table_has_a_line_for_each_attempt_and_a_column_for_each_level() -> 
     assert lines[5] == "| agent | succeeds: stopped the run early (sent 30) | no effect (sent 30) |"
 
 
-def test_the_csv_has_every_count() -> None:
+def test_csv_has_every_count() -> None:
     rows = list(csv.DictReader(io.StringIO(attempts_table.as_csv(ROWS))))
     assert len(rows) == len(ROWS)
     assert rows[0] == dict(

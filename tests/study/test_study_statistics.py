@@ -83,7 +83,7 @@ def test_rate_of_independent_scenes_counts_each_trial() -> None:
     assert of_rate(values) == pytest.approx((expected.low, expected.high), abs=0.02)
 
 
-def test_rates_of_nothing_and_of_everything_have_an_interval_with_a_width() -> None:
+def test_rates_of_0_and_1_have_an_interval_with_a_width() -> None:
     assert of_rate(np.zeros((3, 10))) == pytest.approx((0.0, 0.308), abs=1e-3), "of 10 seeds, not of 30 trials"
     assert of_rate(np.ones((3, 10))) == pytest.approx((0.692, 1.0), abs=1e-3)
     assert of_rate(np.zeros((1, 10))).low == 0.0

@@ -1,4 +1,4 @@
-"""Trials are kept one by one: none is run twice, none that fails loses the others, and the tables are the same."""
+"""Trials are stored one by one: none is repeated, and a failure keeps the others."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> definition.Study:
 
 
 @pytest.fixture(scope="module")
-def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> trials.Ended:
+def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> trials.StudyResult:
     """The study, run without any trouble."""
     return trials.run(small, tmp_path_factory.mktemp("whole") / "out", count=2)
 
@@ -43,15 +43,15 @@ def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> 
 @pytest.fixture
 def ran(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
     """The trials that are really run from here on."""
-    found: list[Trial] = []
+    trials_run: list[Trial] = []
     run = trial.run
 
     def counted(each: Trial) -> Outcome:
-        found.append(each)
+        trials_run.append(each)
         return run(each)
 
     monkeypatch.setattr(trial, "run", counted)
-    return found
+    return trials_run
 
 
 def stopping(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
@@ -82,22 +82,22 @@ def test_an_attack_that_would_begin_after_the_last_frame_is_named_and_has_no_suc
     assert "never began" in ended.report.read_text()
 
 
-def test_an_attack_that_begins_before_the_end_is_not_idle(whole: trials.Ended) -> None:
+def test_an_attack_that_begins_before_the_end_is_not_idle(whole: trials.StudyResult) -> None:
     assert whole.facts.idle == ()
 
 
-def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row(whole: trials.Ended) -> None:
+def test_every_configuration_is_run_with_every_seed_and_every_metric_has_its_row(whole: trials.StudyResult) -> None:
     table = parquet.read_table(whole.out / "results.parquet").to_pydict()
     cells = set(zip(table["configuration"], table["seed"], strict=True))
     assert cells == {(label, seed) for label in ("baseline", "attacked-1-5.0", "attacked-1-20.0") for seed in (0, 1)}
-    found = set(table["metric"])
-    assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp inserted"} <= found
-    assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "rmse_m_iob", "id_switches_iob"} <= found
+    rows = set(table["metric"])
+    assert {"fn", "fp", "tp", "ospa_m", "gospa_m", "rmse_m", "id_switches", "completeness", "fp inserted"} <= rows
+    assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "rmse_m_iob", "id_switches_iob"} <= rows
     frames = parquet.read_table(whole.out / "frames.parquet")
     assert len(frames) == 6 * 8 * 2 * len(ESTIMATORS), "trials, frames, agents, estimators"
 
 
-def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.Ended) -> None:
+def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.StudyResult) -> None:
     for name in ("results.parquet", "frames.parquet"):
         table = parquet.read_table(whole.out / name)
         assert table.column_names[:3] == ["configuration", "n_adversaries", "false_positives"]
@@ -111,7 +111,7 @@ def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.E
     }
 
 
-def test_names_of_the_tables_own_columns_are_all_refused_as_parameters(whole: trials.Ended) -> None:
+def test_column_names_of_tables_are_rejected_as_parameters(whole: trials.StudyResult) -> None:
     """Those of frames.parquet as far as all runs have them; a metric that is added gives way, as `grid.<name>`."""
     columns = set((whole.out / "table.csv").read_text().splitlines()[0].split(","))
     columns |= set(parquet.read_schema(whole.out / "results.parquet").names)
@@ -119,7 +119,7 @@ def test_names_of_the_tables_own_columns_are_all_refused_as_parameters(whole: tr
     assert columns - {"n_adversaries", "false_positives"} == definition.COLUMNS
 
 
-def test_what_was_stopped_is_resumed_without_repeating_a_trial(small, whole, monkeypatch, tmp_path: Path, ran) -> None:
+def test_interrupted_study_resumes_without_repeating_trials(small, whole, monkeypatch, tmp_path: Path, ran) -> None:
     with monkeypatch.context() as patch:
         stopping(patch, after=3)
         with pytest.raises(Interrupted, match="--resume"):
@@ -154,7 +154,7 @@ def test_a_trial_whose_file_is_broken_is_run_again(small, whole, tmp_path: Path,
     assert sorted((tmp_path / "out" / "trials").iterdir()) == files
 
 
-def test_a_failed_trial_is_told_with_its_command_and_the_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:
+def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:
     run = trial.run
 
     def failing(each: Trial) -> Outcome:
@@ -194,7 +194,7 @@ def test_the_command_of_a_trial_runs_it_alone_with_the_same_figures(small, whole
     assert about["metrics"] == alone
 
 
-def test_a_worker_with_other_code_or_versions_does_no_trial(small) -> None:
+def test_worker_with_different_code_or_versions_runs_no_trial(small) -> None:
     planned = trials.plan.trials(small, count=1, seed=0, frames=8, runtime="inproc")
     outcome = trial.run(replace(planned[0], environment=(("numpy", "0.1"),)))
     assert "numpy: this worker has" in outcome.error
@@ -216,7 +216,7 @@ def test_an_attack_that_does_nothing_adds_nothing_in_any_frame(small, tmp_path: 
     assert (over_frames, {value for value, _ in added}) == ({(0.0, 0.0)}, {0.0})
 
 
-def test_the_digest_is_of_the_configuration_the_seed_the_frames_and_the_users_files(small, tmp_path: Path) -> None:
+def test_digest_covers_configuration_seed_frames_and_user_files(small, tmp_path: Path) -> None:
     def digests(study: definition.Study, **more) -> set[str]:
         options = dict(count=2, seed=0, frames=8, runtime="inproc") | more
         return {each.digest for each in trials.plan.trials(study, **options)}
@@ -230,15 +230,15 @@ def test_the_digest_is_of_the_configuration_the_seed_the_frames_and_the_users_fi
     assert len(digests(definition.load(str(small.path), ["start_s=0.3"])) & first) == 2, "the baseline's"
 
     (tmp_path / "mine.py").write_text("def study():\n    return dict(runs=dict(a=dict(scenario='own.py')))\n")
-    found = []
+    variants = []
     for comment in ("one", "two"):
         (tmp_path / "own.py").write_text(f"# {comment}\n{OWN}")
         identity.files_key.cache_clear()
-        found.append(digests(definition.load(str(tmp_path / "mine.py"))))
-    assert not found[0] & found[1]
+        variants.append(digests(definition.load(str(tmp_path / "mine.py"))))
+    assert not variants[0] & variants[1]
 
 
-def test_configurations_that_play_another_scene_than_the_baseline_are_pointed_out(tmp_path: Path) -> None:
+def test_configurations_with_a_scene_other_than_the_baselines_are_reported(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "def study():\n    return dict(runs=dict(baseline=dict(scenario='baseline'), "
         "more=dict(scenario='baseline', grid=dict(n_infrastructure=[2, 4]))), trials=1, frames=2)\n"
@@ -249,7 +249,7 @@ def test_configurations_that_play_another_scene_than_the_baseline_are_pointed_ou
     assert "more n_infrastructure=2: not the baseline" in ended.report.read_text()
 
 
-def test_everything_is_refused_before_the_first_trial(tmp_path: Path, ran) -> None:
+def test_study_is_validated_before_the_first_trial(tmp_path: Path, ran) -> None:
     (tmp_path / "mine.py").write_text(
         "def study():\n    return dict(runs=dict(a=dict(scenario='baseline'), b=dict(scenario='uncoordinated', "
         "grid=dict(n_adversary=[1]))), trials=1, frames=2)\n"
@@ -260,7 +260,7 @@ def test_everything_is_refused_before_the_first_trial(tmp_path: Path, ran) -> No
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_in_use_is_refused_and_so_is_resuming_another_study(small, whole, tmp_path: Path) -> None:
+def test_used_folder_and_folder_of_another_study_are_rejected(small, whole, tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="is not empty"):
         trials.run(small, whole.out, count=1)
     with pytest.raises(RunFolderError, match="--resume: expected --out too"):
@@ -278,23 +278,23 @@ def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path:
     with pytest.raises(SystemExit) as ended:
         app.main()
     assert ended.value.code in (0, None)
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for word in ("CAFP IoB", "attacked-1-20.0", "Causes of false objects", "OSPA", "(n < 5)", *TABLES):
-        assert word in said
-    assert f"report: {tmp_path / 'out' / 'report.html'}" in said
+        assert word in output
+    assert f"report: {tmp_path / 'out' / 'report.html'}" in output
 
 
-def test_some_failed_trials_have_an_exit_code_of_their_own(small, tmp_path: Path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(trial, "_in_process", lambda *_: 1 / 0)
+def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(trial, "_run_in_process", lambda *_: 1 / 0)
     monkeypatch.setattr(
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
     )
     with pytest.raises(SystemExit) as ended:
         app.main()
     assert ended.value.code == TrialsFailed.exit_code == 24
-    said = capsys.readouterr()
-    assert "mast run uncoordinated --set" in said.err
-    assert "3 of 3 trials failed" in said.out
+    output = capsys.readouterr()
+    assert "mast run uncoordinated --set" in output.err
+    assert "3 of 3 trials failed" in output.out
 
 
 def test_an_idle_worker_loads_no_drawing_table_or_mesh_library() -> None:
@@ -306,9 +306,7 @@ def test_an_idle_worker_loads_no_drawing_table_or_mesh_library() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_without_dask_one_job_works_and_more_are_refused_with_what_to_install(
-    small, tmp_path: Path, monkeypatch
-) -> None:
+def test_without_dask_several_jobs_are_rejected_with_install_hint(small, tmp_path: Path, monkeypatch) -> None:
     for name in ("dask", "distributed"):
         monkeypatch.setitem(sys.modules, name, None)
     trials.run(small, tmp_path / "one", count=1, jobs=1)
@@ -319,6 +317,8 @@ def test_without_dask_one_job_works_and_more_are_refused_with_what_to_install(
 
 @pytest.mark.mesh
 def test_trials_on_a_mesh_give_the_same_tables_as_in_one_process(small, tmp_path: Path) -> None:
-    made = {runtime: trials.run(small, tmp_path / runtime, count=1, runtime=runtime) for runtime in ("mesh", "inproc")}
-    made["mesh"].raise_failures()
-    assert tables(made["mesh"].out) == tables(made["inproc"].out)
+    result = {
+        runtime: trials.run(small, tmp_path / runtime, count=1, runtime=runtime) for runtime in ("mesh", "inproc")
+    }
+    result["mesh"].raise_failures()
+    assert tables(result["mesh"].out) == tables(result["inproc"].out)

@@ -1,4 +1,4 @@
-"""Imports Matplotlib whatever MPLBACKEND says: figures of reports need no screen, and a wrong name ends the import."""
+"""Imports Matplotlib without MPLBACKEND, whose value could make the import fail."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import os
 
 
 def _import_matplotlib() -> None:
-    chosen = os.environ.pop("MPLBACKEND", None)
+    user_backend = os.environ.pop("MPLBACKEND", None)
     try:
         import matplotlib
     finally:
-        if chosen is not None:
-            os.environ["MPLBACKEND"] = chosen
-    if chosen:
+        if user_backend is not None:
+            os.environ["MPLBACKEND"] = user_backend
+    if user_backend:
         with contextlib.suppress(ValueError):
-            matplotlib.rcParams["backend"] = chosen  # for a user's own figures in this process
+            matplotlib.rcParams["backend"] = user_backend  # for a user's own figures in this process
 
 
 _import_matplotlib()

@@ -1,4 +1,4 @@
-"""When which fault and which attack was on: bands through charts over time, named in lanes above them."""
+"""Bands in charts over time for faults and attacks, with labelled lanes above."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from mast_zenoh.messagelog.churn import LOST
 from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, plain
 from mast_zenoh.report.runfolder import RunFolder
 
-#: Inches: a lane, and the gap between a band and the next one's name. Points: the size of names.
-LANE, _GAP, _POINTS = 0.2, 0.14, 8.5
-#: More lanes than these are not drawn, and a longer name is cut.
-_MOST_LANES, _LONGEST = 9, 46
+#: Inches: height of a lane, and gap between a band and the next label. Points: font size of labels.
+LANE, _GAP, _FONT_SIZE = 0.2, 0.14, 8.5
+#: Maximum number of lanes, and of characters of a label.
+_MAX_LANES, _MAX_LABEL = 9, 46
 HATCH = "////"
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """From `start` to `end` (inf: to the last frame), in the unit of the time axis; attack, or else fault."""
+    """An attack or fault from `start` to `end` (inf: last frame), in units of the time axis."""
 
     label: str
     attack: bool
@@ -35,13 +35,13 @@ class Band:
 
     @property
     def colour(self) -> str:
-        """Of its family."""
+        """The colour of attacks or of faults."""
         return ADVERSARY_ON_LIGHT if self.attack else FAULT_ON_LIGHT
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
-    """A band in a lane (0 is the lowest), and where its name stands: at x, to the left or to the right of it."""
+class PlacedBand:
+    """A band in a lane (0 is the lowest), and the position x and alignment of its label."""
 
     band: Band
     lane: int
@@ -50,133 +50,133 @@ class Placed:
 
 
 def bands(runs: Iterable[RunFolder], *, timed: bool) -> list[Band]:
-    """The bands of the timelines of runs, each once, by start; none if there is no fault in them.
+    """The distinct bands of runs' timelines, sorted by start; empty if there is no fault.
 
     timed: in s of scene time; else in frames
     """
-    found: dict[Band, None] = {}
+    unique_bands: dict[Band, None] = {}
     for run in runs:
         unit_s = 1.0 if timed else run.period_s
         frame = run.period_s / unit_s
         for each in run.timeline:
             until = np.inf if each.get("until_s") is None else each["until_s"] / unit_s
-            found[Band(str(each["label"]), each["kind"] == "attack", each["at_s"] / unit_s, until)] = None
+            unique_bands[Band(str(each["label"]), each["kind"] == "attack", each["at_s"] / unit_s, until)] = None
         for node, start, end in _absences(run):
-            found[Band(f"{node} lost", False, start * frame, end * frame)] = None
-    if all(band.attack for band in found):
+            unique_bands[Band(f"{node} lost", False, start * frame, end * frame)] = None
+    if all(band.attack for band in unique_bands):
         return []
-    return sorted(found, key=lambda band: (band.start, band.end, band.label))
+    return sorted(unique_bands, key=lambda band: (band.start, band.end, band.label))
 
 
 def _absences(run: RunFolder) -> list[tuple[str, float, float]]:
-    """(node, first frame, frame in which it came back) of nodes that were lost."""
-    found, gone = [], dict[str, float]()
+    """(node, frame of its loss, frame of its return) of lost nodes."""
+    absences, lost_since = [], dict[str, float]()
     for each in run.lost:
         if each["what"] == LOST:
-            gone.setdefault(each["node"], each["frame"])
-        elif each["node"] in gone:
-            found.append((each["node"], gone.pop(each["node"]), float(each["frame"])))
-    return [*found, *((node, start, np.inf) for node, start in gone.items())]
+            lost_since.setdefault(each["node"], each["frame"])
+        elif each["node"] in lost_since:
+            absences.append((each["node"], lost_since.pop(each["node"]), float(each["frame"])))
+    return [*absences, *((node, start, np.inf) for node, start in lost_since.items())]
 
 
-def placed(bands: Sequence[Band], low: float, high: float, width: float) -> tuple[list[Placed], int]:
-    """Each band in the lowest lane in which neither it nor its name lies on another; how many found no lane.
+def place_bands(bands: Sequence[Band], low: float, high: float, width: float) -> tuple[list[PlacedBand], int]:
+    """Place bands in the lowest free lanes; returns them and the number without a lane.
 
-    low, high: ends of the time axis, which is `width` inches wide
+    low, high: limits of the time axis, which is `width` inches wide
     """
     unit = width / max(high - low, 1e-9)
-    ends: list[float] = []  # inches, of what lies in each lane
-    found = []
+    lane_ends: list[float] = []  # inches, right end of the contents of each lane
+    placed = []
     for band in bands:
         start = (min(max(band.start, low), high) - low) * unit
         end = (min(max(band.end, low), high) - low) * unit
-        name = _extent(shortened(band.label)) + _GAP
+        name = _width(shortened(band.label)) + _GAP
         if name <= end - start:  # inside
             x, align, left, right = start + _GAP / 2, "left", start, end
         elif end + name <= width:
             x, align, left, right = end + _GAP / 2, "left", start, end + name
         else:
             x, align, left, right = start - _GAP / 2, "right", max(start - name, 0.0), end
-        lane = next((k for k, taken in enumerate(ends) if taken + _GAP / 2 <= left), len(ends))
-        if lane >= _MOST_LANES:
+        lane = next((k for k, end_of_lane in enumerate(lane_ends) if end_of_lane + _GAP / 2 <= left), len(lane_ends))
+        if lane >= _MAX_LANES:
             continue
-        ends[lane:] = [right, *ends[lane + 1 :]]
-        found.append(Placed(band, lane, low + x / unit, align))
-    return found, len(bands) - len(found)
+        lane_ends[lane:] = [right, *lane_ends[lane + 1 :]]
+        placed.append(PlacedBand(band, lane, low + x / unit, align))
+    return placed, len(bands) - len(placed)
 
 
-def lanes(found: Sequence[Placed]) -> int:
-    """How many there are."""
-    return max((each.lane + 1 for each in found), default=0)
+def lanes(placed: Sequence[PlacedBand]) -> int:
+    """The number of lanes in use."""
+    return max((each.lane + 1 for each in placed), default=0)
 
 
-def draw_lanes(axes: Axes, found: Sequence[Placed], left_out: int, low: float, high: float) -> None:
-    """The bands and their names, on axes of their own that stand above the charts."""
+def draw_lanes(axes: Axes, placed: Sequence[PlacedBand], left_out: int, low: float, high: float) -> None:
+    """Draw bands and labels on separate axes above the charts."""
     axes.set_axis_off()
     axes.set_xlim(low, high)
-    axes.set_ylim(0.0, max(lanes(found), 1))
-    for each in found:
+    axes.set_ylim(0.0, max(lanes(placed), 1))
+    for each in placed:
         band = each.band
         start, end = max(band.start, low), min(band.end, high)
-        look: dict[str, Any] = {"facecolor": (band.colour, 0.22), "edgecolor": band.colour, "linewidth": 0.8}
-        axes.add_patch(Rectangle((start, each.lane + 0.1), end - start, 0.8, **look))
+        style: dict[str, Any] = {"facecolor": (band.colour, 0.22), "edgecolor": band.colour, "linewidth": 0.8}
+        axes.add_patch(Rectangle((start, each.lane + 0.1), end - start, 0.8, **style))
         axes.text(
             each.x,
             each.lane + 0.47,
             plain(shortened(band.label)),
             ha=each.align,
             va="center",
-            fontsize=_POINTS,
+            fontsize=_FONT_SIZE,
             color=INK,
             clip_on=False,
         )
     if left_out:
         note = f"and {left_out} more"
-        axes.text(high, lanes(found), note, ha="right", va="bottom", fontsize=_POINTS, color=INK)
+        axes.text(high, lanes(placed), note, ha="right", va="bottom", fontsize=_FONT_SIZE, color=INK)
 
 
-def shade(axes: Axes, found: Sequence[Band], low: float, high: float, *, hatch: bool = True) -> None:
-    """Mark on a chart when any fault was on: one area, hatched unless said, however many there were at a time."""
-    spans = _union([(band.start, min(band.end, high)) for band in found if not band.attack])
+def shade(axes: Axes, bands: Sequence[Band], low: float, high: float, *, hatch: bool = True) -> None:
+    """Shade the periods with any fault in a chart; simultaneous faults share one area."""
+    spans = _merged([(band.start, min(band.end, high)) for band in bands if not band.attack])
     for start, end in spans:
         if end <= low:
             continue
         axes.axvspan(max(start, low), end, facecolor=(FAULT_ON_LIGHT, 0.07), linewidth=0, zorder=0)
         if hatch:
-            look: dict[str, Any] = {"edgecolor": (FAULT_ON_LIGHT, 0.24), "hatch": HATCH, "linewidth": 0, "fill": False}
-            axes.axvspan(max(start, low), end, zorder=0, **look)
+            style: dict[str, Any] = {"edgecolor": (FAULT_ON_LIGHT, 0.24), "hatch": HATCH, "linewidth": 0, "fill": False}
+            axes.axvspan(max(start, low), end, zorder=0, **style)
 
 
-def fault_key() -> Patch:
-    """What `shade` draws, for a legend."""
-    look: dict[str, Any] = {
+def fault_legend() -> Patch:
+    """A legend entry for `shade`."""
+    style: dict[str, Any] = {
         "facecolor": (FAULT_ON_LIGHT, 0.07),
         "edgecolor": (FAULT_ON_LIGHT, 0.5),
         "hatch": HATCH,
         "linewidth": 0,
     }
-    return Patch(label="fault", **look)
+    return Patch(label="fault", **style)
 
 
 def shortened(label: str) -> str:
-    """A name that is not too long for a lane."""
-    return label if len(label) <= _LONGEST else label[: _LONGEST - 1] + "…"
+    """A label, cut to fit into a lane."""
+    return label if len(label) <= _MAX_LABEL else label[: _MAX_LABEL - 1] + "…"
 
 
 @cache
-def _extent(text: str) -> float:
-    """Inches that a name takes."""
+def _width(text: str) -> float:
+    """The width of a label in inches."""
     if not text.strip():
         return 0.0
-    return float(TextPath((0, 0), plain(text), size=_POINTS, prop=FontProperties()).get_extents().width) / 72.0
+    return float(TextPath((0, 0), plain(text), size=_FONT_SIZE, prop=FontProperties()).get_extents().width) / 72.0
 
 
-def _union(spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The times that any of the spans covers."""
-    found: list[tuple[float, float]] = []
+def _merged(spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The union of spans."""
+    merged: list[tuple[float, float]] = []
     for start, end in sorted(spans):
-        if found and start <= found[-1][1]:
-            found[-1] = found[-1][0], max(found[-1][1], end)
+        if merged and start <= merged[-1][1]:
+            merged[-1] = merged[-1][0], max(merged[-1][1], end)
         else:
-            found.append((start, end))
-    return found
+            merged.append((start, end))
+    return merged

@@ -1,4 +1,4 @@
-"""The bird's-eye view: boxes in the paper's colour key, buildings, agents, and the adversaries' doings."""
+"""The bird's-eye view: boxes, buildings, agents and manipulations."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from mast_zenoh.report.figures.style import (
 from mast_zenoh.report.figures.view import Boxes, FrameView, Marks
 from mast_zenoh.report.tables.interposers import adversaries_by_agent, interposers
 
-#: Boxes are drawn at least this long and wide, m, so that a pedestrian is more than a speck.
+#: Minimum length and width of drawn boxes, m, so that pedestrians are visible.
 _SMALLEST = 1.4
-#: Length of the wedge that shows where a sector sensor looks, m; its range is longer and would cover the scene.
+#: Length of the wedge of a sector sensor, m; its actual range would cover the scene.
 _WEDGE = 22.0
 
 _HALO = [patheffects.withStroke(linewidth=2.5, foreground=GROUND)]
@@ -83,7 +83,7 @@ def _draw_boxes(axes: Axes, boxes: Boxes, outcome: str, colour: str, zorder: flo
     centre = boxes.position[:, :2]
     ticks = np.stack([centre, centre + ahead * (size[:, :1] / 2 + 1.2)], axis=1)
     lines = [ticks]
-    if outcome == "track false":  # crossed out as well, for those who cannot tell red from yellow
+    if outcome == "track false":  # crossed out as well, for colour-blind readers
         lines += [corners[:, [0, 2]], corners[:, [1, 3]]]
     axes.add_collection(LineCollection(list(np.concatenate(lines)), colors=colour, linewidths=1.1, zorder=zorder))
 
@@ -103,11 +103,11 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
     if recording is None or view.frame >= len(recording):
         return
     x, y, half = window
-    taken: list[tuple[float, float, float, float]] = []
+    occupied: list[tuple[float, float, float, float]] = []
     attacked = adversaries_by_agent(interposers(view.run))
     for index, agent in enumerate(recording.agents):
-        at = recording.agent_position[view.frame, index]
-        if max(abs(at[0] - x), abs(at[1] - y)) > half:
+        position = recording.agent_position[view.frame, index]
+        if max(abs(position[0] - x), abs(position[1] - y)) > half:
             continue
         colour = ADVERSARY if agent.name in attacked else AGENT
         sector = agent.sensor.azimuth_max_deg - agent.sensor.azimuth_min_deg
@@ -115,18 +115,18 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
         turn = float(heading(facing))
         if sector < 359.0:
             start = np.degrees(turn) + agent.sensor.azimuth_min_deg
-            wedge = Wedge((at[0], at[1]), _WEDGE, start, start + sector)
+            wedge = Wedge((position[0], position[1]), _WEDGE, start, start + sector)
             wedge.set(facecolor=to_rgba(colour, 0.10), edgecolor=to_rgba(colour, 0.35), linewidth=0.8, zorder=2)
             axes.add_patch(wedge)
         marker, face = ("^", colour) if agent.kind == "static" else ("o", "none")
-        axes.plot(at[0], at[1], marker, ms=9, mfc=face, mec=colour, mew=1.5, zorder=5)
+        axes.plot(position[0], position[1], marker, ms=9, mfc=face, mec=colour, mew=1.5, zorder=5)
         # The name goes behind the agent, where its wedge and the traffic that it watches are not.
         behind = -np.array([np.cos(turn), np.sin(turn)])
-        inside = np.abs(at[:2] + behind * 0.25 * half - [x, y]) < half
-        side = _free_side(taken, at, len(agent.name), half, np.where(inside, behind, -behind) > 0)
+        inside = np.abs(position[:2] + behind * 0.25 * half - [x, y]) < half
+        side = _free_side(occupied, position, len(agent.name), half, np.where(inside, behind, -behind) > 0)
         axes.annotate(
             plain(agent.name),
-            (at[0], at[1]),
+            (position[0], position[1]),
             (7 if side[0] else -7, 4 if side[1] else -4),
             textcoords="offset points",
             ha="left" if side[0] else "right",
@@ -140,26 +140,26 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
 
 
 def _free_side(
-    taken: list[tuple[float, float, float, float]], at: Floats, letters: int, half: float, wanted: Bools
+    occupied: list[tuple[float, float, float, float]], at: Floats, letters: int, half: float, preferred: Bools
 ) -> tuple[bool, bool]:
-    """(right, above): where a name stands beside `at` without lying on another; as `wanted` if that is free.
+    """(right, above): the side of a position for a label without overlap, `preferred` if free.
 
-    taken: what the names before it cover, as left, right, bottom, top in m; this one is added
+    occupied: boxes of earlier labels (left, right, bottom, top), m; the new one is appended
     """
     width, height, gap = 0.045 * letters * half, 0.09 * half, 0.03 * half
-    right, above = bool(wanted[0]), bool(wanted[1])
+    right, above = bool(preferred[0]), bool(preferred[1])
     for choice in ((right, above), (right, not above), (not right, above), (not right, not above)):
         left = at[0] + gap if choice[0] else at[0] - gap - width
         low = at[1] + gap if choice[1] else at[1] - gap - height
         box = (left - gap, left + width + gap, low, low + height)
-        if not any(box[0] < t[1] and t[0] < box[1] and box[2] < t[3] and t[2] < box[3] for t in taken):
-            taken.append(box)
+        if not any(box[0] < t[1] and t[0] < box[1] and box[2] < t[3] and t[2] < box[3] for t in occupied):
+            occupied.append(box)
             return choice
     return right, above
 
 
 def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:
-    """Handles of a legend for what `views` can show: outcomes always, agents and attacks where there are any."""
+    """Legend handles for `views`: all outcomes, and agents and attacks if there are any."""
     handles: list[Artist] = []
     for outcome in ("truth matched", "track matched", "truth missed", "track false", "unevaluated"):
         if outcome == "unevaluated" and not any(len(of[outcome]) for v in views for of in v.boxes.values()):

@@ -1,4 +1,4 @@
-"""The ego's camera view: boxes as wire frames in the paper's colour key, over a hint of ground and buildings."""
+"""The ego's camera view: wire-frame boxes, ground and buildings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mast_zenoh.report.figures.style import ADVERSARY, BUILDING, BUILDING_EDGE, 
 from mast_zenoh.report.figures.view import FrameView
 from mast_zenoh.sensing.camera import Camera
 
-#: Nothing nearer than this to the camera is drawn, m.
+#: Near plane of the camera, m.
 _NEAR = 0.5
 #: Boxes centred nearer than this to the ego are the ego itself, m in the bird's-eye view.
 _SELF = 2.5
@@ -23,7 +23,7 @@ _SKY, _ROAD, _LINE = "#1a2230", GROUND, "#242d39"
 
 #: Edges of a box between the corners that `geometry.box_corners` gives.
 _EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
-#: The strip of the image that is shown, as fractions of its height: traffic, not sky and bonnet.
+#: The strip of the image that is shown, as fractions of its height: without sky and bonnet.
 STRIP = (0.28, 0.72)
 
 
@@ -40,27 +40,27 @@ class Eye:
         return self.camera.project(points, self.position, self.rotation)
 
     def lines(self, segments: Floats) -> Floats:
-        """(m, 2, 2) px: what of world segments (n, 2, 3) lies in front of the camera."""
+        """(m, 2, 2) px: the parts of world segments (n, 2, 3) in front of the camera."""
         depth = self.pixels(segments.reshape(-1, 3))[1].reshape(-1, 2)
         segments, depth = segments[(depth > _NEAR).any(axis=1)], depth[(depth > _NEAR).any(axis=1)]
         clipped = segments.copy()
         for end in (0, 1):
             behind = depth[:, end] < _NEAR
-            along = (_NEAR * 1.001 - depth[behind, end]) / (depth[behind, 1 - end] - depth[behind, end])
-            clipped[behind, end] += along[:, None] * (segments[behind, 1 - end] - segments[behind, end])
+            fraction = (_NEAR * 1.001 - depth[behind, end]) / (depth[behind, 1 - end] - depth[behind, end])
+            clipped[behind, end] += fraction[:, None] * (segments[behind, 1 - end] - segments[behind, end])
         return self.pixels(clipped.reshape(-1, 3))[0].reshape(-1, 2, 2)
 
     def face(self, corners: Floats) -> Floats | None:
-        """(k, 2) px: what of a convex face (n, 3) m lies in front of the camera; None: nothing."""
+        """(k, 2) px: the part of a convex face (n, 3) m in front of the camera; None: none."""
         depth = self.pixels(corners)[1]
-        kept = []
+        visible = []
         for here, there in zip(range(len(corners)), [*range(1, len(corners)), 0], strict=True):
             if depth[here] > _NEAR:
-                kept.append(corners[here])
+                visible.append(corners[here])
             if (depth[here] > _NEAR) != (depth[there] > _NEAR):
                 along = (_NEAR * 1.001 - depth[here]) / (depth[there] - depth[here])
-                kept.append(corners[here] + along * (corners[there] - corners[here]))
-        return self.pixels(np.array(kept))[0] if kept else None
+                visible.append(corners[here] + along * (corners[there] - corners[here]))
+        return self.pixels(np.array(visible))[0] if visible else None
 
 
 def ego_eye(view: FrameView) -> Eye | None:

@@ -1,4 +1,4 @@
-"""Which figures a report has, each with what it shows in words and what to know when looking at it."""
+"""The figures of a report, each with its alt text and caption."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mast_zenoh.report.tables.driving import driving_over_time
 from mast_zenoh.report.tables.interposers import interposers
 from mast_zenoh.report.tables.scores import ESTIMATES, MEASURES, ScoreTable, number
 
-_HOW_CHOSEN_ATTACKED = (
+_CHOICE_ATTACKED = (
     "The frame is the scored one, since the first change by an adversary, with the most errors {where}{beyond}"
 )
-_HOW_CHOSEN_CLEAN = "The frame is the scored one in which the picture spares the ego the most errors"
+_CHOICE_CLEAN = "The frame is the scored one in which the picture spares the ego the most errors"
 _COUNTS_CAPTION = (
     f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "
     "adversary made. The vertical line is the frame shown. The axes fit the scored frames; more is cut."
@@ -37,15 +37,20 @@ _CAUSES_CAPTION = (
 
 
 def run_figures(
-    run: RunFolder, view: FrameView | None, *, how: str, reference: Reference | None = None, estimate: str = "picture"
+    run: RunFolder,
+    view: FrameView | None,
+    *,
+    frame_note: str,
+    reference: Reference | None = None,
+    estimate: str = "picture",
 ) -> dict[str, Picture]:
-    """The figures of one run by name; those whose data are absent are left out.
+    """The figures of one run by name, without those whose data are absent.
 
-    view: the frame that the pictures show; None: none can be shown
-    how:  how the frame was chosen, in a sentence; empty: it is not said
-    reference: the run that it is compared with, over time in `estimate`
+    view: the frame that pictures show; None: no pictures
+    frame_note: how the frame was chosen, in a sentence; may be empty
+    reference: the run that it is compared with in charts over time of `estimate`
     """
-    made = []
+    figures = []
     if view is not None:
         tally = ". ".join(f"{ESTIMATES[name].capitalize()}: {_tally(view, name)}" for name in view.boxes)
         alt = f"Bird's-eye view, {view.time_label}. {tally}."
@@ -54,28 +59,28 @@ def run_figures(
             "together, by which it acts. The tick on a box points ahead; a wedge shows where a roadside sensor looks, "
             "not how far."
         )
-        made.append(picture("birdseye", birdseye_figure(view), alt, f"{caption} {how}".strip()))
-        seat = camera_figure(view)
-        if seat is not None:
+        figures.append(picture("birdseye", birdseye_figure(view), alt, f"{caption} {frame_note}".strip()))
+        camera = camera_figure(view)
+        if camera is not None:
             alt = f"The ego's camera view, {view.time_label}: its own tracks above, with the picture below."
             caption = (
                 "The same frame through the ego's camera (the middle strip of its image). Boxes are drawn through "
                 "walls and through each other: what the ego's own sensors cannot see, the picture can show."
             )
-            made.append(picture("camera", seat, alt, caption))
+            figures.append(picture("camera", camera, alt, caption))
     runs = {reference.name: reference.run, run.label: run} if reference is not None else {run.label: run}
     over_time = counts_over_time(runs, view.frame if view else None, estimate)
     if over_time is not None:
         alt = "Missed objects, false objects and RMSE over time, for the ego alone, the picture and both together."
-        made.append(picture("counts", over_time, alt, _counts_caption([run])))
+        figures.append(picture("counts", over_time, alt, _counts_caption([run])))
     causes = causes_over_time(run, view.frame if view else None)
     if causes is not None:
         alt = "Missed and false objects of the common picture over time, stacked by their causes."
-        made.append(picture("causes", causes, alt, _CAUSES_CAPTION))
-    drive = driving_over_time(run, view.frame if view else None)
-    if drive is not None:
+        figures.append(picture("causes", causes, alt, _CAUSES_CAPTION))
+    driving = driving_over_time(run, view.frame if view else None)
+    if driving is not None:
         alt = "Time to collision, wrong objects in the corridor and braking over time: truth, ego alone, with picture."
-        made.append(picture("driving", drive, alt, _DRIVING_CAPTION))
+        figures.append(picture("driving", driving, alt, _DRIVING_CAPTION))
     wires = draw_wiring(run)
     if wires is not None:
         hostile = [each for each in interposers(run) if not each.is_link]
@@ -88,8 +93,8 @@ def run_figures(
             caption = f"{caption} Nodes with a broken edge were put on their wire while the run went on."
         if any(each.is_link for each in interposers(run)):
             caption = f"Brown: wires with a link on them. {caption}"
-        made.append(picture("wiring", wires, alt, caption, vector=True))
-    return {each.name: each for each in made}
+        figures.append(picture("wiring", wires, alt, caption, vector=True))
+    return {each.name: each for each in figures}
 
 
 def study_figures(
@@ -101,20 +106,20 @@ def study_figures(
     chosen: bool,
 ) -> dict[str, Picture]:
     """The figures that compare runs, by name."""
-    made = []
+    figures = []
     if views:
-        told = "; ".join(f"{label}: {_tally(view, estimate)}" for label, view in views.items())
+        tallies = "; ".join(f"{label}: {_tally(view, estimate)}" for label, view in views.items())
         name = _FULL_NAMES[estimate]
         caption = f"{name} in the same frame of every run; under it, means per frame over the scored frames."
         if chosen:
             beyond = f" less those of {table.reference} in the same frame"
-            caption += f" {_HOW_CHOSEN_ATTACKED.format(where=f'of the {ESTIMATES[estimate]}', beyond=beyond)}."
-        alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {told}."
-        made.append(picture("side_by_side", side_by_side_figure(views, table, estimate), alt, caption))
+            caption += f" {_CHOICE_ATTACKED.format(where=f'of the {ESTIMATES[estimate]}', beyond=beyond)}."
+        alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {tallies}."
+        figures.append(picture("side_by_side", side_by_side_figure(views, table, estimate), alt, caption))
     over_time = counts_over_time(runs, next(iter(views.values())).frame if views else None, estimate)
     if over_time is not None:
         alt = f"Missed objects, false objects and RMSE over time: ego alone, and {ESTIMATES[estimate]} of every run."
-        made.append(picture("counts", over_time, alt, _counts_caption(list(runs.values()))))
+        figures.append(picture("counts", over_time, alt, _counts_caption(list(runs.values()))))
     if any(row.cells for row in table.rows):
         keys = {measure.key: measure for measure in MEASURES}
         texts = [
@@ -123,16 +128,16 @@ def study_figures(
             for run in table.runs
         ]
         caption = "Means per frame; whiskers: \u00b1 one standard deviation over frames."
-        made.append(picture("means", means(table, estimate), f"Bar chart. {'; '.join(texts)}.", caption))
-    return {each.name: each for each in made}
+        figures.append(picture("means", means(table, estimate), f"Bar chart. {'; '.join(texts)}.", caption))
+    return {each.name: each for each in figures}
 
 
-def how_chosen(run: RunFolder, estimate: str, reference: str = "") -> str:
-    """How a frame was chosen, in a sentence; reference: the run whose errors were taken off, in words."""
+def frame_choice(run: RunFolder, estimate: str, reference: str = "") -> str:
+    """How a frame was chosen, in a sentence; reference: name of the run whose errors were subtracted."""
     if not run.attack_frames and not reference:
-        return f"{_HOW_CHOSEN_CLEAN}."
+        return f"{_CHOICE_CLEAN}."
     beyond = f" beyond those of {reference} in the same frame" if reference else ""
-    sentence = _HOW_CHOSEN_ATTACKED.format(where=f"of the {ESTIMATES.get(estimate, estimate)}", beyond=beyond)
+    sentence = _CHOICE_ATTACKED.format(where=f"of the {ESTIMATES.get(estimate, estimate)}", beyond=beyond)
     return (
         sentence.replace(", since the first change by an adversary,", "") + "."
         if not run.attack_frames
@@ -141,10 +146,10 @@ def how_chosen(run: RunFolder, estimate: str, reference: str = "") -> str:
 
 
 def _the_picture(view: FrameView) -> str:
-    """Which picture a view shows, in words."""
-    ways = {"picture_received": "as the ego receives it", "picture_on_arrival": "when it reaches the ego"}
-    shown = next((way for name, way in ways.items() if name in view.boxes), "")
-    return f"the common picture {shown}".strip()
+    """The picture that a view shows, in words."""
+    variants = {"picture_received": "as the ego receives it", "picture_on_arrival": "when it reaches the ego"}
+    variant = next((way for name, way in variants.items() if name in view.boxes), "")
+    return f"the common picture {variant}".strip()
 
 
 def _counts_caption(runs: Sequence[RunFolder]) -> str:

@@ -1,4 +1,4 @@
-"""The wiring diagram: nodes as boxes, data as lines; intercepted wires in the adversary's colour, links in theirs."""
+"""Draws the wiring diagram: nodes as boxes, data as lines, coloured by interposer."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _HALF = WIDE / 2
 
 
 def draw_wiring(run: RunFolder) -> Figure | None:
-    """The diagram of a run; None when wiring.json told of no wire to draw."""
+    """The diagram of a run; None if wiring.json has no wire to draw."""
     plan = layout(run)
     if plan is None:
         return None
@@ -38,7 +38,7 @@ def draw_wiring(run: RunFolder) -> Figure | None:
     axes.set_ylim(plan.floor + 0.15, top)
     axes.set_axis_off()
     for (source, target), line in sorted(plan.lines.items(), key=lambda item: (item[1].intercepted, item[1].linked)):
-        hostile = line.intercepted or _hostile(run, source.node) or _hostile(run, target.node)
+        hostile = line.intercepted or _is_attacker(run, source.node) or _is_attacker(run, target.node)
         colour = ADVERSARY_ON_LIGHT if hostile else FAULT_ON_LIGHT if line.linked else FAINT
         width = 1.9 if line.intercepted else 1.3 if line.linked else 1.0
         _draw_line(axes, _route(run, plan, source, target), colour, width)
@@ -50,12 +50,12 @@ def draw_wiring(run: RunFolder) -> Figure | None:
 
 
 def _route(run: RunFolder, plan: Layout, source: Spot, target: Spot) -> Curve:
-    """The way of a line: it bends at the end where many lines meet, and is level where it passes nodes on wires."""
+    """The path of a line: bent at the end where many lines meet, and level past interposers."""
     (ax, ay), (bx, by) = plan.places[source], plan.places[target]
-    if _aside(run, plan, source) or _aside(run, plan, target):  # to and from a node above the flow
-        way = 0.3 if ay < by else -0.3
+    if _is_above_flow(run, plan, source) or _is_above_flow(run, plan, target):  # to and from a node above the flow
+        offset = 0.3 if ay < by else -0.3
         lift = HIGH / 2 if ay < by else -HIGH / 2
-        return Curve([(ax + way, ay + lift), (bx + way, by - lift)])
+        return Curve([(ax + offset, ay + lift), (bx + offset, by - lift)])
     if bx <= ax:  # back: down, along under everything, and up beside the target
         rise = bx + _HALF + 0.24
         points = [(ax, ay + HIGH / 2), (ax, plan.floor), (rise, plan.floor), (rise, by + 0.09), (bx + _HALF, by + 0.09)]
@@ -69,12 +69,12 @@ def _route(run: RunFolder, plan: Layout, source: Spot, target: Spot) -> Curve:
     return Curve(points, [Curve.MOVETO, Curve.LINETO, Curve.CURVE4, Curve.CURVE4, Curve.CURVE4, Curve.LINETO])
 
 
-def _hostile(run: RunFolder, node: str) -> bool:
+def _is_attacker(run: RunFolder, node: str) -> bool:
     return run.role(node) in ("adversary", "coordinator")
 
 
-def _aside(run: RunFolder, plan: Layout, spot: Spot) -> bool:
-    """Whether a node stands above the flow."""
+def _is_above_flow(run: RunFolder, plan: Layout, spot: Spot) -> bool:
+    """Whether a node is drawn above the flow."""
     return run.role(spot.node) not in FLOW and plan.places[spot][1] <= -1.2 * ROW
 
 
@@ -94,15 +94,15 @@ def _draw_line(axes: Axes, route: Curve, colour: str, width: float) -> None:
 
 
 def _draw_node(axes: Axes, run: RunFolder, node: str, x: float, y: float, when: str) -> None:
-    """A box with the node's name; `when`: if it came while the run went on, in which frames it was there."""
-    role, hostile = run.role(node), _hostile(run, node)
+    """Draw a node as a box with its name; `when`: frames of a live interposer, or ""."""
+    role, hostile = run.role(node), _is_attacker(run, node)
     edges, faces = {"agent": RUN_COLOURS[0], "link": FAULT_ON_LIGHT}, {"agent": "#eef5fb", "link": "#fbf6ea"}
     edge = ADVERSARY_ON_LIGHT if hostile else edges.get(role, INK)
     face = "#fdeef9" if hostile else faces.get(role, "#f6f7f9")
     box = (x - _HALF, y - HIGH / 2), WIDE, HIGH
     rounded = "round,pad=0,rounding_size=0.07"
-    look: dict[str, Any] = {"facecolor": face, "edgecolor": edge, "linewidth": 1.2, "zorder": 2}
-    axes.add_patch(FancyBboxPatch(*box, boxstyle=rounded, linestyle="--" if when else "-", **look))
+    style: dict[str, Any] = {"facecolor": face, "edgecolor": edge, "linewidth": 1.2, "zorder": 2}
+    axes.add_patch(FancyBboxPatch(*box, boxstyle=rounded, linestyle="--" if when else "-", **style))
     if when:
         ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
         axes.text(
@@ -113,12 +113,12 @@ def _draw_node(axes: Axes, run: RunFolder, node: str, x: float, y: float, when: 
 
 
 def _name_lines(axes: Axes, run: RunFolder, plan: Layout) -> None:
-    """What flows: once under each gap between two columns, on the way back, and beside a node above the flow."""
+    """Label lines once per gap between columns, and lines back and above the flow."""
     columns = sorted({x for spot, (x, _) in plan.places.items() if run.role(spot.node) in FLOW})
     labels: dict[tuple[float, float, str, str], list[str]] = {}
     for (source, target), line in plan.lines.items():
         (ax, ay), (bx, by) = plan.places[source], plan.places[target]
-        if _aside(run, plan, source) or _aside(run, plan, target):
+        if _is_above_flow(run, plan, source) or _is_above_flow(run, plan, target):
             x, y = (ax, ay) if ay < by else (bx, by)
             place = (x + 0.36, y + HIGH, "left", "center") if ay < by else (x - 0.36, y + HIGH, "right", "center")
         elif bx <= ax:
@@ -129,8 +129,8 @@ def _name_lines(axes: Axes, run: RunFolder, plan: Layout) -> None:
             if any(left < x < right for x in columns):  # passes a whole column: named in the gap that it starts in
                 continue
             place = (left + right) / 2 + 0.5, plan.floor - 0.42, "center", "center"
-        told = labels.setdefault(place, [])
-        told += [message for message in line.messages if message not in told]
+        messages_at_place = labels.setdefault(place, [])
+        messages_at_place += [message for message in line.messages if message not in messages_at_place]
     for (x, y, horizontal, vertical), messages in labels.items():
         style: dict[str, Any] = {"fontsize": 9, "style": "italic", "color": LOCAL, "zorder": 3}
         ground = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}

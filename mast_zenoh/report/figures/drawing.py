@@ -1,4 +1,4 @@
-"""The figures of a report: each is drawn once, kept as PNG (the wiring also as SVG) and described in words."""
+"""Renders the figures of a report as PNG (the wiring also as SVG), with alt texts."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Picture:
 
     name:    of the file under figures/, without extension
     png:     bytes
-    alt:     what it shows, for those who cannot see it
-    caption: what to know when looking at it
+    alt:     alternative text
+    caption: how to read it
     svg:     bytes, where the page shows the SVG
     """
 
@@ -95,15 +95,15 @@ def _panel(figure: Figure, left: float, top: float, width: float, height: float)
 
 def birdseye_figure(view: FrameView) -> Figure:
     """The ego's own tracks, the picture and both together, from above, on the same axes."""
-    shown = window([view])
-    view = clipped(view, shown)
+    shared_window = window([view])
+    view = clipped(view, shared_window)
     width = 14.4
     pitch = width / len(view.boxes)
     side = pitch - 0.74
     figure = _dark_figure([view], width, side + 0.82)
     for index, estimator in enumerate(view.boxes):
         axes = _panel(figure, 0.66 + pitch * index, 0.4, side, side)
-        draw_birdseye(axes, view, estimator, shown)
+        draw_birdseye(axes, view, estimator, shared_window)
         if index:
             axes.set_ylabel("")
         _title(axes, _PANELS[estimator], view, when=index == 0)
@@ -117,14 +117,14 @@ def _title(axes: Axes, title: str, view: FrameView, size: float = 12.5, *, when:
 
 
 def camera_figure(view: FrameView) -> Figure | None:
-    """The ego alone above what it acts on, as its camera would see them; None: the ego is not in the scene."""
+    """The ego alone above what it acts on, in its camera; None: the ego is not in the scene."""
     eye = ego_eye(view)
     if eye is None:
         return None
     strip = 11.7 * eye.camera.height * (STRIP[1] - STRIP[0]) / eye.camera.width
     view = clipped(view, window([view]))
-    still = [marks._replace(moved=np.zeros((0, 2, 3))) for marks in (view.before, view.behind)]
-    view = replace(view, before=still[0], behind=still[1])  # arrows say nothing in perspective
+    without_arrows = [marks._replace(moved=np.zeros((0, 2, 3))) for marks in (view.before, view.behind)]
+    view = replace(view, before=without_arrows[0], behind=without_arrows[1])  # arrows are not readable in perspective
     first, *_, last = view.boxes
     estimates = first, last
     figure = _dark_figure([view], 12.0, 2 * (strip + 0.42) + 0.1, agents=False)
@@ -136,10 +136,10 @@ def camera_figure(view: FrameView) -> Figure | None:
 
 
 def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estimate: str = "picture") -> Figure:
-    """One estimate of several runs in the same frame from above, three in a row, their numbers under each."""
+    """One estimate of several runs in the same frame, three in a row, with their numbers."""
     columns = min(len(views), 3)
-    shown = window(list(views.values()))
-    views = {label: clipped(view, shown) for label, view in views.items()}
+    shared_window = window(list(views.values()))
+    views = {label: clipped(view, shared_window) for label, view in views.items()}
     pitch = 14.4 / columns
     side, foot = pitch - 0.74, 1.62
     lines = -(-len(views) // columns)
@@ -148,7 +148,7 @@ def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estim
         line, column = divmod(index, columns)
         left, top = 0.66 + column * pitch, 0.38 + line * (side + foot)
         axes = _panel(figure, left, top, side, side)
-        draw_birdseye(axes, view, estimate, shown)
+        draw_birdseye(axes, view, estimate, shared_window)
         _title(axes, label, view, 14.0)
         if column:
             axes.set_ylabel("")
@@ -157,24 +157,24 @@ def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estim
     return figure
 
 
-def _numbers(figure: Figure, of: tuple[ScoreTable, str, str], left: float, top: float, width: float) -> None:
-    """Missed, false, matched and RMSE under a panel, in the colours of the key; in inches from the upper left.
+def _numbers(figure: Figure, selection: tuple[ScoreTable, str, str], left: float, top: float, width: float) -> None:
+    """Write scores under a panel, in the colours of the key; inches from the upper left.
 
-    of: the table, the run and the estimate
+    selection: the table, the run and the estimate
     """
-    table, run, estimate = of
+    table, run, estimate = selection
     w, h = figure.get_size_inches()
-    shown = (
+    columns = (
         ("fn", "missed", "#ffd60a"),
         ("fp", "false", "#ff6b6b"),
         ("tp", "matched", "#7db2ff"),
         ("rmse_m", "RMSE (m)", _WHITE),
     )
     keys = {measure.key: measure for measure in MEASURES}
-    told = [(number(table.cell(key, run, estimate).value, keys[key]), name, colour) for key, name, colour in shown]
-    for index, (value, name, colour) in enumerate(told):
-        x = (left + width * (index + 0.5) / len(told)) / w
+    values = [(number(table.cell(key, run, estimate).value, keys[key]), name, colour) for key, name, colour in columns]
+    for index, (value, name, colour) in enumerate(values):
+        x = (left + width * (index + 0.5) / len(values)) / w
         figure.text(x, 1 - top / h, value, color=colour, fontsize=17, ha="center", va="top", fontweight="bold")
         figure.text(x, 1 - (top + 0.32) / h, name, color=_WHITE, fontsize=10, ha="center", va="top")
-    x = (left + width * 1.5 / len(told)) / w
+    x = (left + width * 1.5 / len(values)) / w
     figure.text(x, 1 - (top + 0.51) / h, "objects per frame", color=FAINT, fontsize=9.5, ha="center", va="top")

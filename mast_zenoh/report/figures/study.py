@@ -1,4 +1,4 @@
-"""The figures of a study: what attacks add to the baseline, and how often they succeed."""
+"""The figures of a study: increments over the baseline, and success rates."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from mast_zenoh.report.figures.drawing import Picture, picture
 from mast_zenoh.report.figures.study_panels import Panel, label_of, panels, text_of
 from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
 from mast_zenoh.report.study_facts import StudyFacts, plural
-from mast_zenoh.report.tables.study_rows import LEAST_SEEDS, PAPER, Column, Estimate, StudyRow, over_trials
+from mast_zenoh.report.tables.study_rows import MIN_SEEDS, PAPER, Column, Estimate, StudyRow, over_trials
 
 _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)))
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-#: Diverging, and distinguishable under every colour-vision deficiency.
+#: Diverging, and safe for colour-blind readers.
 _HEAT = "PuOr_r"
 #: A range of positive values with more than this ratio is drawn on a logarithmic axis.
 _LOG_FROM = 50.0
@@ -31,14 +31,14 @@ _OVER_SEEDS = "95 % interval over seeds of these scenes"
 
 
 class Axis(NamedTuple):
-    """What one column of panels shows: a title, the label of y, and the estimates."""
+    """One column of panels: title, label of y, and column of estimates."""
 
     title: str
     label: str
     column: Column
 
 
-#: By file name, what the figures of increments show.
+#: The axes of the figures of increments, by file name.
 _INCREMENTS: dict[str, tuple[Axis, ...]] = {
     "increments": (
         Axis("False objects: picture", f"{_ADDED}, per frame", Column("", "fp_iob")),
@@ -61,24 +61,24 @@ _CAPTIONS = {
 
 
 def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str, Picture]:
-    """The figures by file name, those without a number left out."""
-    laid_out = panels(rows, facts.baseline)
+    """The figures by file name, without empty ones."""
+    all_panels = panels(rows, facts.baseline)
     rows = [row for row in rows if row.label != facts.baseline]
-    wanted = {name: (axes, f"{_OVER_SEEDS} (Student's t)") for name, axes in _INCREMENTS.items()}
-    wanted["success"] = (_success(rows), f"{_OVER_SEEDS} (Clopper-Pearson, effective number of trials)")
-    made = {}
-    for name, (axes, interval) in wanted.items():
+    specifications = {name: (axes, f"{_OVER_SEEDS} (Student's t)") for name, axes in _INCREMENTS.items()}
+    specifications["success"] = (_success(rows), f"{_OVER_SEEDS} (Clopper-Pearson, effective number of trials)")
+    pictures = {}
+    for name, (axes, interval) in specifications.items():
         known = [axis for axis in axes if _seeds(rows, axis)]
-        if known and laid_out:
-            footer = _resting_on(rows, known, interval)
-            if any(panel.y for panel in laid_out):
+        if known and all_panels:
+            footer = _footer(rows, known, interval)
+            if any(panel.y for panel in all_panels):
                 footer += "; in brackets where it contains 0 or there is none"
-            made[name] = _picture(name, _draw(laid_out, known, footer), rows, known)
-    return made
+            pictures[name] = _picture(name, _draw(all_panels, known, footer), rows, known)
+    return pictures
 
 
 def _success(rows: Sequence[StudyRow]) -> tuple[Axis, ...]:
-    """The success rates of all adversaries together, three at most."""
+    """Success rates of all adversaries together, at most three."""
     series = dict.fromkeys(series for row in rows for series, each in row.estimates.items() if each.rate)
     overall = [each for each in series if each.who == "all"][:3]
     return tuple(
@@ -88,34 +88,34 @@ def _success(rows: Sequence[StudyRow]) -> tuple[Axis, ...]:
 
 
 def _seeds(rows: Sequence[StudyRow], axis: Axis) -> list[Estimate]:
-    """The estimates that rest on any seed."""
+    """The estimates with at least one seed."""
     return [each for row in rows if (each := axis.column.of(row)).seeds]
 
 
-def _resting_on(rows: Sequence[StudyRow], axes: Sequence[Axis], interval: str) -> str:
-    """On how many seeds and scenes the points rest, and what the bars are."""
+def _footer(rows: Sequence[StudyRow], axes: Sequence[Axis], interval: str) -> str:
+    """Number of seeds and scenes behind the points, and the meaning of the bars."""
     known = [each for axis in axes for each in _seeds(rows, axis)]
     seeds, scenes = sorted({each.seeds for each in known}), sorted({each.scenes for each in known})
     counts = [
         plural(each[0], noun) if len(each) == 1 else f"{each[0]} to {each[-1]} {noun}s"
         for each, noun in ((seeds, "seed"), (scenes, "scene"))
     ]
-    resting = f"mean over {counts[0]} \u00d7 {counts[1]}"
+    sample = f"mean over {counts[0]} \u00d7 {counts[1]}"
     if any(not math.isnan(each.low) for each in known):
-        return f"{resting}; {interval}"
+        return f"{sample}; {interval}"
     few, equal = _without_bar(known)
     reasons = ["below five seeds"] * few + ["where all seeds are equal"] * equal
-    return f"{resting}; no interval {' and '.join(reasons)}"
+    return f"{sample}; no interval {' and '.join(reasons)}"
 
 
 def _without_bar(estimates: Sequence[Estimate]) -> tuple[bool, bool]:
-    """Whether any estimate has no interval because of too few seeds, and because its seeds are all equal."""
+    """Whether any estimate lacks an interval: (too few seeds, all seeds equal)."""
     bare = [each.seeds for each in estimates if math.isnan(each.low)]
-    return any(seeds < LEAST_SEEDS for seeds in bare), any(seeds >= LEAST_SEEDS for seeds in bare)
+    return any(seeds < MIN_SEEDS for seeds in bare), any(seeds >= MIN_SEEDS for seeds in bare)
 
 
-def _on_bars(rows: Sequence[StudyRow], axes: Sequence[Axis]) -> str:
-    """How to read the bars of increments, and why some points have none."""
+def _bar_notes(rows: Sequence[StudyRow], axes: Sequence[Axis]) -> str:
+    """How to read the bars of increments, and why some points have no bar."""
     known = [each for axis in axes for each in _seeds(rows, axis)]
     few, equal = _without_bar(known)
     sentences = ["Where a bar crosses 0, there may be no change."] * any(not math.isnan(each.low) for each in known)
@@ -126,20 +126,22 @@ def _on_bars(rows: Sequence[StudyRow], axes: Sequence[Axis]) -> str:
 
 def _picture(name: str, figure: Figure, rows: Sequence[StudyRow], axes: Sequence[Axis]) -> Picture:
     first = axes[0]
-    caption = f"{_CAPTIONS[name]} {_on_bars(rows, axes)}" if name in _INCREMENTS else _CAPTIONS[name]
+    caption = f"{_CAPTIONS[name]} {_bar_notes(rows, axes)}" if name in _INCREMENTS else _CAPTIONS[name]
     values = "; ".join(f"{row.label} {over_trials(each)}" for row in rows if (each := first.column.of(row)).seeds)
     return picture(name, figure, f"{first.title}, {first.label}: {values}.", caption)
 
 
-def _draw(laid_out: Sequence[Panel], shown: Sequence[Axis], footer: str) -> Figure:
-    """A row of axes for each panel, one for each of `shown`; heat maps of one thing share their colours."""
+def _draw(all_panels: Sequence[Panel], columns: Sequence[Axis], footer: str) -> Figure:
+    """A row of axes for each panel, one for each of `columns`; heat maps of a column share their colours."""
     width = 11.25
-    heights = [3.5 + 0.25 * (_legend_lines(panel, width) + bool(panel.title)) for panel in laid_out]
+    heights = [3.5 + 0.25 * (_legend_lines(panel, width) + bool(panel.title)) for panel in all_panels]
     figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained", facecolor="white")
-    strips = figure.subfigures(len(laid_out), 1, height_ratios=heights, squeeze=False)[:, 0]
-    all_rows = [row for panel in laid_out for curve in panel.curves for row in curve.rows]
-    for strip, panel in zip(strips, laid_out, strict=True):
-        for axes, (title, label, column) in zip(strip.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
+    strips = figure.subfigures(len(all_panels), 1, height_ratios=heights, squeeze=False)[:, 0]
+    all_rows = [row for panel in all_panels for curve in panel.curves for row in curve.rows]
+    for strip, panel in zip(strips, all_panels, strict=True):
+        for axes, (title, label, column) in zip(
+            strip.subplots(1, len(columns), squeeze=False)[0], columns, strict=True
+        ):
             if panel.y:
                 sizes = [abs(column.of(row).trial_mean) for row in all_rows if column.of(row).seeds]
                 _heat_map(axes, panel, column, max(sizes, default=0.0) or 1.0)
@@ -176,7 +178,7 @@ def _name(strip: SubFigure, panel: Panel, width: float) -> None:
 
 
 def _legend_lines(panel: Panel, width: float) -> int:
-    """How many lines the legend of a panel needs; 0: it has none."""
+    """Number of lines of a panel's legend; 0: no legend."""
     if panel.y or len(panel.curves) < 2:
         return 0
     longest = max(len(curve.label) for curve in panel.curves)
@@ -190,7 +192,7 @@ def _curves(axes: Axes, panel: Panel, column: Column) -> None:
     places = np.array([float(tick) if panel.numeric else index for index, tick in enumerate(panel.ticks)])  # type: ignore[arg-type]
     log = panel.numeric and len(places) > 2 and places.min() > 0.0 and places.max() / places.min() >= _LOG_FROM
     axes.set_xscale("log" if log else "linear")
-    even = np.log(places) if log else places
+    positions = np.log(places) if log else places
     for index, curve in enumerate(panel.curves):
         estimates = [column.of(row) for row in curve.rows]
         rate = any(each.rate for each in estimates)
@@ -198,13 +200,13 @@ def _curves(axes: Axes, panel: Panel, column: Column) -> None:
         mean, low, high = (
             scale * np.array([getattr(each, name) for each in estimates]) for name in ("trial_mean", "low", "high")
         )
-        aside = 0.02 * (np.ptp(even) or 1.0) * (index - (len(panel.curves) - 1) / 2)  # so that no bar hides another
-        x = even[[panel.ticks.index(row.point[panel.x] if panel.x else row.label) for row in curve.rows]] + aside
+        offset = 0.02 * (np.ptp(positions) or 1.0) * (index - (len(panel.curves) - 1) / 2)  # avoids overlapping bars
+        x = positions[[panel.ticks.index(row.point[panel.x] if panel.x else row.label) for row in curve.rows]] + offset
         axes.errorbar(
             np.exp(x) if log else x,
             mean,
             yerr=np.nan_to_num([mean - low, high - mean]),
-            color=RUN_COLOURS[(index + 1) % len(RUN_COLOURS)],  # the first is the baseline's
+            color=RUN_COLOURS[(index + 1) % len(RUN_COLOURS)],  # the first colour is the baseline's
             marker=_MARKERS[index % len(_MARKERS)],
             linestyle=_STYLES[index % len(_STYLES)] if panel.numeric else "none",
             markersize=5,
@@ -225,25 +227,25 @@ def _curves(axes: Axes, panel: Panel, column: Column) -> None:
 
 
 def _heat_map(axes: Axes, panel: Panel, column: Column, scale: float) -> None:
-    """The means as colours and numbers; grey and in brackets where the interval has 0 in it, or there is none."""
+    """The means as colours and numbers; in brackets if the interval contains 0 or there is none."""
     means = np.full((len(panel.curves), len(panel.ticks)), np.nan)
     for y, curve in enumerate(panel.curves):
         for row in curve.rows:
             means[y, panel.ticks.index(row.point[panel.x])] = column.of(row).trial_mean
-    axes.set_facecolor("#e8e8e8")  # of what is not known
+    axes.set_facecolor("#e8e8e8")  # unknown values
     axes.imshow(means, cmap=_HEAT, norm=Normalize(-scale, scale), origin="lower", aspect="auto")
     for y, curve in enumerate(panel.curves):
         for row in curve.rows:
             estimate = column.of(row)
             if math.isnan(estimate.trial_mean):
                 continue
-            sure = estimate.low > 0.0 or estimate.high < 0.0
+            significant = estimate.low > 0.0 or estimate.high < 0.0
             dark = abs(estimate.trial_mean) > 0.75 * scale
             text = f"{100 * estimate.trial_mean:.0f}" if estimate.rate else f"{estimate.trial_mean:.3g}"
             axes.text(
                 panel.ticks.index(row.point[panel.x]),
                 y,
-                (text if sure else f"({text})").replace("-", "\u2212"),
+                (text if significant else f"({text})").replace("-", "\u2212"),
                 ha="center",
                 va="center",
                 fontsize=8.5,

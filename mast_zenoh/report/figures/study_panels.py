@@ -1,4 +1,4 @@
-"""How the configurations of a study are laid out in a figure: panels of curves, categories or a heat map."""
+"""Lays out a study's configurations in panels: curves, categories or a heat map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mast_zenoh.report.tables.study_rows import StudyRow
 
 #: Two numeric parameters with this many values each make a heat map instead of curves.
-LEAST_FOR_HEAT_MAP = 4
+MIN_FOR_HEAT_MAP = 4
 
 _UNITS = {"_s": "s", "_ms": "ms", "_m": "m", "_mps": "m/s", "_hz": "Hz", "_deg": "degrees", "_rad": "rad"}
 
@@ -25,7 +25,7 @@ class Curve:
 class Panel:
     """One row of panels, each of which shows one metric of the same configurations.
 
-    title:   what all its configurations have in common: the run, and parameters that no axis shows
+    title:   the run, and parameters that no axis shows
     x:       the parameter along the x axis, "" for the configurations' labels
     y:       of a heat map the other parameter, else ""
     ticks:   the values along x: numbers, or else the text of each, evenly spaced
@@ -52,15 +52,15 @@ def panels(rows: Sequence[StudyRow], baseline: str) -> list[Panel]:
     for row in rows:
         if row.label != baseline:
             runs.setdefault(row.run, []).append(row)
-    alone: dict[str, list[list[StudyRow]]] = {}
-    made: list[Panel] = []
-    for mine in runs.values():
-        swept = _swept(mine)
+    by_swept: dict[str, list[list[StudyRow]]] = {}
+    several_swept: list[Panel] = []
+    for run_rows in runs.values():
+        swept = _swept(run_rows)
         if len(swept) < 2:
-            alone.setdefault("".join(swept), []).append(mine)
+            by_swept.setdefault("".join(swept), []).append(run_rows)
         else:
-            made += _of_several(mine, swept)
-    return [_of_one(x, of) for x, of in alone.items()] + made
+            several_swept += _of_several(run_rows, swept)
+    return [_of_one(x, runs_of_sweep) for x, runs_of_sweep in by_swept.items()] + several_swept
 
 
 def _of_one(x: str, runs: Sequence[Sequence[StudyRow]]) -> Panel:
@@ -78,28 +78,28 @@ def _of_several(rows: Sequence[StudyRow], swept: Sequence[str]) -> list[Panel]:
     sizes = {name: len(_ticks(rows, name)[0]) for name in swept}
     x = max(swept, key=lambda name: (_ticks(rows, name)[1], sizes[name]))
     second, *others = (name for name in swept if name != x)
-    made = []
+    result = []
     for choice in dict.fromkeys(_choice(row, others) for row in rows):
-        mine = [row for row in rows if _choice(row, others) == choice]
-        ticks, numeric = _ticks(mine, x)
-        values, numbers = _ticks(mine, second)
+        panel_rows = [row for row in rows if _choice(row, others) == choice]
+        ticks, numeric = _ticks(panel_rows, x)
+        values, numbers = _ticks(panel_rows, second)
         curves = tuple(
             Curve(
                 f"{label_of(second)} = {text_of(value)}",
-                _sorted([row for row in mine if row.point[second] == value], x, ticks),
+                _sorted([row for row in panel_rows if row.point[second] == value], x, ticks),
             )
             for value in values
         )
-        heat = numeric and numbers and min(len(ticks), len(values)) >= LEAST_FOR_HEAT_MAP
+        heat = numeric and numbers and min(len(ticks), len(values)) >= MIN_FOR_HEAT_MAP
         title = ", ".join(
             [rows[0].run, *(f"{label_of(name)} = {value}" for name, value in zip(others, choice, strict=True))]
         )
-        made.append(Panel(title, x, second if heat else "", ticks, numeric, curves))
-    return made
+        result.append(Panel(title, x, second if heat else "", ticks, numeric, curves))
+    return result
 
 
 def _swept(rows: Iterable[StudyRow]) -> list[str]:
-    """The parameters of which a run has more than one value."""
+    """The parameters of which a run has several values."""
     values: dict[str, set[str]] = {}
     for row in rows:
         for name, value in row.point.items():
@@ -108,7 +108,7 @@ def _swept(rows: Iterable[StudyRow]) -> list[str]:
 
 
 def _ticks(rows: Iterable[StudyRow], name: str) -> tuple[tuple[object, ...], bool]:
-    """The values of a parameter: ascending numbers, or in the order of the study; and whether they are numbers."""
+    """The values of a parameter, numbers ascending; and whether they are numbers."""
     values = [row.point[name] for row in rows]
     if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
         return tuple(sorted(set(values), key=float)), True  # type: ignore[arg-type]
@@ -124,7 +124,7 @@ def _choice(row: StudyRow, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def label_of(parameter: str) -> str:
-    """A parameter in words, with its unit where its name has one: `number of adversaries`, `attack start (s)`."""
+    """A parameter in words with its unit: `number of adversaries`, `attack start (s)`."""
     words = parameter.split(".")[-2:]
     unit = next((unit for suffix, unit in _UNITS.items() if words[-1].endswith(suffix)), "")
     if unit:

@@ -1,6 +1,6 @@
-"""Colours of all figures, and how a figure becomes bytes.
+"""Colours of all figures, and rendering to PNG and SVG.
 
-Figures are made through matplotlib's object interface alone, so that nothing global is touched.
+Figures use only matplotlib's object interface, so no global state changes.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ OUTCOME_LABELS = {
     "unevaluated": "not evaluated",
 }
 
-#: Whatever an adversary does or sits on, in every figure.
+#: Adversaries, their wires and their effects, in every figure.
 ADVERSARY = "#ff4fd8"
 ADVERSARY_ON_LIGHT = "#b5128f"
-#: Whatever links and faults do.
+#: Links, faults and their effects.
 FAULT_ON_LIGHT = "#8a6100"
 
 #: Dark panels.
@@ -46,7 +46,7 @@ LOCAL = "#6b7280"
 RUN_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#cc79a7")
 
 DPI = 110
-#: Of PNG files, 0 to 9: beyond it they become little smaller, and take twice as long.
+#: Of PNG files, 0 to 9: higher levels take twice as long for little gain.
 COMPRESSION = 3
 
 
@@ -76,16 +76,16 @@ def light_axes(axes: Axes) -> None:
 
 
 def plain(text: object) -> str:
-    """Text for matplotlib, which would read `$…$` as mathematics."""
+    """Text escaped for matplotlib, which reads `$…$` as mathematics."""
     return str(text).replace("$", r"\$")
 
 
 def png(figure: figures.Figure) -> bytes:
-    """The figure as PNG, the same bytes every time."""
+    """The figure as PNG; the bytes are reproducible."""
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(DPI)
     canvas.draw()  # type: ignore[no-untyped-call]  # matplotlib has no types here
-    # Figures are opaque: without the fourth channel they are smaller, and sooner encoded.
+    # Figures are opaque: without the alpha channel they are smaller and faster to encode.
     pixels = np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(pixels)).save(buffer, format="png", compress_level=COMPRESSION)
@@ -96,7 +96,7 @@ def svg(figure: figures.Figure) -> bytes:
     """The figure as SVG, letters as outlines so that it looks the same everywhere."""
     buffer = io.BytesIO()
     FigureCanvasSVG(figure)
-    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with rc_context({"svg.hashsalt": "mast-zenoh"}):  # else every rendering has other ids inside
-        figure.savefig(buffer, format="svg", facecolor=figure.get_facecolor(), metadata=nothing)
+    no_metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with rc_context({"svg.hashsalt": "mast-zenoh"}):  # makes the ids inside reproducible
+        figure.savefig(buffer, format="svg", facecolor=figure.get_facecolor(), metadata=no_metadata)
     return buffer.getvalue()

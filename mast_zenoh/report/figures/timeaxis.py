@@ -1,4 +1,4 @@
-"""Charts one above the other on one time axis, with lanes for what happened above them."""
+"""Stacked charts on one time axis, with lanes for attacks and faults above."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from mast_zenoh.report.figures.bands import LANE, Band, draw_lanes, lanes, placed
+from mast_zenoh.report.figures.bands import LANE, Band, draw_lanes, lanes, place_bands
 from mast_zenoh.report.figures.style import Figure
 
 
 def rows_over_time(
     count: int, height: float, marked: Sequence[Band], low: float, high: float
 ) -> tuple[Figure, Sequence[Axes]]:
-    """A figure of `count` charts of `height` inches one above the other on one time axis, `marked` named above them.
+    """A figure of `count` stacked charts of `height` inches, with `marked` bands above.
 
     low, high: the first and the last frame's time
     """
     left, width = 0.75, 10.58
-    found, left_out = placed(marked, *padded(low, high), width)
-    strip = LANE * lanes(found) + (0.08 if found else 0.0)
+    placed_bands, left_out = place_bands(marked, *padded(low, high), width)
+    strip = LANE * lanes(placed_bands) + (0.08 if placed_bands else 0.0)
     gap, foot, head = 0.1 * height, 0.51, 0.42
     total = head + strip + count * height + (count - 1) * gap + foot
     figure = Figure(figsize=(11.5, total), facecolor="white")
-    if found:
-        top = (total - head - LANE * lanes(found)) / total
-        names = figure.add_axes((left / 11.5, top, width / 11.5, LANE * lanes(found) / total))
-        draw_lanes(names, found, left_out, *padded(low, high))
+    if placed_bands:
+        top = (total - head - LANE * lanes(placed_bands)) / total
+        names = figure.add_axes((left / 11.5, top, width / 11.5, LANE * lanes(placed_bands) / total))
+        draw_lanes(names, placed_bands, left_out, *padded(low, high))
     axes: list[Axes] = []
     for row in range(count):
         bottom = foot + (count - 1 - row) * (height + gap)

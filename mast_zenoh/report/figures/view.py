@@ -1,4 +1,4 @@
-"""What the pictures of one frame show: the ego's boxes by outcome, and what the adversaries did in that frame."""
+"""Data of the pictures of a frame: the ego's boxes by outcome, and manipulations."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from mast_zenoh.report.runfolder import RunFolder
 
 #: The estimates that pictures show, side by side.
 PANELS = ("local", "picture", "mission")
-#: Estimates that are shown in the place of one of these, if what is shown is chosen by them.
+#: Estimates that replace one of PANELS when the frame is chosen by them.
 _IN_PLACE_OF = {"received": "local", "picture_received": "picture", "picture_on_arrival": "picture"}
-#: Metres around the ego within which pictures look for something to show.
-_REACH = 105.0
+#: m, maximum distance from the ego of objects that set the window.
+_MAX_DISTANCE_M = 105.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Boxes:
 
 
 class Marks(NamedTuple):
-    """What adversaries did in a frame, m, world frame.
+    """Manipulations in a frame, m, world frame.
 
     added:   (n, 3) where they inserted an object;  removed: (n, 3) where they took one away
     moved:   (n, 2, 3) from where to where they moved one
@@ -48,22 +48,22 @@ class Marks(NamedTuple):
 
     @classmethod
     def of(cls, effects: Table) -> Marks:
-        """Of rows of attacks.parquet."""
+        """Create marks from rows of attacks.parquet."""
 
         def places(effect: str, when: str) -> Floats:
-            some = rows(effects, effects["effect"] == effect)
-            return np.stack([some[f"{when}_{axis}"] for axis in "xyz"], axis=1).astype(np.float64)
+            selected = rows(effects, effects["effect"] == effect)
+            return np.stack([selected[f"{when}_{axis}"] for axis in "xyz"], axis=1).astype(np.float64)
 
         moved = np.stack([places("moved", "before"), places("moved", "after")], axis=1)
         return cls(places("inserted", "after"), places("removed", "before"), moved)
 
     @classmethod
     def none(cls) -> Marks:
-        """Nothing was done."""
+        """No manipulations."""
         return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2, 3)))
 
     def inside(self, window: tuple[float, float, float]) -> Marks:
-        """Those in a window, see `window`."""
+        """The marks inside a window; see `window`."""
         x, y, half = window
 
         def within(places: Floats) -> Bools:
@@ -73,18 +73,18 @@ class Marks(NamedTuple):
         return Marks(self.added[within(self.added)], self.removed[within(self.removed)], moved)
 
     def joined(self, other: Marks) -> Marks:
-        """Both."""
-        return Marks(*(np.concatenate([mine, theirs]) for mine, theirs in zip(self, other, strict=True)))
+        """The union of two sets of marks."""
+        return Marks(*(np.concatenate([own, others]) for own, others in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
 class FrameView:
-    """One frame of one run in the ego's eyes.
+    """One frame of one run, as the ego estimates it.
 
     boxes:  by estimator (`local`, `picture`, and `mission` where it has boxes; the picture as received or on arrival
             in place of the one sent, where the frame is chosen by that), then by outcome (the keys of OUTCOME_COLOURS)
-    before: what adversaries did on the way to the command centre, seen in the picture and in what comes after it
-    behind: what they did to the picture on its way to the ego
+    before: manipulations on the way to the command centre, visible in the picture and all later estimates
+    behind: manipulations of the picture on its way to the ego
     """
 
     run: RunFolder
@@ -94,7 +94,7 @@ class FrameView:
     behind: Marks
 
     def marks(self, estimate: str) -> Marks:
-        """What adversaries did in this frame that an estimate can show."""
+        """The manipulations in this frame that an estimate can show."""
         if estimate == "local":
             return Marks.none()
         behind = estimate in ("mission", "picture_received", "picture_on_arrival")
@@ -113,19 +113,19 @@ def has_boxes(run: RunFolder, estimate: str) -> bool:
 
 
 def frame_view(run: RunFolder, frame: int, chosen_by: str = "picture") -> FrameView | None:
-    """What there is to see in a frame; None when the run left no objects of that frame.
+    """The view of a frame; None if the run has no objects of that frame.
 
-    chosen_by: the estimate by whose errors the frame was chosen, which is shown where it has boxes
+    chosen_by: the estimate by whose errors the frame was chosen; it is shown if it has boxes
     """
     if run.objects is None or not np.any(run.objects["frame"] == frame):
         return None
     table = rows(run.objects, run.objects["frame"] == frame)
     boxes = {}
-    place = _IN_PLACE_OF.get(chosen_by) if has_boxes(run, chosen_by) else None
-    for estimate in (chosen_by if name == place else name for name in PANELS):
-        mine = rows(table, table["estimator"] == run.original(estimate))
+    replaced = _IN_PLACE_OF.get(chosen_by) if has_boxes(run, chosen_by) else None
+    for estimate in (chosen_by if name == replaced else name for name in PANELS):
+        estimate_rows = rows(table, table["estimator"] == run.original(estimate))
         if estimate != "mission" or has_boxes(run, estimate):
-            boxes[estimate] = {outcome: _boxes(mine, outcome) for outcome in OUTCOME_COLOURS}
+            boxes[estimate] = {outcome: _boxes(estimate_rows, outcome) for outcome in OUTCOME_COLOURS}
     before, behind = Marks.none(), Marks.none()
     if run.attacks is not None:
         here = rows(run.attacks, run.attacks["frame"] == frame)
@@ -141,11 +141,11 @@ def frame_view(run: RunFolder, frame: int, chosen_by: str = "picture") -> FrameV
 def _boxes(table: Table, outcome: str) -> Boxes:
     kind, _, result = outcome.rpartition(" ")
     mask = table["outcome"] == result
-    some = rows(table, mask & (table["kind"] == kind) if kind else mask)
+    selected = rows(table, mask & (table["kind"] == kind) if kind else mask)
     return Boxes(
-        np.stack([some["x"], some["y"], some["z"]], axis=1).astype(np.float64),
-        np.stack([some["l"], some["w"], some["h"]], axis=1).astype(np.float64),
-        some["yaw"].astype(np.float64),
+        np.stack([selected["x"], selected["y"], selected["z"]], axis=1).astype(np.float64),
+        np.stack([selected["l"], selected["w"], selected["h"]], axis=1).astype(np.float64),
+        selected["yaw"].astype(np.float64),
     )
 
 
@@ -157,17 +157,21 @@ def ego_position(run: RunFolder, frame: int) -> Floats | None:
 
 
 def window(views: Sequence[FrameView]) -> tuple[float, float, float]:
-    """(x, y, half the width) in m of one square that shows what all `views` have near their ego."""
-    seen = [
-        boxes.position[:, :2] for view in views for of in view.boxes.values() for boxes in of.values() if len(boxes)
+    """(x, y, half the width) in m of a square that shows the surroundings of the ego in all `views`."""
+    positions = [
+        boxes.position[:, :2]
+        for view in views
+        for by_outcome in view.boxes.values()
+        for boxes in by_outcome.values()
+        if len(boxes)
     ]
     ego = ego_position(views[0].run, views[0].frame)
     recording = views[0].run.recording
     if recording is not None and views[0].frame < len(recording):
-        seen.append(recording.agent_position[views[0].frame, :, :2])
-    points = np.concatenate([*seen, np.zeros((0, 2))])
+        positions.append(recording.agent_position[views[0].frame, :, :2])
+    points = np.concatenate([*positions, np.zeros((0, 2))])
     centre = ego[:2] if ego is not None else points.mean(axis=0)
-    points = points[np.hypot(*(points - centre).T) <= _REACH]
+    points = points[np.hypot(*(points - centre).T) <= _MAX_DISTANCE_M]
     if not len(points):
         return float(centre[0]), float(centre[1]), 50.0
     low, high = points.min(axis=0), points.max(axis=0)
@@ -177,16 +181,16 @@ def window(views: Sequence[FrameView]) -> tuple[float, float, float]:
 
 
 def clipped(view: FrameView, window: tuple[float, float, float]) -> FrameView:
-    """The view without the adversaries' doings outside a window."""
+    """The view without manipulations outside a window."""
     return replace(view, before=view.before.inside(window), behind=view.behind.inside(window))
 
 
 def settled(run: RunFolder, frames: Ints) -> Bools:
-    """(n,) which of n frames may be shown: scored, and none in which it is unclear what interposers did."""
+    """(n,) bool: frames that may be shown: scored, and with settled effects of interposers."""
     return scored(run, frames) & ~np.isin(frames, list(run.unsettled_frames))
 
 
-def _costs(run: RunFolder, estimate: str) -> tuple[Ints, Floats] | None:
+def _weighted_errors(run: RunFolder, estimate: str) -> tuple[Ints, Floats] | None:
     """Frames (n,) and the ego's errors of all kinds in each of them (n,), weighed as `changes` does."""
     counts = run.counts_of(estimate)
     if counts is None:
@@ -197,41 +201,41 @@ def _costs(run: RunFolder, estimate: str) -> tuple[Ints, Floats] | None:
 
 
 def choose_frame(run: RunFolder, reference: RunFolder | None = None, estimate: str = "picture") -> int | None:
-    """The frame to show, by rule; None when no frame is both scored and settled.
+    """Choose the frame to show; None if no frame is both scored and settled.
 
     With a reference: the frame in which the errors of `estimate` exceed those of the reference by most. Without one, in
     an attacked run: the one with the most errors; in others, the one in which the picture spares the ego the most. Only
     frames since the first change by an adversary count, where there are any; the earliest of equals wins. Errors are
     missed and false objects, displacements and identity switches.
     """
-    own = _costs(run, estimate)
-    if own is None:
+    run_errors = _weighted_errors(run, estimate)
+    if run_errors is None:
         return None
-    frames, cost = own
+    frames, cost = run_errors
     allowed = settled(run, frames)
     attacked = (
         allowed & (frames >= run.attack_frames[0]) if run.attack_frames is not None else np.zeros(len(frames), bool)
     )
     if reference is not None:
-        other, sign = _costs(reference, estimate), 1.0
+        reference_errors, sign = _weighted_errors(reference, estimate), 1.0
     else:
-        other, sign = (None, 1.0) if attacked.any() else (_costs(run, "local"), -1.0)
+        reference_errors, sign = (None, 1.0) if attacked.any() else (_weighted_errors(run, "local"), -1.0)
     allowed = attacked if attacked.any() else allowed
-    if other is not None:
-        _, here, there = np.intersect1d(frames, other[0], return_indices=True)
-        frames, cost, allowed = frames[here], cost[here] - other[1][there], allowed[here]
+    if reference_errors is not None:
+        _, here, there = np.intersect1d(frames, reference_errors[0], return_indices=True)
+        frames, cost, allowed = frames[here], cost[here] - reference_errors[1][there], allowed[here]
     return int(frames[allowed][np.argmax(sign * cost[allowed])]) if allowed.any() else None
 
 
 def choose_common_frame(runs: Sequence[RunFolder], baseline: RunFolder, estimate: str = "picture") -> int | None:
-    """The one frame to show of several runs: that of `choose_frame` for the run which differs most from `baseline`."""
+    """The frame to show for several runs: that of the run that differs most from `baseline`."""
     best: tuple[float, int] | None = None
-    ours = _costs(baseline, estimate)
+    baseline_errors = _weighted_errors(baseline, estimate)
     for run in runs:
-        frame, costs = choose_frame(run, baseline, estimate), _costs(run, estimate)
-        if run is baseline or run.attack_frames is None or frame is None or costs is None or ours is None:
+        frame, costs = choose_frame(run, baseline, estimate), _weighted_errors(run, estimate)
+        if run is baseline or run.attack_frames is None or frame is None or costs is None or baseline_errors is None:
             continue
-        at_baseline = ours[1][ours[0] == frame]
+        at_baseline = baseline_errors[1][baseline_errors[0] == frame]
         effect = float(costs[1][costs[0] == frame][0] - (at_baseline[0] if len(at_baseline) else 0.0))
         if best is None or effect > best[0]:
             best = effect, frame
@@ -239,7 +243,7 @@ def choose_common_frame(runs: Sequence[RunFolder], baseline: RunFolder, estimate
 
 
 def check_frame(run: RunFolder, frame: int) -> int:
-    """`frame`, or RunFolderError if the run has no such frame."""
+    """Return `frame`; raises RunFolderError if the run has no such frame."""
     counts = run.counts_of("picture")
     known = counts["frame"] if counts is not None else (run.objects["frame"] if run.objects is not None else None)
     if known is not None and frame not in known:

@@ -1,4 +1,4 @@
-"""When a run was attacked, and what its scores were in these frames, in words. Only scored frames count."""
+"""Describes when a run was attacked and its scores in these (scored) frames."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import numpy as np
 from mast_zenoh.report.files import Table, rows
 from mast_zenoh.report.narrative import changes, phrases
 from mast_zenoh.report.narrative.changes import DISPLACED, FALSE, IDENTITY, MISSED, Change, scored
-from mast_zenoh.report.narrative.phrases import listed, objects
+from mast_zenoh.report.narrative.phrases import join_names, objects
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.driving import braking_by_attack
 from mast_zenoh.report.tables.interposers import interposers
 
 
 def attack_sentences(run: RunFolder, change: Change | None) -> list[str]:
-    """When adversaries changed messages, the scores from their first to their last change, and needless braking.
+    """When adversaries changed messages, the scores in that period, and needless braking.
 
-    change: the one in the headline, whose kind and estimate the scores are of
+    change: the headline's change; its kind and estimate select the scores
     """
     if run.attacks is None or run.attack_frames is None:
         return []
@@ -31,7 +31,7 @@ def attack_sentences(run: RunFolder, change: Change | None) -> list[str]:
     when = f"from {start} to {end}" if first != last else f"{'in' if times is None else 'at'} {start}"
     did = f"while {'it' if len(active) == 1 else 'they'} did"
     scores = _scores(run, change)
-    sentences = [f"{listed(active)} changed messages {when}{f'; {did}, {scores}' if scores else ''}."]
+    sentences = [f"{join_names(active)} changed messages {when}{f'; {did}, {scores}' if scores else ''}."]
     attacked, total = _attacked_frames(run)
     if total and 2 * attacked < total:
         sentences.append(f"{attacked} of the {total} scored frames {'is' if attacked == 1 else 'are'} attacked.")
@@ -40,7 +40,7 @@ def attack_sentences(run: RunFolder, change: Change | None) -> list[str]:
 
 
 def _attacked_frames(run: RunFolder) -> tuple[int, int]:
-    """In how many of the scored frames an adversary changed something, and how many there are; 0: not known."""
+    """Number of scored frames with a change by an adversary, and of all scored frames; 0: not known."""
     if run.attacks is None or run.scored_frames is None:
         return 0, 0
     frames = np.unique(run.attacks["frame"])
@@ -48,10 +48,12 @@ def _attacked_frames(run: RunFolder) -> tuple[int, int]:
 
 
 def _scores(run: RunFolder, change: Change | None) -> str:
-    """What an estimate of the ego scored while the attack lasted: of the change's kind, by default false objects."""
-    mine = change is not None and change.agent == run.ego
-    kind, estimate = (change.kind, change.estimate) if change is not None and mine else (FALSE, "picture")
-    counts = _during(run, estimate, run) if run.metrics else None  # without them, no frame is known to be scored
+    """The ego's score during the attack, of the change's kind, by default false objects."""
+    is_ego = change is not None and change.agent == run.ego
+    kind, estimate = (change.kind, change.estimate) if change is not None and is_ego else (FALSE, "picture")
+    counts = (
+        _counts_during_attack(run, estimate, run) if run.metrics else None
+    )  # without metrics, the scored frames are not known
     if counts is None:
         return ""
     if kind in (FALSE, MISSED):
@@ -71,25 +73,25 @@ def _scores(run: RunFolder, change: Change | None) -> str:
 def while_attacked(
     run: RunFolder, column: str, baseline: RunFolder | None = None, *, estimate: str = "picture"
 ) -> float | None:
-    """Mean per frame of an estimate of the ego, over the scored frames from the first to the last attacked one.
+    """Mean per frame of the ego's estimate over the scored frames of the attack.
 
     column: `fn`, `fp` or `tp`; with `baseline`, less the mean of the baseline's estimate over the same frames
     """
-    counts = _during(run, estimate, run)
+    counts = _counts_during_attack(run, estimate, run)
     if counts is None:
         return None
     mean = float(counts[column].mean())
     if baseline is None:
         return mean
-    others = _during(baseline, estimate, run)
-    return None if others is None else mean - float(others[column].mean())
+    baseline_counts = _counts_during_attack(baseline, estimate, run)
+    return None if baseline_counts is None else mean - float(baseline_counts[column].mean())
 
 
-def _during(run: RunFolder, estimate: str, attacked: RunFolder) -> Table | None:
-    """The counts of a run in the scored frames between the first and the last change in `attacked`; None: no such."""
+def _counts_during_attack(run: RunFolder, estimate: str, attacked: RunFolder) -> Table | None:
+    """Counts of a run in the scored frames from the first to the last change in `attacked`; None: none."""
     counts = run.counts_of(estimate) or run.counts_of(run.original(estimate))
     if counts is None or attacked.attack_frames is None:
         return None
     first, last = attacked.attack_frames
-    inside = (counts["frame"] >= first) & (counts["frame"] <= last) & scored(attacked, counts["frame"])
-    return rows(counts, inside) if inside.any() else None
+    in_attack = (counts["frame"] >= first) & (counts["frame"] <= last) & scored(attacked, counts["frame"])
+    return rows(counts, in_attack) if in_attack.any() else None

@@ -1,4 +1,4 @@
-"""What changed in a run, of all kinds: against another run, or by what the run's own errors are due to."""
+"""Changes of a run's scores, over a reference run or by its own measurements."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ FALSE, MISSED, DISPLACED, IDENTITY = "false", "missed", "displaced", "identity"
 #: By kind, its key in metrics.json.
 KEYS = {FALSE: "fp", MISSED: "fn", DISPLACED: "rmse_m", IDENTITY: "id_switches"}
 
-#: m2, what GOSPA (c = 5 m, p = 2, alpha = 2) charges for a missed or a false object: changes of all kinds are weighed
-#: by what they add to it, in objects per frame. A switch of identity counts as a missed and a false object.
+#: m2, the cost of a missed or a false object in GOSPA (c = 5 m, p = 2, alpha = 2). Changes of all kinds are weighted
+#: by their contribution to it, in objects per frame. An identity switch counts as a missed and a false object.
 OBJECT_M2 = 12.5
 SWITCH = 2.0
-#: Part of the largest change that an earlier estimate must show to be named instead: there the change arises.
-SAME_CHANGE = 0.8
-#: Part of a change that attacks or faults must account for to be named as its cause; and, of what is due to attacks,
-#: the part that an adversary must account for.
-NAMED, CULPRIT = 0.2, 0.05
-#: The picture between the command centre and the agent that acts on it; part of a change of it that must show in what
-#: the agent acts on, or in what the command centre believes, to be named there instead.
-ON_THE_WAY = ("picture_received", "picture_on_arrival")
-REACHES = 0.2
+#: An earlier estimate with at least this share of the largest change is named instead: the change arises there.
+MIN_SAME_SHARE = 0.8
+#: Smallest share of a change for attacks or faults to be named as its cause; and smallest share of an attack's effect
+#: for an adversary to be named.
+MIN_NAMED_SHARE, MIN_CULPRIT_SHARE = 0.2, 0.05
+#: Estimates of the picture between the command centre and the agent; and the smallest share of their change in the
+#: command centre's picture, or in what the agent acts on, for the change to be named there instead.
+IN_TRANSIT = ("picture_received", "picture_on_arrival")
+MIN_TRANSFERRED_SHARE = 0.2
 
 
-#: What metrics.json holds of one estimate of one agent.
+#: The metrics of one estimate of one agent, as in metrics.json.
 Summary = dict[str, Any]
 
 
@@ -41,8 +41,8 @@ class Change:
 
     amount: false, missed: objects per frame; displaced: m, of the RMSE; identity: switches in the run
     weight: objects per frame, see OBJECT_M2; below zero: fewer errors
-    attack, fault: the parts of `amount` that are due to attacks, and to links and faults; None: not measured
-    by:     the adversaries that it is due to, with how many rows; may be empty
+    attack, fault: the parts of `amount` due to attacks, and to links and faults; None: not measured
+    by:     rows by responsible adversary; may be empty
     """
 
     agent: str
@@ -56,45 +56,47 @@ class Change:
 
     @property
     def is_attack(self) -> bool:
-        """Whether a part of it worth naming is due to attacks."""
-        return self.attack is not None and _share(self.attack, self.amount) >= NAMED
+        """Whether attacks cause a share of at least MIN_NAMED_SHARE."""
+        return self.attack is not None and _share(self.attack, self.amount) >= MIN_NAMED_SHARE
 
     @property
     def is_fault(self) -> bool:
-        """The same of links and faults."""
-        return self.fault is not None and _share(self.fault, self.amount) >= NAMED
+        """Whether links and faults cause a share of at least MIN_NAMED_SHARE."""
+        return self.fault is not None and _share(self.fault, self.amount) >= MIN_NAMED_SHARE
 
 
 def against(run: RunFolder, reference: RunFolder, agents: Iterable[str] | None = None) -> list[Change]:
-    """Every change of a run's scores over those of another run of the same scene; by default of the ego."""
-    found = []
+    """Changes of a run's scores over a reference run of the same scene; by default of the ego."""
+    changes = []
     for agent in agents or [run.ego or ""]:
         for estimate in ESTIMATES:
             here, there = run.summary(estimate, agent), reference.summary(estimate, agent)
-            found += between(run, here, there, agent, estimate)
-    return found
+            changes += between(run, here, there, agent, estimate)
+    return changes
 
 
 def between(
     run: RunFolder, here: Summary, there: Summary, agent: str | None = None, estimate: str = ""
 ) -> list[Change]:
-    """Every change of one summary of metrics.json over another, both over as many frames."""
-    found = []
+    """Changes of one summary of metrics.json over another with as many frames."""
+    changes = []
     for kind, key in KEYS.items():
-        one, two = _mean(here.get(key)), _mean(there.get(key))
-        if one is None or two is None:
+        value, reference_value = _mean(here.get(key)), _mean(there.get(key))
+        if value is None or reference_value is None:
             continue
-        weight = _weight(run, kind, here, one) - _weight(run, kind, there, two)
-        attack, fault = (_part(here, kind, who, there) for who in ("attack", "fault"))
+        weight = _weight(run, kind, here, value) - _weight(run, kind, there, reference_value)
+        attack, fault = (_part(here, kind, group, there) for group in ("attack", "fault"))
         if kind == DISPLACED:
             attack = _displacement(run, estimate)[0] if agent == run.ego else None
-        found.append(_change(run, agent or run.ego or "", estimate, kind, (one - two, weight, attack, fault)))
-    return found
+        changes.append(
+            _change(run, agent or run.ego or "", estimate, kind, (value - reference_value, weight, attack, fault))
+        )
+    return changes
 
 
 def attributed(run: RunFolder, agents: Iterable[str] | None = None) -> list[Change]:
-    """What of a run's errors is due to attacks and to links and faults, by its own measurements."""
-    found = []
+    """Errors of a run that are due to attacks, links and faults, by its own measurements."""
+    changes = []
     for agent in agents or [run.ego or ""]:
         for estimate in ESTIMATES:
             here = run.summary(estimate, agent)
@@ -102,48 +104,48 @@ def attributed(run: RunFolder, agents: Iterable[str] | None = None) -> list[Chan
                 attack, fault = _part(here, kind, "attack"), _part(here, kind, "fault")
                 if attack is not None and fault is not None:
                     amount = attack + fault
-                    found.append(
+                    changes.append(
                         _change(run, agent, estimate, kind, (amount, _weight(run, kind, here, amount), attack, fault))
                     )
-            metres, weight = _displacement(run, estimate) if agent == run.ego else (None, 0.0)
-            if metres is not None:
-                found.append(_change(run, agent, estimate, DISPLACED, (metres, weight, metres, 0.0)))
-    return found
+            displacement_m, weight = _displacement(run, estimate) if agent == run.ego else (None, 0.0)
+            if displacement_m is not None:
+                changes.append(_change(run, agent, estimate, DISPLACED, (displacement_m, weight, displacement_m, 0.0)))
+    return changes
 
 
 def largest(changes: Iterable[Change]) -> Change | None:
-    """The largest change of any kind, in the first estimate that shows nearly all of it; None: nothing changed.
+    """The largest change of any kind, in the first estimate that shows nearly all of it; None: no change.
 
-    A change of the picture on its way to an agent gives way to the largest of what the agent acts on and of what the
-    command centre believes, where that is at least REACHES of it.
+    A change of the picture in transit is replaced by the largest change of the command centre's picture and of what
+    the agent acts on, if that is at least MIN_TRANSFERRED_SHARE of it.
     """
     changed = [change for change in changes if change.weight != 0.0]
     known = [change for change in changed if change.estimate != "received"] or changed  # on its way to be fused
     if not known:
         return None
-    most = _first_alike(known)
-    if most.estimate in ON_THE_WAY:
-        ends = [each for each in known if each.agent == most.agent and each.estimate in ("picture", "mission")]
-        if ends and max(abs(each.weight) for each in ends) >= REACHES * abs(most.weight):
+    top = _first_alike(known)
+    if top.estimate in IN_TRANSIT:
+        ends = [each for each in known if each.agent == top.agent and each.estimate in ("picture", "mission")]
+        if ends and max(abs(each.weight) for each in ends) >= MIN_TRANSFERRED_SHARE * abs(top.weight):
             return _first_alike(ends)
-    return most
+    return top
 
 
 def _first_alike(changes: Sequence[Change]) -> Change:
     """The largest of some changes, in the first estimate that shows nearly all of it."""
-    most = max(changes, key=lambda change: abs(change.weight))
+    top = max(changes, key=lambda change: abs(change.weight))
     order = list(ESTIMATES)
-    alike = [
+    candidates = [
         change
         for change in changes
-        if (change.agent, change.kind) == (most.agent, most.kind)
-        and change.weight * np.sign(most.weight) >= SAME_CHANGE * abs(most.weight)
+        if (change.agent, change.kind) == (top.agent, top.kind)
+        and change.weight * np.sign(top.weight) >= MIN_SAME_SHARE * abs(top.weight)
     ]
-    return min(alike, key=lambda change: order.index(change.estimate))
+    return min(candidates, key=lambda change: order.index(change.estimate))
 
 
 def largest_change(run: RunFolder, reference: RunFolder | None) -> Change | None:
-    """The largest change for the ego; where there is none, the largest for another agent."""
+    """The largest change for the ego, or, if there is none, for another agent."""
     others = [agent for agent in run.metrics.get("agents", {}) if agent != run.ego]
 
     def changes(agents: list[str]) -> list[Change]:
@@ -160,49 +162,53 @@ def _change(
 
 
 def culprits(run: RunFolder, estimate: str, kind: str) -> Counter[str]:
-    """By adversary, how many of the ego's errors of a kind in the scored frames are due to it."""
+    """Number of the ego's errors of a kind in scored frames, by responsible adversary."""
     if kind in (FALSE, MISSED) and run.objects is not None and "by" in run.objects:
-        outcome, what = ("false", "track") if kind == FALSE else ("missed", "truth")
+        outcome, box_kind = ("false", "track") if kind == FALSE else ("missed", "truth")
         table = run.objects
-        mine = (table["estimator"] == run.original(estimate)) & (table["outcome"] == outcome) & (table["kind"] == what)
-        mine &= (table["by"] != "") & scored(run, table["frame"])
-        return Counter(name for names in table["by"][mine].tolist() for name in str(names).split("+") if name)
+        selected = (
+            (table["estimator"] == run.original(estimate)) & (table["outcome"] == outcome) & (table["kind"] == box_kind)
+        )
+        selected &= (table["by"] != "") & scored(run, table["frame"])
+        return Counter(name for names in table["by"][selected].tolist() for name in str(names).split("+") if name)
     if kind == DISPLACED and run.targets is not None:
         moved = np.isin(run.targets["kind"], ("moved", "altered")) & scored(run, run.targets["frame"])
         return Counter(run.targets["adversary"][moved].tolist())
-    who = "ego" if estimate == "mission" else "centre"
+    viewer = "ego" if estimate == "mission" else "centre"
     achieved: dict[str, Any] = run.metrics.get("achieved", {})
-    switches = {name: each.get(f"id_switches_{who}", 0) for name, each in achieved.items() if name != "all"}
+    switches = {name: each.get(f"id_switches_{viewer}", 0) for name, each in achieved.items() if name != "all"}
     return Counter({name: count for name, count in switches.items() if count})
 
 
 def scored(run: RunFolder, frames: np.ndarray) -> np.ndarray:
-    """(n,) bool: which of n frames the means are over."""
+    """(n,) bool: which of n frames are scored."""
     first, last = run.scored_frames or (-np.inf, np.inf)
-    inside: np.ndarray = (frames >= first) & (frames <= last)
-    return inside
+    in_range: np.ndarray = (frames >= first) & (frames <= last)
+    return in_range
 
 
 def _displacement(run: RunFolder, estimate: str) -> tuple[float | None, float]:
-    """How much of an RMSE is due to objects that adversaries moved or altered, m, and its weight; None: none is known.
+    """The part of an RMSE due to moved and altered objects, m, and its weight; None: not known.
 
-    A track beyond the gate is a false one, and no part of the RMSE. Objects that nobody moved have an error too: the
-    moved ones count with what they have more.
+    A track beyond the gate is false and not part of the RMSE. Only the error of moved objects in excess of that of
+    other objects counts.
     """
-    who = "ego" if estimate == "mission" else "centre"
+    viewer = "ego" if estimate == "mission" else "centre"
     summary = run.summary(estimate)
     rmse, matched, frames = summary.get("rmse_m"), _mean(summary.get("tp")), _frames(run)
     if run.targets is None or rmse is None or not matched or not frames or estimate in ("local", "received"):
         return None, 0.0
-    table, error = run.targets, np.asarray(run.targets[f"error_m_{who}"], np.float64)
-    mine = np.isin(table["kind"], ("moved", "altered")) & (error <= run.gate_m) & scored(run, table["frame"])
-    _, first = np.unique(np.column_stack([table["object"][mine], table["frame"][mine]]), axis=0, return_index=True)
-    squared = error[mine][first] ** 2
+    table, error = run.targets, np.asarray(run.targets[f"error_m_{viewer}"], np.float64)
+    selected = np.isin(table["kind"], ("moved", "altered")) & (error <= run.gate_m) & scored(run, table["frame"])
+    _, first = np.unique(
+        np.column_stack([table["object"][selected], table["frame"][selected]]), axis=0, return_index=True
+    )
+    squared = error[selected][first] ** 2
     pairs = matched * frames
-    others = pairs - len(squared)
-    if not len(squared) or others <= 0:
+    other_pairs = pairs - len(squared)
+    if not len(squared) or other_pairs <= 0:
         return (None, 0.0) if not len(squared) else (rmse, pairs * rmse**2 / frames / OBJECT_M2)
-    natural = max(rmse**2 * pairs - float(squared.sum()), 0.0) / others
+    natural = max(rmse**2 * pairs - float(squared.sum()), 0.0) / other_pairs
     excess = max(float(squared.sum()) - natural * len(squared), 0.0)
     return rmse - float(np.sqrt(max(rmse**2 - excess / pairs, 0.0))), excess / frames / OBJECT_M2
 
@@ -219,12 +225,12 @@ def _frames(run: RunFolder) -> int:
     return run.scored_frames[1] - run.scored_frames[0] + 1
 
 
-def _part(summary: Summary, kind: str, who: str, reference: Summary | None = None) -> float | None:
-    """The part of a score that is due to attacks or faults, less that in the reference; None: not measured."""
-    here = (summary.get(f"{KEYS[kind]}_split") or {}).get(who)
+def _part(summary: Summary, kind: str, group: str, reference: Summary | None = None) -> float | None:
+    """The part of a score due to attacks or faults, minus that in the reference; None: not measured."""
+    here = (summary.get(f"{KEYS[kind]}_split") or {}).get(group)
     if reference is None or here is None:
         return here
-    return float(here - ((reference.get(f"{KEYS[kind]}_split") or {}).get(who) or 0.0))
+    return float(here - ((reference.get(f"{KEYS[kind]}_split") or {}).get(group) or 0.0))
 
 
 def _mean(value: object) -> float | None:

@@ -1,10 +1,10 @@
-"""Under what circumstances a run gave its result, in words: where adversaries sat, and what did not end well."""
+"""Describes where adversaries sat in a run, and how the run failed if it did."""
 
 from __future__ import annotations
 
 from mast_zenoh.messagelog import churn
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.phrases import capital, count, listed, plural
+from mast_zenoh.report.narrative.phrases import capital, count, join_names, plural
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.interposers import failures_of, frames_of, interposers
 
@@ -13,28 +13,28 @@ def compromised(run: RunFolder) -> str:
     """Where adversaries sit: `two of four roadside sensors`, `the picture's way to ego`; empty: nowhere."""
     hostile = [each for each in interposers(run) if not each.is_link]
     kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
-    hit = {agent for each in hostile for agent in each.agents}
-    names = set(kinds) or set(run.metrics.get("agents", {})) | hit
+    compromised_agents = {agent for each in hostile for agent in each.agents}
+    names = set(kinds) or set(run.metrics.get("agents", {})) | compromised_agents
     places = []
     for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle")):
         group = {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind}
-        number = len(group & hit)
+        number = len(group & compromised_agents)
         if number and len(group) == 1:
             places.append(f"the {noun}")
         elif number:
             places.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
     places += dict.fromkeys(f"the picture's way to {agent}" for each in hostile for agent in each.before)
-    alone = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
-    places += dict.fromkeys(f"the wire {wire}" for wire in alone)
+    other_wires = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
+    places += dict.fromkeys(f"the wire {wire}" for wire in other_wires)
     return " and ".join(places)
 
 
 def status(run: RunFolder) -> str:
-    """What did not end well, in a sentence without a full stop; empty: nothing."""
+    """How a run failed, in a sentence without a full stop; empty: it did not."""
     failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
     if failed:
         names = [f"{name} failed in {plural(frames_of(entries), 'frame')}" for name, entries in failed.items()]
-        return f"Handlers of {listed(names)}: the numbers may be wrong"
+        return f"Handlers of {join_names(names)}: the numbers may be wrong"
     if lost := run.lost:
         return f"{churn.sentence(lost)}: from there on it is not the run that the scenario describes"
     state, partial = run.run.get("status", "ok"), _partly_recorded(run)
@@ -49,18 +49,18 @@ def status(run: RunFolder) -> str:
 
 
 def _partly_recorded(run: RunFolder) -> str:
-    """That the numbers are of a recording that ends before the run did; empty: they are not."""
-    of = run.metrics.get("recording")
-    if not of:
+    """A note if the numbers come from a recording that is shorter than the run; else empty."""
+    recording = run.metrics.get("recording")
+    if not recording:
         return ""
-    if not of["frames"]:
+    if not recording["frames"]:
         return "the recording from which it was measured holds no frame"
-    last = f"frame {of['frames'] - 1} of {of['played_frames']}"
+    last = f"frame {recording['frames'] - 1} of {recording['played_frames']}"
     return f"the recording from which it was measured ends at {last}, so the numbers are of these frames alone"
 
 
 def reference_status(reference: Reference | None) -> str:
-    """`compared with unattacked, which failed`; empty: what the run is compared with ended well, or there is none."""
+    """`compared with unattacked, which failed`; empty: no reference, or it ended well."""
     if reference is None or not status(reference.run):
         return ""
     state = reference.run.run.get("status")

@@ -1,4 +1,4 @@
-"""Why what an adversary did had limited effect: each reason is derived from what was measured."""
+"""Explains limited effects of adversaries, from measurements."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from mast_zenoh.report.narrative.phrases import effects
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.interposers import Interposer, interposers
 
-#: Lidar points with which an agent sees an object, as in `seen_by_others` of targets.parquet.
-_SEES = 5
+#: Lidar points with which an agent detects an object, as in `seen_by_others` of targets.parquet.
+_MIN_POINTS = 5
 
 
 def explanations(run: RunFolder, reference: RunFolder | None = None) -> dict[str, tuple[str, ...]]:
-    """By interposer that is no link, why something that it did had limited effect on the picture or the ego.
+    """Reasons for limited effects on the picture or the ego, by interposer; links have none.
 
-    A reason begins with the kind of change that it is about, unless it is about everything that the interposer did.
-    There is none for what the headline names as the cause of the largest change.
-    reference: the run that this one is compared with; None: the run's own measurements count
+    A reason begins with the kind of manipulation, unless it applies to everything that the interposer did. The cause
+    of the largest change, which the headline names, has none.
+    reference: the run that this one is compared with; None: uses the run's own measurements
     """
     result = {}
     change = largest_change(run, reference)
@@ -40,9 +40,9 @@ def explanations(run: RunFolder, reference: RunFolder | None = None) -> dict[str
 
 
 def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[str]:
-    """Why what one interposer did had limited effect.
+    """Reasons for limited effects of one interposer.
 
-    blamed_for: the kind of the largest change, if that is due to this interposer; empty otherwise
+    blamed_for: the kind of the largest change if this interposer causes it, else empty
     """
     if interposer.effects is None:
         return ["what it did was not measured"]
@@ -61,28 +61,28 @@ def _reasons(run: RunFolder, interposer: Interposer, blamed_for: str) -> list[st
     achieved = run.metrics.get("achieved", {}).get(interposer.name, {})
     if (targets["frame"] >= run.metrics.get("frames", 0)).all():
         return ["what it sent is about frames that the run does not have"]
-    inside = scored(run, targets["frame"])
-    reasons = [] if inside.any() else ["everything that it did was in frames that are not scored"]
+    scored_rows = scored(run, targets["frame"])
+    reasons = [] if scored_rows.any() else ["everything that it did was in frames that are not scored"]
     for kinds, explain, consequences in (
         (("inserted",), _inserted, (FALSE,)),
         (("removed",), _removed, (MISSED,)),
         (("moved", "altered"), _moved, (DISPLACED, IDENTITY)),
     ):
-        mine = rows(targets, np.isin(targets["kind"], kinds))
+        group = rows(targets, np.isin(targets["kind"], kinds))
         did_more = any(count for name, count in interposer.effects.items() if name not in (*kinds, "unsettled"))
-        if not len(mine["frame"]) or blamed_for in consequences or (blamed_for and not did_more):
+        if not len(group["frame"]) or blamed_for in consequences or (blamed_for and not did_more):
             continue
-        name = next(kind for kind in kinds if np.any(mine["kind"] == kind))
-        told = explain(run, mine, achieved)
-        others = _beside_it(run, interposer)
-        if others and told and "the fusion rejected" in told[0]:
-            told = [f"no track followed it; {others} on the same wire may have taken it out"]
-        reasons += told if name == "removed" else [f"{name}: {reason}" for reason in told]
+        name = next(kind for kind in kinds if np.any(group["kind"] == kind))
+        explanation = explain(run, group, achieved)
+        others = _other_interposers(run, interposer)
+        if others and explanation and "the fusion rejected" in explanation[0]:
+            explanation = [f"no track followed it; {others} on the same wire may have taken it out"]
+        reasons += explanation if name == "removed" else [f"{name}: {reason}" for reason in explanation]
     return reasons
 
 
-def _beside_it(run: RunFolder, interposer: Interposer) -> str:
-    """The other interposers on its wires that changed something, in words; empty: none."""
+def _other_interposers(run: RunFolder, interposer: Interposer) -> str:
+    """Names of other interposers on its wires that changed something; empty: none."""
     names = [
         each.name
         for each in interposers(run)
@@ -105,9 +105,9 @@ def _idle(run: RunFolder, interposer: Interposer) -> str:
 
 
 def late_start_s(run: RunFolder, interposer: Interposer) -> float | None:
-    """s, when an attack was to begin that was planned for after the end of the run; None: it was not.
+    """s, start of an attack that was planned for after the end of the run; None: not so.
 
-    The timeline of older runs has such attacks; in others, the attack's own settings tell.
+    Older runs list such attacks in the timeline; for others, the start is in the attack's settings.
     """
     starts = [
         float(each["at_s"])
@@ -127,15 +127,15 @@ def _duration_s(run: RunFolder) -> float:
 
 
 def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
-    """Why inserted objects were not believed."""
+    """Reasons why no tracks followed inserted objects."""
     reasons = []
     if not achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
         if not _judged(targets).any():
             return [f"what it inserted was out of range of every agent ({run.range_m:g} m)"]
-        beside = _on_real_objects(run, targets)
-        if beside is not None and beside.mean() >= 0.5:
+        on_real = _on_real_objects(run, targets)
+        if on_real is not None and on_real.mean() >= 0.5:
             near = f"within {run.gate_m:g} m of a real object"
-            return [f"{beside.mean():.0%} of what it inserted was {near}, and was taken for it"]
+            return [f"{on_real.mean():.0%} of what it inserted was {near}, and was taken for it"]
         if _only_downlink(run, targets):
             return ["the ego's fusion rejected everything that it inserted: no track followed it"]
         return ["the fusion rejected everything that it inserted: no track of the picture followed it"]
@@ -145,7 +145,7 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
 
 
 def _removed(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
-    """Why objects were not missed that were removed from messages, or were in messages that were dropped."""
+    """Reasons why objects removed from messages, or in dropped messages, were not missed."""
     dropped = np.zeros(len(targets["frame"]), bool)
     if run.attacks is not None:
         drops = (run.attacks["interposer"] == targets["adversary"][0]) & (run.attacks["effect"] == "dropped")
@@ -156,35 +156,35 @@ def _removed(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> lis
     )
     return [
         f"{name}: {reason}"
-        for name, mine, what in groups
-        if mine.any()
-        for reason in _hidden(run, rows(targets, mine), achieved, what)
+        for name, group, objects in groups
+        if group.any()
+        for reason in _reasons_not_missed(run, rows(targets, group), achieved, objects)
     ]
 
 
-def _hidden(run: RunFolder, targets: Table, achieved: Mapping[str, Any], what: str) -> list[str]:
-    """Why objects were not missed; what: these objects, in words."""
-    were = "were" if what.startswith("the objects") else "was"
+def _reasons_not_missed(run: RunFolder, targets: Table, achieved: Mapping[str, Any], objects: str) -> list[str]:
+    """Reasons why objects were not missed; objects: their description in words."""
+    were = "were" if objects.startswith("the objects") else "was"
     are = "are" if were == "were" else "is"
     if achieved.get("hidden_share_centre") or achieved.get("hidden_share_ego"):
         return []
     known = targets["object"] >= 0
     if not known.any():
-        return [f"{what} {were} no object of the scene, but clutter"]
+        return [f"{objects} {were} no object of the scene, but clutter"]
     if not _judged(targets).any():
-        return [f"{what} {are} not scored: no agent sees it, or it is out of range of every agent"]
-    if _only_downlink(run, targets):  # what other agents see is in the picture, from which it was removed
-        itself = _seen_by_ego(run, targets)[known].mean()
-        if itself >= 0.5:
-            return [f"the ego sees {what} itself, {_how_often(itself)}"]
-        return [f"{what} {were} still tracked by the ego: tracks outlive a gap"]
-    others = _seen_by_others(run, targets)[known].mean()
-    if others >= 0.5:
-        return [f"other agents still saw {what}, {_how_often(others)}"]
+        return [f"{objects} {are} not scored: no agent sees it, or it is out of range of every agent"]
+    if _only_downlink(run, targets):  # other agents' observations are in the picture, from which the object was removed
+        ego_share = _seen_by_ego(run, targets)[known].mean()
+        if ego_share >= 0.5:
+            return [f"the ego sees {objects} itself, {_how_often(ego_share)}"]
+        return [f"{objects} {were} still tracked by the ego: tracks outlive a gap"]
+    others_share = _seen_by_others(run, targets)[known].mean()
+    if others_share >= 0.5:
+        return [f"other agents still saw {objects}, {_how_often(others_share)}"]
     missed = achieved.get("hidden_time_share_centre") or 0.0
     if missed > 0.0:
-        return [f"{what} {were} missed only {missed:.0%} of the time: tracks outlive a short gap"]
-    return [f"{what} {were} still tracked: tracks outlive a gap, or the ego sees it itself"]
+        return [f"{objects} {were} missed only {missed:.0%} of the time: tracks outlive a short gap"]
+    return [f"{objects} {were} still tracked: tracks outlive a gap, or the ego sees it itself"]
 
 
 def _how_often(share: float) -> str:
@@ -193,39 +193,39 @@ def _how_often(share: float) -> str:
 
 
 def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
-    """Why moved and altered objects are not off. Identity switches are an effect, too."""
+    """Reasons why moved and altered objects were not displaced. Identity switches count as effects."""
     effects = "moved_share", "altered_share", "id_switches"
     if any(achieved.get(f"{effect}_{who}") for effect in effects for who in ("centre", "ego")):
         return []
     present = [kind for kind in ("moved", "altered") if np.any(targets["kind"] == kind)]
-    done = " or ".join(present)
+    manipulated = " or ".join(present)
     errors = [achieved.get(f"{kind}_error_m_{estimate}") for kind in present for estimate in ("centre", "ego")]
     known = [error for error in errors if error is not None]
     if not known:
-        return [f"what it {done} is not scored: no agent sees it, or it is out of range of every agent"]
+        return [f"what it {manipulated} is not scored: no agent sees it, or it is out of range of every agent"]
     if max(known) < DISPLACED_M:
-        return [f"the tracks of what it {done} are {max(known):.2f} m off on average, which is no displacement"]
+        return [f"the tracks of what it {manipulated} are {max(known):.2f} m off on average, which is no displacement"]
     return []
 
 
 def _only_downlink(run: RunFolder, targets: Table) -> bool:
-    """Whether an adversary changed nothing but pictures on their way."""
+    """Whether an adversary changed only pictures in transit."""
     if run.attacks is None or "message" not in run.attacks or not len(targets["frame"]):
         return False
-    mine = run.attacks["interposer"] == targets["adversary"][0]
-    return bool(np.all(run.attacks["message"][mine] == "picture"))
+    own_effects = run.attacks["interposer"] == targets["adversary"][0]
+    return bool(np.all(run.attacks["message"][own_effects] == "picture"))
 
 
 def _judged(targets: Table) -> Bools:
-    """(n,) which targets can be judged in any estimate, because they are in range and evaluated."""
+    """(n,) bool: targets that are in range and evaluated in any estimate."""
     return np.asarray(targets["judged_centre"].astype(bool) | targets["judged_ego"].astype(bool))
 
 
 def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
-    """(n,) which targets are seen by an agent whose report of them no adversary changes in that frame.
+    """(n,) bool: targets seen by an agent whose report of them no adversary changes in that frame.
 
-    `seen_by_others` knows only the agents of one adversary: where others change the same object, their agents are left
-    out. Without the scene, an object that several adversaries change counts as seen by none.
+    `seen_by_others` excludes the agents of one adversary only; this also excludes those of other adversaries that
+    change the same object. Without the scene, an object changed by several adversaries counts as not seen.
     """
     seen = targets["seen_by_others"].astype(bool)
     assert run.targets is not None
@@ -243,7 +243,7 @@ def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
 
 
 def _seen_by_ego(run: RunFolder, targets: Table) -> Bools:
-    """(n,) which targets are among the ego's own tracks in their frame."""
+    """(n,) bool: targets matched by one of the ego's own tracks in their frame."""
     if run.objects is None:
         return np.zeros(len(targets["frame"]), bool)
     own = (run.objects["estimator"] == run.original("local")) & (run.objects["kind"] == "truth")
@@ -253,30 +253,30 @@ def _seen_by_ego(run: RunFolder, targets: Table) -> Bools:
     return np.array([each in tracked for each in wanted], bool)
 
 
-def _sees(run: RunFolder, number: int, frame: int, without: set[str]) -> bool:
-    """Whether an agent other than these sees an object in a frame of the scene."""
+def _sees(run: RunFolder, number: int, frame: int, excluded: set[str]) -> bool:
+    """Whether an agent not in `excluded` sees an object in a frame of the scene."""
     scene = run.recording
     if scene is None or not 0 <= frame < len(scene):
         return False
-    free = [column for column, agent in enumerate(scene.agent_names) if agent not in without]
+    columns = [column for column, agent in enumerate(scene.agent_names) if agent not in excluded]
     start = int(scene.truth_start[frame])
-    at = start + np.flatnonzero(scene.truth_at(frame).id == number)
-    return bool((scene.points[at][:, free] >= _SEES).any())
+    rows_of_object = start + np.flatnonzero(scene.truth_at(frame).id == number)
+    return bool((scene.points[rows_of_object][:, columns] >= _MIN_POINTS).any())
 
 
 def _on_real_objects(run: RunFolder, targets: Table) -> Bools | None:
-    """(n,) which targets stand on a truth object of the same frame; None: there is no truth."""
+    """(n,) bool: targets within the gate of a truth object of the same frame; None: no truth."""
     if run.objects is None:
         return None
     truth = rows(run.objects, (run.objects["kind"] == "truth") & (run.objects["estimator"] == "picture"))
     result = np.zeros(len(targets["frame"]), bool)
     for frame in np.unique(targets["frame"]):
         there, here = truth["frame"] == frame, np.flatnonzero(targets["frame"] == frame)
-        apart = np.hypot(
+        distance = np.hypot(
             _column(targets, "x")[here, None] - _column(truth, "x")[there],
             _column(targets, "y")[here, None] - _column(truth, "y")[there],
         )
-        result[here] = (apart <= run.gate_m).any(axis=1)
+        result[here] = (distance <= run.gate_m).any(axis=1)
     return result
 
 

@@ -1,4 +1,4 @@
-"""Pieces of the sentences of a report: numbers, changes and causes as words."""
+"""Phrases of report sentences: numbers, changes and causes in words."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mast_zenoh.report.narrative.changes import DISPLACED, IDENTITY, Change
 from mast_zenoh.report.tables.interposers import EFFECTS, OF_OBJECTS, Interposer
 
 _NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
-#: Differences per frame smaller than this are called small, objects.
+#: Objects per frame; smaller differences are printed with more digits.
 NOTHING = 0.05
 
 _WHERE = {
@@ -34,13 +34,13 @@ def count(number: int) -> str:
     return _NUMBERS[number] if 0 <= number < len(_NUMBERS) else str(number)
 
 
-def listed(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """`a`, `a and b`, `a, b and c`."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def capital(text: str) -> str:
-    """With a capital first letter."""
+    """The text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
@@ -54,14 +54,14 @@ def objects(number: float, kind: str = "") -> str:
 
 
 def small(number: float) -> str:
-    """A positive number with one digit, or as many as it takes to see it."""
+    """A positive number with one decimal, or with more if it is small."""
     if number >= NOTHING:
         return f"{number:.1f}"
     return f"{number:.2g}" if number >= 0.0005 else "less than 0.001"
 
 
 def place(change: Change, ego: str | None) -> str:
-    """In which estimate a change is."""
+    """The estimate of a change, as a phrase."""
     text = _WHERE.get(change.estimate, f"in {change.estimate}")
     return (
         text if change.agent == ego else text.replace("the ego's", f"{change.agent}'s").replace("the ego", change.agent)
@@ -69,7 +69,7 @@ def place(change: Change, ego: str | None) -> str:
 
 
 def amount(change: Change, ego: str | None, *, where: bool = True) -> str:
-    """What is due to a cause: `5.5 false objects a frame in the common picture`."""
+    """The amount of a change: `5.5 false objects a frame in the common picture`."""
     at = f" {place(change, ego)}" if where else ""
     size = abs(change.amount)
     if change.kind == DISPLACED:
@@ -89,8 +89,8 @@ def more_or_less(change: Change, ego: str | None, *, where: bool = True) -> str:
     if change.kind == IDENTITY:
         return f"{size:.0f} {word} identity switch{'' if round(size) == 1 else 'es'}{at}"
     noun = objects(size, change.kind)
-    number, _, rest = noun.partition(f" {change.kind}")
-    return f"{number} {word} {change.kind}{rest} a frame{at}"
+    number, _, suffix = noun.partition(f" {change.kind}")
+    return f"{number} {word} {change.kind}{suffix} a frame{at}"
 
 
 def plural(number: int, noun: str) -> str:
@@ -99,15 +99,15 @@ def plural(number: int, noun: str) -> str:
 
 
 def effects(interposer: Interposer) -> str:
-    """`478 rows of 6 objects inserted, 8 messages dropped`: what an interposer did by measurement."""
-    known = interposer.effects or {}
-    ordered = [name for name in (*EFFECTS, *known) if name in known and name != "unsettled"]
-    return ", ".join(_effect(interposer, name, known[name]) for name in dict.fromkeys(ordered)) or "nothing"
+    """`478 rows of 6 objects inserted, 8 messages dropped`: measured effects of an interposer."""
+    counts = interposer.effects or {}
+    ordered = [name for name in (*EFFECTS, *counts) if name in counts and name != "unsettled"]
+    return ", ".join(_effect(interposer, name, counts[name]) for name in dict.fromkeys(ordered)) or "nothing"
 
 
 def _effect(interposer: Interposer, effect: str, number: int) -> str:
     if effect not in OF_OBJECTS:
         return f"{plural(number, 'message')} {effect}"
-    of, clutter = interposer.objects.get(effect, (0, False))
-    parts = [plural(of, "object")] * bool(of) + ["clutter"] * clutter
+    object_count, clutter = interposer.objects.get(effect, (0, False))
+    parts = [plural(object_count, "object")] * bool(object_count) + ["clutter"] * clutter
     return f"{plural(number, 'row')} of {' and of '.join(parts) or 'objects'} {effect}"

@@ -1,4 +1,4 @@
-"""Which estimates an interposer can influence, by where it sat."""
+"""Determines which estimates an interposer can influence from its wires."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from mast_zenoh.wiring.model import Passage
 
 
 def reaches(run: RunFolder, node: str, estimate: str, agent: str | None = None) -> bool:
-    """Whether what a node sends on can be seen in an estimate of an agent, by default the ego.
+    """Whether a node's messages can affect an estimate of an agent, by default the ego.
 
-    True where its wires are not known.
+    True if its wires are not known.
     """
     passages = _passages(run, node)
     series = [(agent or run.ego or "", estimate)]
@@ -21,8 +21,8 @@ def reaches(run: RunFolder, node: str, estimate: str, agent: str | None = None) 
 
 
 def _passages(run: RunFolder, node: str) -> list[Passage]:
-    """Its ways through the wires that it sat on, also if it came or left while the run went on."""
-    found = []
+    """Its passages through all wires that it was ever on, including live insertions."""
+    passages = []
     for wire in all_wires(run):
         if node not in wire.get("interposers", ()):
             continue
@@ -30,5 +30,7 @@ def _passages(run: RunFolder, node: str) -> list[Passage]:
         port = (legs[0].get("from_port") if legs else None) or wire.get("message", "")
         befores = {leg["before"]: None for leg in legs if leg.get("from") == node and leg.get("before")}
         subject = wire.get("subject") or agent_of(key) or ""
-        found += [Passage(node, key, subject, wire.get("message", ""), port, "", "", each) for each in befores or [""]]
-    return found
+        passages += [
+            Passage(node, key, subject, wire.get("message", ""), port, "", "", each) for each in befores or [""]
+        ]
+    return passages

@@ -1,4 +1,4 @@
-"""The result of a study in words, made from its numbers."""
+"""The result of a study in words."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ from mast_zenoh.report.tables.study_rows import (
     value,
 )
 
-#: What an attack can change, by the metric that shows it: its name, and how a change of it reads.
+#: By metric: the name of what an attack changes, and the phrase for a change.
 _CHANGES = {
     "fp_iob": ("false objects", "{size} {more} false objects a frame"),
     "fn_iob": ("missed objects", "{size} {more} missed objects a frame"),
     "id_switches_iob": ("identity switches", "{size} {more} identity switches a run"),
     "rmse_m_iob": ("RMSE", "{size} m {more} RMSE"),
 }
-#: The metrics of which the first with a change has the headline, and the least change that may.
+#: Metrics of the headline in order of priority, each with the smallest change to report.
 _HEADLINES = ((("fp_iob", "fn_iob"), 0.0), (("id_switches_iob",), 0.0), (("rmse_m_iob",), 0.01))
-#: Where to look for a change first: at what the ego acts on.
+#: Estimates in order of priority: what the ego acts on comes first.
 _WHERE = {"mission": "the ego with the picture has", "picture": "the picture has", "local": "the ego alone has"}
-_IN = {"mission": "what the ego acts on", "picture": "the picture", "local": "what the ego sees alone"}
+_SCORES_OF = {"mission": "what the ego acts on", "picture": "the picture", "local": "what the ego sees alone"}
 
 _Change = tuple[StudyRow, Column]
 
 
 def titled(rows: Sequence[StudyRow], facts: StudyFacts) -> tuple[list[StudyRow], StudyFacts]:
-    """The same with configurations named so that a reader knows which number is which parameter's."""
+    """Copies whose configuration labels name each parameter."""
     return [replace(row, label=row.title) for row in rows], facts.titled({row.label: row.title for row in rows})
 
 
 def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
-    """The largest change in one sentence, or that there is none: of false or missed objects, else of less relevance.
+    """The largest change in one sentence, of false or missed objects if any, else of other metrics.
 
-    Before it, which attacks never began: of these nothing else is said.
+    It is preceded by the attacks that never began.
     """
     idle = [_never_began(each) for each in facts.idle]
     attacked = _attacked(rows, facts)
@@ -62,7 +62,7 @@ def _never_began(idle: IdleAttack) -> str:
 
 
 def _attacked(rows: Sequence[StudyRow], facts: StudyFacts) -> list[StudyRow]:
-    """The configurations that can differ from the baseline: their attacks began in some trial."""
+    """Configurations other than the baseline whose attack began in some trial."""
     return [row for row in rows if row.label != facts.baseline and row.label not in facts.never_attacked]
 
 
@@ -79,8 +79,8 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
     if greatest.trial_mean == 0.0 and math.isnan(greatest.low):
         return "No attack changes false or missed objects in any trial."
     if comparisons.count:
-        many = plural(comparisons.count, "comparison")
-        return f"No attack changes false or missed objects distinguishably, of {many} with the baseline."
+        comparison_count = plural(comparisons.count, "comparison")
+        return f"No attack changes false or missed objects distinguishably, of {comparison_count} with the baseline."
     return f"The largest change of {_compared(any_change)}, too few seeds for an interval: {_sentence(any_change)}."
 
 
@@ -89,53 +89,53 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
     attacked = _attacked(rows, facts)
     if not attacked:
         return []
-    named = _headline(attacked, comparisons)
+    headline_change = _headline(attacked, comparisons)
     sentences: list[str] = []
-    equal, indistinct = [], []
+    unchanged_names, indistinct = [], []
     for metric, (name, _) in _CHANGES.items():
         change = _largest(attacked, (metric,), comparisons)
-        if change and change != named:
+        if change and change != headline_change:
             sentences.append(f"{name[:1].upper()}{name[1:]}: {_sentence(change)}.")
         elif not change and comparisons.count:
-            known = _known(attacked, metric)
+            known = _estimates_of(attacked, metric)
             if known and all(each.unchanged for each in known):
-                equal.append(name)
+                unchanged_names.append(name)
             elif any(not math.isnan(each.low) for each in known):
                 indistinct.append(name)
     for name, columns in ADDED:
         if attacked and all(column.of(row).unchanged for row in attacked for column in columns):
             sentences.append(f"Not changed in any trial: {name}.")
-    if equal:
-        sentences.append(f"Unchanged in all trials: {', '.join(equal)}.")
+    if unchanged_names:
+        sentences.append(f"Unchanged in all trials: {', '.join(unchanged_names)}.")
     if indistinct:
         sentences.append(f"Not distinguishable from the baseline: {', '.join(indistinct)}.")
     return sentences
 
 
 def _compared(change: _Change) -> str:
-    """Among which changes this one is the largest: those of other estimates may be larger."""
+    """The group of changes of which this one is the largest; other estimates are not compared."""
     metrics = next(metrics for metrics, _ in _HEADLINES if change[1].metric in metrics)
     names = " or ".join(_CHANGES[metric][0] for metric in metrics).replace(" objects or ", " or ")
-    return f"{names} in {_IN[change[1].estimator]}"
+    return f"{names} in {_SCORES_OF[change[1].estimator]}"
 
 
-def _known(rows: Sequence[StudyRow], metric: str) -> list[Estimate]:
-    """What is known of a metric, in all estimates of all configurations."""
-    found = [Column("", metric, estimator).of(row) for row in rows for estimator in _WHERE]
-    return [each for each in found if not math.isnan(each.trial_mean)]
+def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[Estimate]:
+    """All known estimates of a metric."""
+    estimates = [Column("", metric, estimator).of(row) for row in rows for estimator in _WHERE]
+    return [each for each in estimates if not math.isnan(each.trial_mean)]
 
 
 def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | None:
     """The largest change of the most relevant metrics that show any."""
-    for metrics, least in _HEADLINES:
+    for metrics, minimum in _HEADLINES:
         change = _largest(rows, metrics, comparisons)
-        if change and abs(change[1].of(change[0]).trial_mean) >= least:
+        if change and abs(change[1].of(change[0]).trial_mean) >= minimum:
             return change
     return None
 
 
 def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comparisons | None) -> _Change | None:
-    """The largest change of the first estimate that shows any; with `comparisons`, one that remains or is certain."""
+    """The largest change in the first estimate with any; only significant ones with `comparisons`."""
     for estimator in _WHERE:
         changes = [(row, Column("", metric, estimator)) for row in rows for metric in metrics]
         known = [(row, column) for row, column in changes if not math.isnan(column.of(row).trial_mean)]
@@ -155,14 +155,14 @@ def _sentence(change: _Change) -> str:
     positive = replace(estimate, trial_mean=sign * estimate.trial_mean, low=ends[0], high=ends[1])
     more = "more" if sign > 0 else "less" if column.metric == "rmse_m_iob" else "fewer"
     text = _CHANGES[column.metric][1].format(size=value(positive), more=more)
-    what = f"in {row.label} {_WHERE[column.estimator]} {text}"
+    clause = f"in {row.label} {_WHERE[column.estimator]} {text}"
     if estimate.certain:
-        return f"{what} than the baseline, in all {estimate.seeds} seeds; no spread, so no interval"
-    return f"{what} {bounds(positive)} than the baseline"
+        return f"{clause} than the baseline, in all {estimate.seeds} seeds; no spread, so no interval"
+    return f"{clause} {bounds(positive)} than the baseline"
 
 
 def comparisons_made(comparisons: Comparisons) -> str:
-    """How many comparisons there are, what that means for each, and what the mark is."""
+    """Number of comparisons, its consequence for each interval, and the meaning of the mark."""
     if not comparisons.count:
         return "No comparison with the baseline has an interval."
     count = comparisons.count
@@ -176,7 +176,7 @@ def comparisons_made(comparisons: Comparisons) -> str:
 
 
 def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
-    """What to know before trusting a number: which are no pure effect of an attack, and which rest on fewer seeds."""
+    """Caveats: numbers that are not due to attacks alone, and numbers based on fewer seeds."""
     sentences = []
     if facts.other_scenes:
         sentences.append(
@@ -194,9 +194,9 @@ def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
                 by_count.setdefault(estimate.left_out, []).append(f"{change}{name} ({where})")
         if not by_count:
             sentences.append(f"{row.label}: no trial has results.")
-        for count, which in sorted(by_count.items()):
+        for count, affected in sorted(by_count.items()):
             if count:
-                of = "" if len(by_count) == 1 else f" for {', '.join(dict.fromkeys(which))}"
+                of = "" if len(by_count) == 1 else f" for {', '.join(dict.fromkeys(affected))}"
                 sentences.append(
                     f"{row.label}: {count} of {plural(len(facts.seeds), 'seed')} left out{of}: a trial failed or has "
                     "no such value."

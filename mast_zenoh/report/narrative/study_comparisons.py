@@ -1,4 +1,4 @@
-"""How many comparisons with the baseline a study makes, and which differences survive that there are so many."""
+"""Corrects a study's comparisons with the baseline for multiple testing."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ LEVEL = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Comparisons:
-    """The contrasts with the baseline that the tables show an interval for.
+    """The contrasts with the baseline for which the tables show an interval.
 
     adjusted: by configuration and series, the p-value adjusted by Holm's procedure
-    others:   how many more contrasts have an interval in table.csv, which are not counted
+    others:   number of further contrasts with an interval in table.csv, which are not counted
     """
 
     adjusted: Mapping[tuple[str, Series], float]
@@ -24,12 +24,12 @@ class Comparisons:
 
     @property
     def count(self) -> int:
-        """How many contrasts are counted."""
+        """The number of contrasts."""
         return len(self.adjusted)
 
     @property
     def bonferroni(self) -> float:
-        """The level of each single interval if together they are to hold at 95 %; LEVEL without any."""
+        """Bonferroni level of each interval for a joint level of LEVEL."""
         return LEVEL / max(self.count, 1)
 
     def remains(self, row: StudyRow, column: Column) -> bool:
@@ -38,12 +38,12 @@ class Comparisons:
         return self.adjusted.get((row.label, series), 1.0) <= LEVEL
 
     def remaining(self) -> int:
-        """How many of the contrasts remain distinguishable from 0."""
+        """The number of contrasts that remain distinguishable from 0."""
         return sum(p <= LEVEL for p in self.adjusted.values())
 
 
 def compare(rows: Sequence[StudyRow], baseline: str) -> Comparisons:
-    """The contrasts of the tables of increments, each counted once; an interval is needed to be one."""
+    """The contrasts with an interval in the tables of increments, each counted once."""
     tested = {
         (row.label, series): estimate.p
         for row in rows
@@ -51,18 +51,18 @@ def compare(rows: Sequence[StudyRow], baseline: str) -> Comparisons:
         for series, estimate in row.estimates.items()
         if not math.isnan(estimate.p)
     }
-    shown = {(column.who, column.estimator, column.metric) for column in columns_of(ADDED + PAPER)}
+    table_series = {(column.who, column.estimator, column.metric) for column in columns_of(ADDED + PAPER)}
     ego = {row.label: row.ego for row in rows}
     counted = {
         (label, series): p
         for (label, series), p in tested.items()
-        if shown & {(None if series.who == ego[label] else series.who, series.estimator, series.metric)}
+        if table_series & {(None if series.who == ego[label] else series.who, series.estimator, series.metric)}
     }
     return Comparisons(dict(zip(counted, holm(list(counted.values())), strict=True)), len(tested) - len(counted))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """p-values adjusted for their number, so that one at most LEVEL is wrong with at most that probability.
+    """p-values adjusted for multiple testing by Holm's procedure.
 
     Holm (1979), A simple sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6:65.
     Valid whatever the dependence between the tests.

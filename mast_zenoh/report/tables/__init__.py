@@ -1,1 +1,1 @@
-"""The rows and cells of every table in a report, for terminal, Markdown, CSV, LaTeX and HTML."""
+"""Rows and cells of all tables of reports, for all output formats."""

@@ -1,4 +1,4 @@
-"""What attacks achieved, as rows of a table: of every adversary, and of all together."""
+"""Table rows of what attacks achieved, per adversary and for all together."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ ALL = "all"
 class AchievedRow(NamedTuple):
     """One adversary; texts for the picture ("centre") and for the ego with the picture, in this order.
 
-    inserted, hidden, moved: how many objects it manipulated in this way
-    accepted: share of the inserted objects that were believed;  believed_s: s, mean time for which one was
+    inserted, hidden, moved: number of objects manipulated in this way
+    accepted: share of the inserted objects followed by a track;  believed_s: s, mean duration of that
     missed:   share of the hidden objects that were missed
     error_m:  m, mean error of the moved objects' tracks
     first_s:  s, from its first change to its first success
     switches: identity switches due to it
-    why:      why something that it did had limited effect; may be empty
+    why:      reasons for limited effects; may be empty
     """
 
     adversary: str
@@ -40,7 +40,7 @@ class AchievedRow(NamedTuple):
 
 
 def achieved_rows(run: RunFolder, reference: RunFolder | None = None) -> list[AchievedRow]:
-    """A row for each interposer that is no link, and one of all together where there are several.
+    """A row per interposer other than links, and one for all together if there are several.
 
     reference: the run that this one is compared with, see `explanations`
     """
@@ -59,7 +59,7 @@ def achieved_rows(run: RunFolder, reference: RunFolder | None = None) -> list[Ac
 
 
 def _row(name: str, each: Mapping[str, Any], why: tuple[str, ...], *, in_picture: bool) -> AchievedRow:
-    """in_picture: whether what it did can be seen in the command centre's picture."""
+    """in_picture: whether it can affect the command centre's picture."""
 
     def both(key: str, form: str) -> tuple[str, str]:
         values = [each.get(f"{key}_centre") if in_picture else None, each.get(f"{key}_ego")]

@@ -1,4 +1,4 @@
-"""The table of what attackers achieved by level of security: for the terminal, as Markdown and CSV."""
+"""The table of attempts by security level, for terminal, Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-#: The row of messages that no attempt accounts for: there must be none.
+#: The row of messages that no attempt explains; their number should be 0.
 STRAY = "(anything else)"
 
 
@@ -18,10 +18,10 @@ class AttemptRow(NamedTuple):
     """One attempt of an outsider, or one insider, at one level of security.
 
     admitted:  whether the attacker got a session on the mesh
-    sent:      messages sent; reached: how often one has reached a node's host, of `expected` if all had
-    heard:     samples overheard; lured: nodes that talked to the outsider's router
-    succeeded: whether any of these is more than none; of an insider, whether its verdict is that it succeeds
-    verdict:   of an insider, what has come of it, in words
+    sent:      messages sent; reached: deliveries to nodes' hosts, of `expected` if none is lost
+    heard:     samples overheard; lured: nodes that connected to the outsider's router
+    succeeded: whether it had any effect; of an insider, whether its verdict is a success
+    verdict:   of an insider, its effect in words
     """
 
     run: str
@@ -49,7 +49,7 @@ def as_rich(rows: Sequence[AttemptRow]) -> Table:
 
 
 def as_markdown(rows: Sequence[AttemptRow]) -> str:
-    """The same as Markdown; ends with a newline."""
+    """Attempts by level as Markdown; ends with a newline."""
     heads, lines = _grid(rows, " ")
     table = [heads, ["---"] * len(heads), *lines]
     return "\n".join("| " + " | ".join(line) + " |" for line in table) + f"\n\n{CAPTION}.\n"
@@ -67,10 +67,10 @@ def as_csv(rows: Sequence[AttemptRow]) -> str:
 CAPTION = "in: forged messages that reached a node; out: samples overheard; lured: nodes at the outsider's router"
 
 
-def _grid(rows: Sequence[AttemptRow], between: str) -> tuple[list[str], list[list[str]]]:
+def _grid(rows: Sequence[AttemptRow], separator: str) -> tuple[list[str], list[list[str]]]:
     levels = list(dict.fromkeys(row.level for row in rows))
     runs = list(dict.fromkeys(row.run for row in rows))
-    cells = {(row.run, row.attempt, row.level): _cell(row, between) for row in rows}
+    cells = {(row.run, row.attempt, row.level): _cell(row, separator) for row in rows}
     names = list(dict.fromkeys((row.run, row.attempt) for row in rows))
     lines = [
         [
@@ -82,10 +82,10 @@ def _grid(rows: Sequence[AttemptRow], between: str) -> tuple[list[str], list[lis
     return ["attempt", *levels], lines
 
 
-def _cell(row: AttemptRow, between: str) -> str:
-    """What a reader wants to know at a glance: whether, and how much; with this between the two."""
+def _cell(row: AttemptRow, separator: str) -> str:
+    """Verdict and counts of an attempt, with a separator between them."""
     if row.verdict:
-        return f"{row.verdict}{between}(sent {row.sent})"
+        return f"{row.verdict}{separator}(sent {row.sent})"
     counts = []
     if row.expected or row.attempt == STRAY:
         counts.append(f"in {row.reached}" + (f"/{row.expected}" if row.expected else ""))
@@ -95,4 +95,4 @@ def _cell(row: AttemptRow, between: str) -> str:
         counts.append(f"lured {row.lured}")
     failed = "none" if row.attempt == STRAY else "no effect" if row.admitted else "refused"
     verdict = "succeeds" if row.succeeded else failed
-    return f"{verdict}{between}({', '.join(counts)})"
+    return f"{verdict}{separator}({', '.join(counts)})"

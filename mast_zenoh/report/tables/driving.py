@@ -1,4 +1,4 @@
-"""What the estimates would mean for driving: rows of a table, and a chart over time."""
+"""Consequences of the estimates for driving: table rows, and a chart over time."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from mast_zenoh.report.narrative.changes import scored
 from mast_zenoh.report.runfolder import RunFolder
 from mast_zenoh.report.tables.scores import DASH
 
-#: By what a vehicle might drive, and what it is called.
+#: Estimates by which a vehicle might drive, and their names.
 ESTIMATES = {"truth": "truth", "local": "ego alone", "mission": "ego with picture"}
 _COLOURS = {"truth": INK, "local": LOCAL, "mission": RUN_COLOURS[1]}
 _STYLES = {"truth": (0, (4, 2)), "local": (0, (1, 1)), "mission": "-"}
-#: s, beyond which a time to collision is of no concern, and the chart ends.
-_LONGEST_S = 10.0
-#: Whether to brake, by estimate and truth: colour and words.
+#: s, the largest time to collision in the chart.
+_MAX_TTC_S = 10.0
+#: Colour and label of braking decisions by estimate and truth.
 _BRAKING = {
     "brake": ("#9aa3ad", "brakes, as by the truth"),
     "needless": ("#d62839", "brakes needlessly"),
@@ -30,18 +30,18 @@ _BRAKING = {
 }
 
 _WRONG_BRAKING = {"needless_brake_share": "brakes needlessly", "missed_brake_share": "does not brake where it must"}
-#: A smaller part of the frames is printed as none.
-_LEAST_SHARE = 0.0005
+#: A smaller share of the frames is printed as none.
+_MIN_SHARE = 0.0005
 
 
 class DrivingRow(NamedTuple):
-    """What an estimate would mean for driving, over the scored frames; in brackets how much more than in a reference.
+    """Driving metrics of an estimate; in brackets the change over a reference.
 
     run: label of the run
     false, missed: objects per frame in the vehicle's corridor;  overlapping: those that overlap the vehicle itself
-    ttc_s: least time to collision, s
-    brake: share of the frames in which it would brake;  needless, omitted: in which it would and need not, and the
-           reverse, with what of it is due to attacks, and what is more than in the reference without being that
+    ttc_s: minimum time to collision, s
+    brake: share of the frames with braking;  needless, omitted: share with needless and with omitted braking, with the
+           part due to attacks, and the unattributed increase over the reference
     """
 
     estimate: str
@@ -57,28 +57,28 @@ class DrivingRow(NamedTuple):
 
 
 def driving_rows(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> list[DrivingRow]:
-    """A row for the truth, the ego alone and the ego with the picture; none where the ego is no vehicle.
+    """Rows for the truth, the ego alone and the ego with the picture; none if the ego is not a vehicle.
 
-    reference: the run that this one is compared with, called `name`: each estimate then has a row of it, too
+    reference: the run that this one is compared with, labelled `name`; it gets a row per estimate as well
     """
-    mine, others = _summaries(run), _summaries(reference)
+    own, references = _summaries(run), _summaries(reference)
     result = []
     for estimate, label in ESTIMATES.items():
-        if estimate in mine and estimate in others:
-            result.append(_row(label, name, others[estimate], {}, name))
-        if estimate in mine:
-            result.append(_row(label, run.label, mine[estimate], others.get(estimate, {}), name))
+        if estimate in own and estimate in references:
+            result.append(_row(label, name, references[estimate], {}, name))
+        if estimate in own:
+            result.append(_row(label, run.label, own[estimate], references.get(estimate, {}), name))
     return result
 
 
 def driving_differs(run: RunFolder, reference: RunFolder) -> bool:
-    """Whether any estimate of the ego would mean something else for driving in two runs."""
-    mine, others = _summaries(run), _summaries(reference)
-    return bool(mine and others) and mine != others
+    """Whether the consequences for driving of any of the ego's estimates differ between two runs."""
+    own, references = _summaries(run), _summaries(reference)
+    return bool(own and references) and own != references
 
 
 def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:
-    """What metrics.json says of driving, by estimate."""
+    """The ego's driving metrics by estimate."""
     if run is None:
         return {}
     summaries: dict[str, dict[str, Any]] = run.metrics.get("driving", {}).get(run.ego or "", {})
@@ -86,14 +86,13 @@ def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:
 
 
 def _unattributed(each: dict[str, Any], other: dict[str, Any], key: str) -> float:
-    """By how much larger a share of the frames is than in another run, beyond what more of it is due to attacks; 0: it
-    is not, or not known."""
-    mine, before = each.get(key), other.get(key)
-    if mine is None or before is None:
+    """Increase of a share of frames over another run that attacks do not explain; 0: none, or not known."""
+    share, reference_share = each.get(key), other.get(key)
+    if share is None or reference_share is None:
         return 0.0
     attack = (each.get(f"{key}_attack") or 0.0) - (other.get(f"{key}_attack") or 0.0)
-    more = float(mine - before - max(attack, 0.0))
-    return more if more >= _LEAST_SHARE else 0.0
+    more = float(share - reference_share - max(attack, 0.0))
+    return more if more >= _MIN_SHARE else 0.0
 
 
 def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any], reference: str) -> DrivingRow:
@@ -129,17 +128,16 @@ def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any], refer
 
 
 def braking_by_attack(run: RunFolder) -> str:
-    """How often attacks make the ego with the picture brake needlessly, or not brake, in words; empty: never."""
+    """Wrong braking of the ego with the picture because of attacks, in words; empty: none."""
     mission = _summaries(run).get("mission", {})
     return _braking({words: mission.get(f"{key}_attack") for key, words in _WRONG_BRAKING.items()})
 
 
 def unattributed_braking(run: RunFolder, reference: RunFolder, name: str) -> str:
-    """How much more often than in a run called `name` the ego with the picture brakes needlessly, or does not brake,
-    without an attack to attribute that to, in words; empty: it does not, or that is not known."""
-    mine, other = (_summaries(each).get("mission", {}) for each in (run, reference))
-    said = _braking({words: _unattributed(mine, other, key) for key, words in _WRONG_BRAKING.items()})
-    return f"{said} more than {name}, not attributed" if said else ""
+    """Increase of wrong braking over the run `name` that attacks do not explain; may be empty."""
+    own, other = (_summaries(each).get("mission", {}) for each in (run, reference))
+    braking = _braking({words: _unattributed(own, other, key) for key, words in _WRONG_BRAKING.items()})
+    return f"{braking} more than {name}, not attributed" if braking else ""
 
 
 def _braking(shares: dict[str, float | None]) -> str:
@@ -148,11 +146,13 @@ def _braking(shares: dict[str, float | None]) -> str:
 
 
 def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:
-    """Time to collision, wrong objects in the corridor, and braking by time; None: the ego is no vehicle."""
+    """Time to collision, wrong objects and braking over time; None: the ego is not a vehicle."""
     if run.driving is None or not np.any(run.driving["agent"] == run.ego):
         return None
-    mine = rows(run.driving, run.driving["agent"] == run.ego)
-    parts = {name: rows(mine, mine["estimate"] == name) for name in ESTIMATES if np.any(mine["estimate"] == name)}
+    ego_rows = rows(run.driving, run.driving["agent"] == run.ego)
+    parts = {
+        name: rows(ego_rows, ego_rows["estimate"] == name) for name in ESTIMATES if np.any(ego_rows["estimate"] == name)
+    }
     frames = parts[next(iter(parts))]["frame"].astype(np.int64)
     seconds = run.seconds(frames)
     times = frames.astype(np.float64) if seconds is None else seconds
@@ -192,10 +192,10 @@ def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:
 def _draw_collision(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> None:
     for name, part in parts.items():
         ttc = np.nan_to_num(part["ttc_s"].astype(np.float64), nan=np.inf)
-        shown = np.where(ttc <= _LONGEST_S, ttc, np.nan)
+        visible = np.where(ttc <= _MAX_TTC_S, ttc, np.nan)
         axis.plot(
             times,
-            shown,
+            visible,
             color=_COLOURS[name],
             linestyle=_STYLES[name],
             linewidth=1.8,
@@ -203,26 +203,26 @@ def _draw_collision(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> N
             markersize=3,
             label=ESTIMATES[name],
         )
-    if not any((part["ttc_s"].astype(np.float64) <= _LONGEST_S).any() for part in parts.values()):
-        _say(axis, f"nothing in the way within {_LONGEST_S:.0f} s, by any of the three")
-    axis.set_ylim(0.0, _LONGEST_S)
+    if not any((part["ttc_s"].astype(np.float64) <= _MAX_TTC_S).any() for part in parts.values()):
+        _annotate(axis, f"nothing in the way within {_MAX_TTC_S:.0f} s, by any of the three")
+    axis.set_ylim(0.0, _MAX_TTC_S)
     axis.set_ylabel("time to\ncollision (s)", fontsize=10, color=INK)
 
 
-def _draw_corridor(axis: Axes, times: np.ndarray, parts: dict[str, Table], counted: np.ndarray) -> None:
-    most = 1.0
+def _draw_corridor(axis: Axes, times: np.ndarray, parts: dict[str, Table], in_scored_frames: np.ndarray) -> None:
+    maximum = 1.0
     for name, part in parts.items():
         wrong = (part["false"] + part["missed"]).astype(np.float64)
         if name != "truth":
             axis.plot(times, wrong, color=_COLOURS[name], linestyle=_STYLES[name], drawstyle="steps-mid", linewidth=1.6)
-            most = max(most, float(wrong[counted].max(initial=0.0)))
-    axis.set_ylim(0.0, 1.1 * most)
+            maximum = max(maximum, float(wrong[in_scored_frames].max(initial=0.0)))
+    axis.set_ylim(0.0, 1.1 * maximum)
     axis.yaxis.set_major_locator(MaxNLocator(4, integer=True))
     axis.set_ylabel("wrong objects\nin corridor", fontsize=10, color=INK)
 
 
 def _draw_braking(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> None:
-    """A lane for each estimate: when it would brake, and whether it should."""
+    """A lane per estimate: when it brakes, and whether it should."""
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     labelled: set[str] = set()
     for lane, part in enumerate(reversed(list(parts.values()))):
@@ -235,7 +235,7 @@ def _draw_braking(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> Non
                 axis.broken_barh(spans, (lane + 0.12, 0.76), facecolors=colour, label=label)
                 labelled.add(kind)
     if not any(part[kind].any() for part in parts.values() for kind in _BRAKING):
-        _say(axis, "no braking, by any of the three")
+        _annotate(axis, "no braking, by any of the three")
     axis.set_yticks(
         np.arange(len(parts)) + 0.5,
         [ESTIMATES[name].replace(" with ", " with\n") for name in reversed(parts)],
@@ -245,15 +245,15 @@ def _draw_braking(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> Non
     axis.grid(visible=False)
 
 
-def _say(axis: Axes, words: str) -> None:
-    """Say why a chart is empty."""
+def _annotate(axis: Axes, message: str) -> None:
+    """Write into an empty chart why it is empty."""
     box = {"facecolor": "white", "edgecolor": "none", "pad": 3.0}
-    place: dict[str, Any] = {"transform": axis.transAxes, "ha": "center", "va": "center", "zorder": 5}
-    axis.text(0.5, 0.5, words, fontsize=9, color=LOCAL, bbox=box, **place)
+    placement: dict[str, Any] = {"transform": axis.transAxes, "ha": "center", "va": "center", "zorder": 5}
+    axis.text(0.5, 0.5, message, fontsize=9, color=LOCAL, bbox=box, **placement)
 
 
 def _spans(times: np.ndarray, mask: np.ndarray, step: float) -> list[tuple[float, float]]:
-    """Begin and length of each stretch of frames in the mask; each frame lasts for a step, half of it before."""
+    """Start and length of each run of frames in the mask; a frame lasts a step and is centred on its time."""
     edges = np.diff(mask.astype(np.int64), prepend=0, append=0)
     first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
     return [(float(times[a]) - step / 2, float(times[b] - times[a]) + step) for a, b in zip(first, last, strict=True)]

@@ -1,4 +1,4 @@
-"""The interposers of a run: where each sat, what it did by measurement, and whether its own reports agree."""
+"""The interposers of a run: wires, measured effects, agreement of reports."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from mast_zenoh.control.failures import how_often
 from mast_zenoh.report.runfolder import RunFolder, agent_of
 
-#: Effects with a column of their own; all others are counted together.
+#: Effects with their own column; all others share one.
 EFFECTS = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")
-#: Verdicts that call for attention.
+#: Verdicts that need attention.
 BAD = ("crashed", "failed", "silent", "disagrees")
 #: Effects on objects, counted in rows: an object in a message. The others are counted in messages.
 OF_OBJECTS = ("inserted", "removed", "moved", "altered")
@@ -23,18 +23,18 @@ OF_OBJECTS = ("inserted", "removed", "moved", "altered")
 class Interposer:
     """A node on wires.
 
-    wires:    keys;  agents: on whose wires it sits;  before: agents before which alone it stands, on the picture's way
-    live:     the frame from which on it was on its wire, if it was put there while the run went on
-    released: the frame from which on it was not any more, if it was taken off
-    effects:  what it did, by measurement: objects and messages by effect; None: not measured
-    received: messages that came in; reports: changes that it reported; unreported: measured, and not reported;
-              unfounded: reported, and not measured
+    wires:    keys;  agents: owners of these wires;  before: agents whose copy of the picture alone passes through it
+    live:     first frame on its wire, if inserted during the run
+    released: first frame after its removal, if removed during the run
+    effects:  measured number of objects or messages by effect; None: not measured
+    received: incoming messages; reports: changes that it reported; unreported: measured but not reported;
+              unfounded: reported but not measured
     verdict:  "agrees", "silent", "disagrees", "nothing to report", "failed" (a handler), "crashed" (its process) or
               "not measured"
     failures: of its handlers, or how its process ended, in words; empty: none
-    failed_frames: in how many frames a handler failed
-    objects:  by effect of OF_OBJECTS, of how many objects of the scene the rows are, and whether some are of clutter;
-              only where that is known of all rows
+    failed_frames: number of frames in which a handler failed
+    objects:  by effect of OF_OBJECTS, number of scene objects in its rows, and whether some rows are clutter; only
+              where this is known for all rows
     """
 
     name: str
@@ -56,23 +56,23 @@ class Interposer:
 
     @property
     def is_link(self) -> bool:
-        """Whether it does what a network does; all others count as adversaries, whatever they call themselves."""
+        """Whether it models the network; all other interposers count as adversaries, whatever their role."""
         return self.role == "link"
 
     @property
     def changed(self) -> int:
-        """How many changes it made, by measurement."""
+        """The measured number of its changes."""
         return sum(count for name, count in (self.effects or {}).items() if name != "unsettled")
 
     @property
     def other(self) -> str:
-        """Its further effects in words."""
+        """Effects that are not in EFFECTS, in words."""
         more = {name: n for name, n in (self.effects or {}).items() if name not in EFFECTS}
         return ", ".join(f"{count} {name}" for name, count in more.items())
 
     @property
     def reports_text(self) -> str:
-        """What it reported, held against what was measured."""
+        """The number of its reports, with contradictions to measurements."""
         if not self.reports:
             return "nothing"
         contradictions = [f"{self.unreported} unreported"] * bool(self.unreported)
@@ -81,18 +81,18 @@ class Interposer:
 
     @property
     def place(self) -> str:
-        """The wires that it sat on, and before whom alone."""
+        """Its wires, and the only subscribers behind it if not all."""
         before = f" before {', '.join(self.before)} alone" if self.before else ""
         return ", ".join(self.wires) + before
 
     @property
     def description(self) -> str:
-        """Its name, and how it came where that is not from the start."""
+        """Its name, and its first frame if inserted live."""
         return f"{self.name} (inserted live in frame {self.live})" if self.live is not None else self.name
 
 
 def interposers(run: RunFolder) -> tuple[Interposer, ...]:
-    """Every interposer of a run, also those that came and went while it went on: adversaries first, then links."""
+    """Every interposer of a run, including live ones: adversaries first, then links."""
     wires: dict[str, dict[str, None]] = {}
     before: dict[str, dict[str, None]] = {}
     for wire in run.wiring.get("wires", []):
@@ -106,10 +106,10 @@ def interposers(run: RunFolder) -> tuple[Interposer, ...]:
         wires.setdefault(node, {}).update(dict.fromkeys(summary.get("wires", ())))
     live: dict[str, int] = {}
     released: dict[str, int] = {}
-    for done in run.run.get("interceptions", ()):
-        node = done["node"]
-        wires.setdefault(node, {}).update(dict.fromkeys(done.get("wires", ())))
-        (live if done["action"] == "intercept" else released)[node] = done["frame"]
+    for event in run.run.get("interceptions", ()):
+        node = event["node"]
+        wires.setdefault(node, {}).update(dict.fromkeys(event.get("wires", ())))
+        (live if event["action"] == "intercept" else released)[node] = event["frame"]
     result = []
     for node, keys in wires.items():
         crash, summary = _crash(run, node), measured.get(node, {})
@@ -138,44 +138,44 @@ def interposers(run: RunFolder) -> tuple[Interposer, ...]:
     return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
 
 
-def adversaries_by_agent(found: tuple[Interposer, ...]) -> dict[str, tuple[str, ...]]:
-    """By agent, the interposers that are no links and sit on its wires, or before it on the picture's way."""
+def adversaries_by_agent(all_interposers: tuple[Interposer, ...]) -> dict[str, tuple[str, ...]]:
+    """Adversaries by the agent on whose wires, or before which, they sit."""
     result: dict[str, list[str]] = {}
-    for each in found:
+    for each in all_interposers:
         for agent in () if each.is_link else (*each.agents, *each.before):
             result.setdefault(agent, []).append(each.name)
     return {agent: tuple(names) for agent, names in sorted(result.items())}
 
 
 def _verdict(failed_frames: int, crash: str) -> str:
-    """Of what did not end well; empty: nothing."""
+    """The verdict on failures; empty: none."""
     return "failed" if failed_frames else "crashed" if crash else ""
 
 
 def _objects(run: RunFolder, node: str, effects: Mapping[str, int]) -> dict[str, tuple[int, bool]]:
-    """By effect, of how many objects its rows are and whether some are of clutter, where each row is known."""
+    """Number of objects and presence of clutter by effect, where every row is known."""
     if run.targets is None:
         return {}
-    found = {}
+    objects = {}
     for effect in OF_OBJECTS:
-        of = run.targets["object"][(run.targets["adversary"] == node) & (run.targets["kind"] == effect)]
-        if len(of) and len(of) == effects.get(effect):
-            real = of if effect == "inserted" else of[of >= 0]
-            found[effect] = len(np.unique(real)), len(real) < len(of)
-    return found
+        ids = run.targets["object"][(run.targets["adversary"] == node) & (run.targets["kind"] == effect)]
+        if len(ids) and len(ids) == effects.get(effect):
+            real = ids if effect == "inserted" else ids[ids >= 0]
+            objects[effect] = len(np.unique(real)), len(real) < len(ids)
+    return objects
 
 
 def frames_of(failures: Sequence[Mapping[str, Any]]) -> int:
-    """In how many frames handlers failed, by the handler that failed in most."""
+    """Number of frames with failures of the handler that failed most often."""
     return max((int(str(entry.get("frames", entry["count"]))) for entry in failures), default=0)
 
 
 def _crash(run: RunFolder, node: str) -> str:
-    """How handlers of a node failed or its process ended, in words; empty: well, or by the scenario or on request."""
+    """How a node's handlers or process failed, in words; empty: not, or ended on purpose."""
     record = run.run.get("nodes", {}).get(node, {})
-    entries = failures_of(record)
-    if entries:
-        first = entries[0]
+    failures = failures_of(record)
+    if failures:
+        first = failures[0]
         return f"{first['handler']} failed {how_often(first)}"
     if record.get("exit") and not exit_expected(record) and run.run.get("status") != "interrupted":
         return str(record.get("ended") or f"exit code {record['exit']}")
@@ -185,12 +185,12 @@ def _crash(run: RunFolder, node: str) -> str:
 def exit_expected(node: Mapping[str, Any]) -> bool:
     """Whether the scenario or a request ended a node of run.json; False if it crashed after a restart."""
     parts = str(node.get("ended")).split("; ")
-    ends = parts if parts[-1] == "ok" else parts[-2:]
-    return any(words in part for part in ends for words in ("by the scenario", "released", "told to leave"))
+    endings = parts if parts[-1] == "ok" else parts[-2:]
+    return any(words in part for part in endings for words in ("by the scenario", "released", "told to leave"))
 
 
 def failures_of(node: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The failed handlers of a node of run.json; of an older run, in which only their number was kept, without more."""
+    """The failed handlers of a node of run.json; older runs hold only their number."""
     failures = node.get("failures") or []
     if isinstance(failures, Mapping):
         unknown = "the exception is in the node's log, in a run of an older version"

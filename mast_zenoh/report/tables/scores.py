@@ -1,4 +1,4 @@
-"""The table of scores of one run or several: a row per metric and run, a column per estimate; for every output."""
+"""The score table: a row per metric and run, a column per estimate."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from rich.table import Table
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.scores import COLUMNS
 
-#: Stands for a number that is not known.
+#: Placeholder for an unknown number.
 DASH = "\u2013"
 
-#: The estimates that have a column, in the order in which one is made from another, and what they are called.
+#: Estimates that have a column, in processing order, and their names.
 ESTIMATES = {
     LOCAL: "ego alone",
     RECEIVED: "alone, as received",
@@ -27,12 +27,12 @@ ESTIMATES = {
     PICTURE_ON_ARRIVAL: "picture on arrival",
     MISSION: "ego with picture",
 }
-#: Those that always have one. The others do where something on the way changed them.
+#: Estimates that always have a column; the others have one if something in transit changed them.
 ALWAYS = (LOCAL, PICTURE, MISSION)
 
 
 class Measure(NamedTuple):
-    """A metric as a row: its key in metrics.json, its name, and whether it is among those that the terminal shows."""
+    """A metric as a row: its key in metrics.json, its name, and whether the terminal shows it."""
 
     key: str
     name: str
@@ -54,7 +54,7 @@ MEASURES = (
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A mean over frames and its standard deviation over frames, or a value of the whole run; None: not known."""
+    """Mean and standard deviation over frames, or a value of the whole run; None: not known."""
 
     mean: float | None = None
     std: float | None = None
@@ -68,7 +68,7 @@ class Value:
 
 
 class Cell(NamedTuple):
-    """What one estimate of one run scored, and how much more that is than in the reference run."""
+    """A score of one estimate of one run, and its change over the reference run."""
 
     value: Value
     change: Value
@@ -76,7 +76,7 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ScoreRow:
-    """One metric of one run: a cell per estimate, and how much more the picture scored than the ego alone (IoE)."""
+    """One metric of one run: a cell per estimate, and the picture's increment over the ego alone (IoE)."""
 
     measure: Measure
     run: str
@@ -119,8 +119,8 @@ def score_table(
 ) -> ScoreTable:
     """The scores of one agent in one run or several.
 
-    metrics:   by the run's label, what metrics.json holds; `{}` gives rows of dashes
-    counts:    by the run's label, the columns of metrics.parquet: only these say how changes spread over frames
+    metrics:   content of metrics.json by the run's label; `{}` gives rows of dashes
+    counts:    columns of metrics.parquet by the run's label; needed for standard deviations of changes
     reference: label of the run that changes are over; by default, of several runs, `baseline` or else the first
     Raises ValueError when `reference` is not among the runs.
     """
@@ -136,18 +136,20 @@ def score_table(
     }
     rows = []
     for measure in measures(scores.values()):
-        for label, own in scores.items():
-            others = scores[reference] if reference not in (None, label) else {}
+        for label, run_scores in scores.items():
+            reference_scores = scores[reference] if reference not in (None, label) else {}
             spread = series.get(label, {}), series.get(reference or "", {})
             cells = {
-                name: Cell(value, _difference(value, _value(others, name, measure), spread, (name, name), measure))
+                name: Cell(
+                    value, _difference(value, _value(reference_scores, name, measure), spread, (name, name), measure)
+                )
                 for name in ESTIMATES
-                if (value := _value(own, name, measure)) is not None
+                if (value := _value(run_scores, name, measure)) is not None
             }
             alone = cells[LOCAL].value if LOCAL in cells else None
-            both = series.get(label, {}), series.get(label, {})
+            own_series = series.get(label, {}), series.get(label, {})
             of_picture = cells[PICTURE].value if PICTURE in cells else Value()
-            over_alone = _difference(of_picture, alone, both, (PICTURE, LOCAL), measure)
+            over_alone = _difference(of_picture, alone, own_series, (PICTURE, LOCAL), measure)
             rows.append(ScoreRow(measure, label, cells, over_alone))
     return ScoreTable(tuple(rows), shown_estimates(metrics.values(), agent), tuple(metrics), reference)
 
@@ -159,15 +161,15 @@ def measures(scores: Iterable[Mapping[str, Mapping[str, Any]]]) -> list[Measure]
 
 
 def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[str, ...]:
-    """The estimates that have a column: the three that always do, and those that differ from all others in some run."""
-    shown = set(ALWAYS)
+    """Estimates that have a column: those in ALWAYS, and those that differ from all others in some run."""
+    names = set(ALWAYS)
     for summary in metrics:
         same = summary.get("same_as", {}).get(agent, {})
         own = {name for name in summary.get("agents", {}).get(agent, {}) if name not in same}
         if same.get(PICTURE_RECEIVED) == PICTURE_ON_ARRIVAL:  # nothing was late: the cause is what was received
             own = own - {PICTURE_ON_ARRIVAL} | {PICTURE_RECEIVED}
-        shown |= own
-    return tuple(name for name in ESTIMATES if name in shown)
+        names |= own
+    return tuple(name for name in ESTIMATES if name in names)
 
 
 def _value(scores: Mapping[str, Any], estimate: str, measure: Measure) -> Value | None:
@@ -176,12 +178,12 @@ def _value(scores: Mapping[str, Any], estimate: str, measure: Measure) -> Value 
 
 
 def _scored(counts: Counts, metrics: Mapping[str, Any], agent: str) -> dict[str, dict[str, NDArray[Any]]]:
-    """By estimate the rows of an agent in the frames that the means are over, by frame."""
+    """An agent's rows in scored frames, by estimate, sorted by frame."""
     first, last = metrics.get("scored_frames") or (-np.inf, np.inf)
-    mine = (counts["agent"] == agent) & (counts["frame"] >= first) & (counts["frame"] <= last)
+    selected = (counts["agent"] == agent) & (counts["frame"] >= first) & (counts["frame"] <= last)
     result = {}
     for estimate in ESTIMATES:
-        rows = np.flatnonzero(mine & (counts["estimator"] == estimate))
+        rows = np.flatnonzero(selected & (counts["estimator"] == estimate))
         rows = rows[np.argsort(counts["frame"][rows], kind="stable")]
         if len(rows):
             result[estimate] = {name: column[rows] for name, column in counts.items()}
@@ -195,15 +197,21 @@ def _difference(
     estimates: tuple[str, str],
     measure: Measure,
 ) -> Value:
-    """`value` less `other`; its standard deviation over the frames that both have, where the counts tell."""
+    """`value` minus `other`, with the standard deviation over common frames if counts are given."""
     if other is None or value.mean is None or other.mean is None:
         return Value()
-    one, two = (of_run.get(name) for of_run, name in zip(series, estimates, strict=True))
+    own_counts, other_counts = (of_run.get(name) for of_run, name in zip(series, estimates, strict=True))
     std = None
-    if one is not None and two is not None and value.std is not None and measure.key in one and measure.key in two:
-        _, here, there = np.intersect1d(one["frame"], two["frame"], return_indices=True)
-        apart = one[measure.key][here].astype(np.float64) - two[measure.key][there]
-        std = float(np.std(apart)) if len(apart) else None
+    if (
+        own_counts is not None
+        and other_counts is not None
+        and value.std is not None
+        and measure.key in own_counts
+        and measure.key in other_counts
+    ):
+        _, here, there = np.intersect1d(own_counts["frame"], other_counts["frame"], return_indices=True)
+        differences = own_counts[measure.key][here].astype(np.float64) - other_counts[measure.key][there]
+        std = float(np.std(differences)) if len(differences) else None
     return Value(value.mean - other.mean, std)
 
 
@@ -224,7 +232,7 @@ NOTE = "FN, FP, TP: objects per frame, mean over the scored frames"
 
 
 def as_rich(table: ScoreTable) -> Group:
-    """For a terminal of 80 columns: the main metrics; of several runs, the change over the reference beside each."""
+    """Main metrics for a terminal of 80 columns, with changes over the reference if any."""
     if len(table.runs) < 2:
         return Group(_terminal_table(table, table.estimates, NOTE))
     others = [name for name in table.estimates if name not in ALWAYS]

@@ -1,4 +1,4 @@
-"""The tables of a study for the terminal and as Markdown."""
+"""The tables of a study, for the terminal and as Markdown."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
     parts: list[Text | Table] = [Text("")]
     if facts.failures:
         parts.append(_wrapped(f"{facts.failures}.", "bold red"))
-    named, named_facts = titled(rows, facts)
-    sentences = _sentences(named, named_facts, compare(named, named_facts.baseline))
+    titled_rows, titled_facts = titled(rows, facts)
+    sentences = _sentences(titled_rows, titled_facts, compare(titled_rows, titled_facts.baseline))
     parts += [_wrapped(sentence) for sentence in (*sentences, *_labels(rows))]
     for section in sections(rows, facts.baseline, comparisons):
         if section.terminal:
@@ -35,7 +35,7 @@ def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
 
 
 def _labels(rows: Sequence[StudyRow]) -> list[str]:
-    """What the numbers in the labels of the terminal's tables are; a terminal has no room for their names in each."""
+    """Explains the numbers in the labels of terminal tables, which have no room for parameter names."""
     names = dict.fromkeys((row.run, *row.point) for row in rows if row.point)
     return [f"Labels in tables: {'-'.join(parts)}." for parts in names]
 
@@ -51,8 +51,8 @@ def _wrapped(text: str, style: str = "") -> Text:
 
 
 def _rich(section: Section) -> Iterator[Text | Table]:
-    """A section as tables of as many columns as fit side by side."""
-    labels = max(len(label) for label, _ in section.lines)
+    """A section as tables with as many columns as fit."""
+    label_width = max(len(label) for label, _ in section.lines)
     widths = [
         max([len(word) for word in heading.split()] + [_width(cells[index], section) for _, cells in section.lines])
         for index, heading in enumerate(section.headings)
@@ -63,7 +63,7 @@ def _rich(section: Section) -> Iterator[Text | Table]:
     start = 0
     while start < len(widths):
         end = start + 1
-        while end < len(widths) and labels + 3 + sum(width + 2 for width in widths[start : end + 1]) <= _WIDTH:
+        while end < len(widths) and label_width + 3 + sum(width + 2 for width in widths[start : end + 1]) <= _WIDTH:
             end += 1
         table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
         table.add_column("", overflow="fold")
@@ -76,8 +76,8 @@ def _rich(section: Section) -> Iterator[Text | Table]:
 
 
 def _text(cell: Cell, section: Section) -> Text:
-    above = cell.text + ("*" if cell.marked else "")
-    return Text(above if section.brief or not cell.below else f"{above}\n{cell.below}")
+    number = cell.text + ("*" if cell.marked else "")
+    return Text(number if section.brief or not cell.below else f"{number}\n{cell.below}")
 
 
 def _width(cell: Cell, section: Section) -> int:

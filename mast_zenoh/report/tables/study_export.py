@@ -28,9 +28,9 @@ _MARK = "* remains distinguishable from 0 after Holm's procedure"
 
 
 def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
-    """A line for each configuration and series, all digits; what is not known is empty.
+    """A line per configuration and series, with all digits; unknown numbers are empty.
 
-    p_holm is p adjusted for all contrasts of the tables (`compare`), and empty where it is not one of them.
+    p_holm is p adjusted for all contrasts of the tables (`compare`), and empty for other series.
     """
     adjusted = compare(rows, facts.baseline).adjusted
     parameters = list(dict.fromkeys(name for row in rows for name in row.point))
@@ -51,10 +51,10 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
 
 
 def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
-    """A tabular that needs no package: for each configuration what the attack adds, and its intervals below."""
+    """A tabular without package requirements: increments per configuration, with intervals below."""
     rows, facts = titled(rows, facts)
     columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
-    groups = " & ".join(rf"\multicolumn{{{len(of)}}}{{c}}{{{name}}}" for name, of in PAPER)
+    groups = " & ".join(rf"\multicolumn{{{len(columns_of_group)}}}{{c}}{{{name}}}" for name, columns_of_group in PAPER)
     size = facts.size.replace("\u00d7", "x")
     comments = ["mean and std over the frames of all trials; below, mean over seeds [95 % interval], paired", size]
     lines = [
@@ -66,22 +66,22 @@ def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
         r"\hline",
     ]
     for row in (row for row in rows if row.label != facts.baseline):
-        above = [_tex(over_frames(c.of(row))) + ("^{*}" if comparisons.remains(row, c) else "") for c in columns]
-        below = [_tex(over_trials(column.of(row))) for column in columns]
-        for label, texts in ((row.label, above), ("", below)):
+        frame_cells = [_tex(over_frames(c.of(row))) + ("^{*}" if comparisons.remains(row, c) else "") for c in columns]
+        trial_cells = [_tex(over_trials(column.of(row))) for column in columns]
+        for label, texts in ((row.label, frame_cells), ("", trial_cells)):
             lines.append(" & ".join([_tex(label), *(f"${text}$" for text in texts)]) + r" \\")
     return "\n".join([*lines, r"\hline", r"\end{tabular}", ""])
 
 
 def _short(heading: str) -> str:
-    """A heading without what that of its group says already: "IoE", but "CAFN IoB"."""
-    kind, which = heading.split()
-    return heading if kind.startswith("CA") else which
+    """A heading without the part that its group's heading has: "IoE", but "CAFN IoB"."""
+    kind, reference = heading.split()
+    return heading if kind.startswith("CA") else reference
 
 
 def _tex(text: str) -> str:
-    """Text that LaTeX prints as it is."""
-    for plain, made in (
+    """Text escaped for LaTeX."""
+    for character, replacement in (
         ("\u2212", "-"),
         ("±", r"\pm"),
         (DASH, r"\mbox{--}"),
@@ -90,5 +90,5 @@ def _tex(text: str) -> str:
         ("%", r"\%"),
         ("&", r"\&"),
     ):
-        text = text.replace(plain, made)
+        text = text.replace(character, replacement)
     return text

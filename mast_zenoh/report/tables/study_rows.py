@@ -1,4 +1,4 @@
-"""What the tables and figures of a study show: a row per configuration, an estimate per series of numbers."""
+"""Data of a study's tables: a row per configuration, an estimate per series."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from mast_zenoh.metrics import CAUSES
 from mast_zenoh.report.tables.scores import DASH
 
 NAN = float("nan")
-#: With fewer seeds there is no interval.
-LEAST_SEEDS = 5
-#: A difference up to this is one of rounding.
+#: Minimum number of seeds for an interval.
+MIN_SEEDS = 5
+#: Differences up to this are rounding errors.
 NEGLIGIBLE = 1e-9
 
 
 class Series(NamedTuple):
-    """Which number, by the columns of results.parquet."""
+    """Identifies a number by the columns of results.parquet."""
 
     who: str
     estimator: str
@@ -27,14 +27,14 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One series of one configuration; what is not known is NaN.
+    """One series of one configuration; unknown numbers are NaN.
 
-    mean, std: over the frames of all trials together, as the paper has them; std is NaN for metrics of whole runs
+    mean, std: over the frames of all trials, as in the paper; std is NaN for metrics of whole runs
     trial_mean, low, high: mean over the trials of `seeds` seeds in `scenes` scenes, each paired with its baseline, and
                its 95 % interval over seeds of these scenes; without bounds for fewer than five seeds, or equal ones
     scenes_low, scenes_high: 95 % interval to other scenes as well; for five scenes and more
-    p:         of no difference from the baseline, by the interval over seeds; of increments only
-    left_out:  seeds that lack the value in some scene and are in none of these, because a trial failed or has none
+    p:         p-value of no difference from the baseline, over seeds; of increments only
+    left_out:  number of seeds left out of the trial statistics, because a trial failed or has no value
     rate:      whether it is a success rate, of trials that are 0 or 1
     """
 
@@ -53,21 +53,21 @@ class Estimate:
 
     @property
     def unchanged(self) -> bool:
-        """Of an increment: whether it is 0 in every trial, as far as five seeds or more can tell."""
-        return self.seeds >= LEAST_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
+        """Whether an increment is 0 in every trial, of at least five seeds."""
+        return self.seeds >= MIN_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
 
     @property
     def certain(self) -> bool:
-        """Of an increment: whether it is the same in every seed, and not 0; without spread there is no interval."""
-        return self.seeds >= LEAST_SEEDS and abs(self.trial_mean) > NEGLIGIBLE and math.isnan(self.low)
+        """Whether an increment is equal in every seed and not 0; without spread there is no interval."""
+        return self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE and math.isnan(self.low)
 
 
 @dataclass(frozen=True, slots=True)
 class StudyRow:
     """One configuration.
 
-    label: its own; run: that of the study file's run; point: its choice from the grid, name to value
-    ego:   name of the agent from which everything is seen
+    label: of the configuration; run: label of its run in the study file; point: grid parameters, name to value
+    ego:   name of the agent whose estimates are scored
     """
 
     label: str
@@ -106,7 +106,7 @@ class Column(NamedTuple):
 #: Columns in groups with a name.
 Groups = tuple[tuple[str, tuple[Column, ...]], ...]
 
-#: The estimates of the ego that are laid side by side.
+#: The estimates of the ego that tables compare, and their names.
 ESTIMATORS = {"local": "ego alone", "picture": "picture", "mission": "ego with the picture"}
 
 _SCORES = (("FN", "fn"), ("FP", "fp"), ("TP", "tp"), ("RMSE m", "rmse_m"), ("ID sw.", "id_switches"))
@@ -117,12 +117,12 @@ def _of(estimator: str, metrics: Iterable[tuple[str, str]], suffix: str = "") ->
     return tuple(Column(heading, metric + suffix, estimator) for heading, metric in metrics)
 
 
-#: What each estimate scores, and what the attack adds to it.
+#: The scores of each estimate, and their increments over the baseline.
 SCORES: Groups = tuple((name, _of(estimator, _SCORES)) for estimator, name in ESTIMATORS.items())
 ALL_SCORES: Groups = tuple((name, _of(estimator, _SCORES + _DISTANCES)) for estimator, name in ESTIMATORS.items())
 ADDED: Groups = tuple((name, _of(estimator, _SCORES, "_iob")) for estimator, name in ESTIMATORS.items())
 
-#: The increments by the names that the paper has for them.
+#: The increments by their names in the paper.
 PAPER: Groups = (
     (
         "compromised agents",
@@ -143,7 +143,7 @@ def columns_of(groups: Groups) -> list[Column]:
 
 
 def present(rows: Sequence[StudyRow], groups: Groups) -> Groups:
-    """The groups of which any row has a number."""
+    """The groups in which any row has a number."""
     return tuple(
         (name, columns)
         for name, columns in groups
@@ -179,7 +179,7 @@ def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
         return f"[{', '.join(ends)}]"
     if scenes or math.isnan(estimate.trial_mean):
         return ""
-    return f"(n < {LEAST_SEEDS})" if estimate.seeds < LEAST_SEEDS else "(all equal)"
+    return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
 
 
 def _digits(estimate: Estimate) -> int:
@@ -189,16 +189,16 @@ def _digits(estimate: Estimate) -> int:
 
 
 def number(value: float, digits: int = 2) -> str:
-    """So many decimals, with a proper minus and no negative zero."""
+    """A number with `digits` decimals, a proper minus sign and no negative zero."""
     if math.isnan(value):
         return DASH
     text = f"{value:.{digits}f}"
     return text.replace("-", "" if float(text) == 0.0 else "\u2212")
 
 
-def shares(row: StudyRow, what: str, estimator: str = "picture") -> dict[str, float]:
-    """Of the false ("fp") or missed ("fn") objects of an estimate the part of each cause, 0 to 1; {} without any."""
-    counts = {cause: row.get(f"{what} {cause}", estimator).mean for cause in CAUSES}
+def shares(row: StudyRow, outcome: str, estimator: str = "picture") -> dict[str, float]:
+    """Shares (0 to 1) of the causes of an estimate's false ("fp") or missed ("fn") objects; {} if none."""
+    counts = {cause: row.get(f"{outcome} {cause}", estimator).mean for cause in CAUSES}
     counts = {cause: mean for cause, mean in counts.items() if mean > 0.0}
     total = sum(counts.values())
     return {cause: mean / total for cause, mean in counts.items()}

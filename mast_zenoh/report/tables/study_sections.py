@@ -1,4 +1,4 @@
-"""The tables of a study as text in cells, which the terminal, Markdown and HTML all show."""
+"""The tables of a study as cells of text, shared by terminal, Markdown and HTML."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PAIRED = "Difference from the baseline of the same scene and seed; mean and 95 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One number as text, what stands below it, and whether it is marked as distinguishable from 0."""
+    """A number as text, the text below it, and whether it is marked as distinguishable from 0."""
 
     text: str = DASH
     below: str = ""
@@ -50,7 +50,7 @@ class Section:
 
     groups:   of columns: a name ("" where there is one group) and the headings
     lines:    a label, and a cell for each column
-    terminal: whether the terminal shows it; brief: there without what stands below the numbers
+    terminal: whether the terminal shows it; brief: whether it does so without the text below numbers
     """
 
     title: str
@@ -67,12 +67,12 @@ class Section:
 
 
 def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) -> list[Section]:
-    """All tables of a study but the empty ones."""
+    """All non-empty tables of a study."""
     attacked = [row for row in rows if row.label != baseline]
     tables = [_paper(attacked, comparisons), *_added(attacked, comparisons), *_to_other_scenes(attacked)]
     tables += [_scores(rows, group) for group in ALL_SCORES]
     tables += [*_achieved(attacked), _others(rows)]
-    tables += [_causes(rows, estimator, what) for estimator in ("picture", "mission") for what in _WRONG]
+    tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
     return [section for section in tables if section.lines and section.headings]
 
 
@@ -97,7 +97,7 @@ def _paper(rows: Sequence[StudyRow], comparisons: Comparisons) -> Section:
 
 
 def _added(rows: Sequence[StudyRow], comparisons: Comparisons) -> list[Section]:
-    """One table per estimate that an attack changes; the terminal's are those of the ego."""
+    """A table per estimate that an attack changes; the terminal shows those of the ego."""
     tables = []
     for estimator, group in zip(ESTIMATORS, ADDED, strict=True):
         section = _table(
@@ -113,9 +113,9 @@ def _added(rows: Sequence[StudyRow], comparisons: Comparisons) -> list[Section]:
 
 
 def _to_other_scenes(rows: Sequence[StudyRow]) -> list[Section]:
-    """What the attack adds, with intervals to other scenes; of estimates that have one."""
+    """Increments with intervals to other scenes, for estimates that have them."""
     caption = "The same means, with the 95 % interval to other scenes drawn like these, and other seeds."
-    wide = [group for group in ADDED if any(not math.isnan(c.of(row).scenes_low) for row in rows for c in group[1])]
+    groups = [group for group in ADDED if any(not math.isnan(c.of(row).scenes_low) for row in rows for c in group[1])]
     return [
         _table(
             f"What the attack adds, to other scenes: {group[0]}",
@@ -125,7 +125,7 @@ def _to_other_scenes(rows: Sequence[StudyRow]) -> list[Section]:
             lambda row, column: Cell(value(column.of(row)), bounds(column.of(row), scenes=True)),
             terminal=False,
         )
-        for group in wide
+        for group in groups
     ]
 
 
@@ -136,15 +136,18 @@ def _scores(rows: Sequence[StudyRow], group: tuple[str, tuple[Column, ...]]) -> 
 
 
 def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
-    """What all adversaries achieved together, and each; where nothing is known of all, the terminal shows each."""
+    """Achievements of all adversaries together, and of each one."""
     series = list(dict.fromkeys(each for row in rows for each in row.estimates if each.estimator == _ACHIEVED))
     names = list(dict.fromkeys(each.metric for each in series))
-    together = [each.who for each in series if each.who == _ALL][:1]
-    apart = list(dict.fromkeys(each.who for each in series if each.who != _ALL))
+    all_adversaries = [each.who for each in series if each.who == _ALL][:1]
+    single_adversaries = list(dict.fromkeys(each.who for each in series if each.who != _ALL))
     caption = "Mean over trials, of yes and no the success rate; 95 % interval over seeds of these scenes."
     headings = (("", tuple(name.replace("_", " ") for name in names)),)
     tables = []
-    for title, group in (("What the attack achieved", together), ("What each adversary achieved", apart)):
+    for title, group in (
+        ("What the attack achieved", all_adversaries),
+        ("What each adversary achieved", single_adversaries),
+    ):
         cells = {
             row.label if who == _ALL else f"{row.label}: {who}": tuple(
                 _over_trials(row.get(name, _ACHIEVED, who)) for name in names
@@ -153,17 +156,19 @@ def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
             for who in group
         }
         lines = [(label, line) for label, line in cells.items() if any(cell != Cell() for cell in line)]
-        tables.append(Section(title, caption, headings, tuple(lines), terminal=group is together or not together))
+        tables.append(
+            Section(title, caption, headings, tuple(lines), terminal=group is all_adversaries or not all_adversaries)
+        )
     return tables
 
 
 def _others(rows: Sequence[StudyRow]) -> Section:
-    """All that is known of the ego and has no other table, the user's metrics among it: a line each."""
-    shown = {(column.estimator, column.metric) for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
+    """Numbers of the ego that have no other table, such as user-defined metrics: a line each."""
+    table_series = {(column.estimator, column.metric) for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
     series = [
         each
         for each in dict.fromkeys(each for row in rows for each in row.estimates)
-        if each.who == rows[0].ego and (each.estimator, each.metric) not in shown and " " not in each.metric
+        if each.who == rows[0].ego and (each.estimator, each.metric) not in table_series and " " not in each.metric
     ]
 
     def cells(each: Series) -> tuple[Cell, ...]:
@@ -185,15 +190,18 @@ def _others(rows: Sequence[StudyRow]) -> Section:
     )
 
 
-def _causes(rows: Sequence[StudyRow], estimator: str, what: str) -> Section:
+def _causes(rows: Sequence[StudyRow], estimator: str, outcome: str) -> Section:
     """The causes that occur, with their shares."""
-    parts = {row.label: shares(row, what, estimator) for row in rows}
-    causes = [cause for cause in CAUSES if any(cause in mine for mine in parts.values())]
+    parts = {row.label: shares(row, outcome, estimator) for row in rows}
+    causes = [cause for cause in CAUSES if any(cause in row_shares for row_shares in parts.values())]
     lines = tuple(
-        (label, tuple(Cell(f"{100.0 * mine[cause]:.1f} %") if cause in mine else Cell() for cause in causes))
-        for label, mine in parts.items()
+        (
+            label,
+            tuple(Cell(f"{100.0 * row_shares[cause]:.1f} %") if cause in row_shares else Cell() for cause in causes),
+        )
+        for label, row_shares in parts.items()
     )
-    title = f"Causes of {_WRONG[what]}, share: {ESTIMATORS[estimator]}"
+    title = f"Causes of {_WRONG[outcome]}, share: {ESTIMATORS[estimator]}"
     return Section(title, "", (("", tuple(causes)),), lines, terminal=estimator == "picture")
 
 
@@ -211,10 +219,10 @@ def _table(
     terminal: bool = True,
     brief: bool = False,
 ) -> Section:
-    """A table with a line per configuration, without the groups of which no configuration has a number."""
+    """A table with a line per configuration, without empty groups."""
     rows = list(rows)
     groups = present(rows, groups)
     columns = columns_of(groups)
     lines = tuple((row.label, tuple(cell(row, column) for column in columns)) for row in rows)
-    headings = tuple((name, tuple(column.heading for column in of)) for name, of in groups)
+    headings = tuple((name, tuple(column.heading for column in group_columns)) for name, group_columns in groups)
     return Section(title, caption, headings, lines if groups else (), terminal, brief)

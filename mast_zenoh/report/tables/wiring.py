@@ -1,4 +1,4 @@
-"""The wires of a run and the nodes on them: rows of the table, and where the diagram puts nodes and lines."""
+"""The wires of a run: table rows, and the layout of the wiring diagram."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mast_zenoh.report.tables.interposers import interposers
 
 #: Roles along the flow of a frame, left to right; the agents stand one above the other.
 FLOW = ("simulator", "agent", "broker", "command_center")
-#: Roles that only listen, what every node gets, and what is for listeners only: in the table, not in the drawing.
+#: Listen-only roles, and messages for all nodes or for listeners only: in the table but not in the diagram.
 _LISTENERS = ("evaluator", "recorder", "visualizer")
 _UNDRAWN = ("clock", "truth", "attack_report")
 
@@ -24,11 +24,11 @@ WIDE, HIGH, GAP, ROW = 1.5, 0.34, 0.75, 0.72
 class WireRow:
     """One wire in the table.
 
-    taps:     key expressions of the hidden legs that the rewrite made
-    links:    those of the interposers that are links, which do what a network does
-    when:     by interposer, the frames in which it was there, in words, if it came while the run went on
-    branches: the subscribers that have interposers of their own before them
-    before:   by interposer that stands before some subscribers alone, these
+    taps:     key expressions of the hidden legs
+    links:    interposers that model the network
+    when:     frames of live interposers, in words
+    branches: subscribers with interposers of their own
+    before:   the subscribers behind each interposer that serves only some of them
     """
 
     key: str
@@ -44,20 +44,23 @@ class WireRow:
 
     @property
     def intercepted(self) -> bool:
-        """Whether a node sits on the wire that is no link."""
+        """Whether an interposer other than a link sits on the wire."""
         return len(self.links) < len(self.interposers)
 
 
 def wire_rows(run: RunFolder) -> list[WireRow]:
     """All wires: the intercepted ones first, then those with links, then by key."""
     when = live_frames(run)
-    found = [
+    rows = [
         WireRow(
             wire["key"],
             wire.get("message", ""),
             wire.get("publisher", ""),
             tuple(wire.get("interposers", ())),
-            (*wire.get("subscribers", ()), *(f"{ear['node']} (listens)" for ear in wire.get("listeners", ()))),
+            (
+                *wire.get("subscribers", ()),
+                *(f"{listener['node']} (listens)" for listener in wire.get("listeners", ())),
+            ),
             tuple(leg["key"] for leg in wire.get("legs", ()) if leg["key"] not in ("", wire["key"])),
             tuple(node for node in wire.get("interposers", ()) if run.role(node) == "link"),
             {node: when[node] for node in wire.get("interposers", ()) if node in when},
@@ -66,20 +69,20 @@ def wire_rows(run: RunFolder) -> list[WireRow]:
         )
         for wire in all_wires(run)
     ]
-    return sorted(found, key=lambda row: (not row.intercepted, not row.interposers, row.key))
+    return sorted(rows, key=lambda row: (not row.intercepted, not row.interposers, row.key))
 
 
 def _before(wire: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """By interposer that stands before some subscribers alone, these."""
-    found: dict[str, tuple[str, ...]] = {}
+    """The subscribers behind each interposer that serves only some of them."""
+    subscribers: dict[str, tuple[str, ...]] = {}
     for leg in wire.get("legs", ()):
         if leg.get("before"):
-            found[leg["from"]] = (*found.get(leg["from"], ()), leg["before"])
-    return found
+            subscribers[leg["from"]] = (*subscribers.get(leg["from"], ()), leg["before"])
+    return subscribers
 
 
 def all_wires(run: RunFolder) -> list[dict[str, Any]]:
-    """The wires of wiring.json, which is how they were at the end, with the interposers that had left by then."""
+    """The wires of wiring.json (the final state), plus interposers that were removed before the end."""
     wires = {wire["key"]: wire for wire in run.wiring.get("wires", [])}
     for each in interposers(run):
         for key in each.wires if each.live is not None else ():
@@ -90,28 +93,28 @@ def all_wires(run: RunFolder) -> list[dict[str, Any]]:
 
 
 def _with_interposer(wire: dict[str, Any], node: str) -> dict[str, Any]:
-    """A wire with one more node at the end of its trunk; the key on which it heard is not known any more."""
+    """A wire with one more interposer at the end of its trunk; the key that it subscribed to is not known."""
     legs = list(wire.get("legs", ()))
-    place = next((i for i, leg in enumerate(legs) if leg["key"] == wire["key"]), None)
-    if place is not None:
-        last = legs[place]
-        legs[place : place + 1] = [{**last, "key": "", "to": [node]}, {**last, "from": node}]
+    index = next((i for i, leg in enumerate(legs) if leg["key"] == wire["key"]), None)
+    if index is not None:
+        last = legs[index]
+        legs[index : index + 1] = [{**last, "key": "", "to": [node]}, {**last, "from": node}]
     return {**wire, "legs": legs, "interposers": [*wire.get("interposers", ()), node]}
 
 
 def live_frames(run: RunFolder) -> dict[str, str]:
-    """By interposer that came while the run went on, the frames in which it was on its wire, in words."""
-    found = {each.name: each for each in interposers(run) if each.live is not None}
+    """The frames of live interposers on their wire, in words."""
+    live_interposers = {each.name: each for each in interposers(run) if each.live is not None}
     return {
         name: f"from frame {each.live}" if each.released is None else f"frames {each.live} to {each.released - 1}"
-        for name, each in found.items()
+        for name, each in live_interposers.items()
     }
 
 
 class Spot(NamedTuple):
-    """A node in the drawing. One that sits on wires in two places has a spot in each.
+    """A node in the diagram; an interposer of two wires may have two spots.
 
-    after: the column after which a node on a wire stands, -1 for all others
+    after: the column to the left of an interposer, -1 for all other nodes
     """
 
     node: str
@@ -120,10 +123,7 @@ class Spot(NamedTuple):
 
 @dataclass(slots=True)
 class Line:
-    """What runs from one node to another: the message types, and whether one of their wires is intercepted or has a
-
-    link on it.
-    """
+    """A line between two nodes: message types, and whether a wire is intercepted or has a link."""
 
     messages: list[str] = field(default_factory=list)
     intercepted: bool = False
@@ -132,11 +132,11 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where everything is drawn, in inches, y downwards.
+    """The layout of the diagram, in inches, y downwards.
 
     places: (x, y) of the centre of every spot
     lines:  by (from, to)
-    floor:  y of the line along which messages go back
+    floor:  y of the line for messages against the flow
     """
 
     places: dict[Spot, tuple[float, float]]
@@ -145,10 +145,10 @@ class Layout:
 
 
 def layout(run: RunFolder) -> Layout | None:
-    """Place the nodes of a run in columns by the flow of a frame; None: there is nothing to draw.
+    """Place the nodes of a run in columns along the flow of a frame; None: nothing to draw.
 
-    Nodes on a wire stand between its ends, half a row above the agent whose wire it is. Nodes outside the flow
-    (a coordinator) stand above those that they talk to.
+    Interposers are placed between the ends of their wire, half a row above its agent. Nodes outside the flow (a
+    coordinator) are placed above their neighbours.
     """
     wires = [wire for wire in all_wires(run) if wire.get("message") not in _UNDRAWN]
     lines = _lines(run, wires)
@@ -159,79 +159,81 @@ def layout(run: RunFolder) -> Layout | None:
     row = {agent: float(index) for index, agent in enumerate(agents)}
     middle = max(len(agents) - 1, 0) / 2
 
-    seats: dict[Spot, tuple[int, float]] = {}  # of nodes on wires: how far along the chain, which row
-    room: dict[int, int] = defaultdict(int)
+    wire_positions: dict[Spot, tuple[int, float]] = {}  # of interposers: position in the chain, row
+    slots_after: dict[int, int] = defaultdict(int)
     for wire in wires:
         after = _gap(run, wire)
         ends = (wire["publisher"], *wire["subscribers"][:1])
         for node, (order, before) in _orders(wire).items():
-            beside = next((row[end] for end in (before, *ends) if end in row), middle)
-            seats.setdefault(Spot(node, after), (order, beside - 0.5))
-            room[after] = max(room[after], order + 1)
-    left = [0.0]
+            row_of_wire = next((row[end] for end in (before, *ends) if end in row), middle)
+            wire_positions.setdefault(Spot(node, after), (order, row_of_wire - 0.5))
+            slots_after[after] = max(slots_after[after], order + 1)
+    column_x = [0.0]
     for index in range(len(FLOW)):
-        left.append(left[-1] + (WIDE + GAP) * (1 + room[index]))
+        column_x.append(column_x[-1] + (WIDE + GAP) * (1 + slots_after[index]))
 
     places: dict[Spot, tuple[float, float]] = {}
     stacked: dict[str, int] = defaultdict(int)
     for spot in spots:
         role = run.role(spot.node)
-        if spot in seats:
-            order, level = seats[spot]
-            places[spot] = left[spot.after] + (WIDE + GAP) * (order + 1), level * ROW
+        if spot in wire_positions:
+            order, level = wire_positions[spot]
+            places[spot] = column_x[spot.after] + (WIDE + GAP) * (order + 1), level * ROW
         elif spot.node in row:
-            places[spot] = left[1], row[spot.node] * ROW
+            places[spot] = column_x[1], row[spot.node] * ROW
         elif role in FLOW:
-            places[spot] = left[FLOW.index(role)], (middle + stacked[role]) * ROW
+            places[spot] = column_x[FLOW.index(role)], (middle + stacked[role]) * ROW
             stacked[role] += 1
     above = min((y for _, y in places.values()), default=0.0) - 1.4 * ROW
     for index, spot in enumerate([spot for spot in spots if spot not in places]):
         near = [
             places[other][0] for pair in lines if spot in pair for other in pair if other in places and other != spot
         ]
-        places[spot] = (sum(near) / len(near) if near else left[1]) + index * (WIDE + 0.2), above
+        places[spot] = (sum(near) / len(near) if near else column_x[1]) + index * (WIDE + 0.2), above
     return Layout(places, lines, max(y for _, y in places.values()) + 0.8)
 
 
 def _orders(wire: Mapping[str, Any]) -> dict[str, tuple[int, str]]:
-    """Of each node on a wire how many stand before it, and whom alone it stands before; "": before all subscribers."""
+    """(number of interposers before it, its only subscriber or "") of each interposer of a wire."""
     legs = wire.get("legs", ())
     if not any(leg.get("before") for leg in legs):
         return {node: (order, "") for order, node in enumerate(wire.get("interposers", ()))}
     trunk = [leg["from"] for leg in legs if not leg.get("before")][1:]
-    found = {node: (order, "") for order, node in enumerate(trunk)}
+    orders = {node: (order, "") for order, node in enumerate(trunk)}
     passed: dict[str, int] = {}
     for leg in legs:
         before = leg.get("before")
         if before:
             order = passed.get(before, len(trunk))
             passed[before] = order + 1
-            found[leg["from"]] = order, before
-    return found
+            orders[leg["from"]] = order, before
+    return orders
 
 
 def _gap(run: RunFolder, wire: Mapping[str, Any]) -> int:
-    """The column after which nodes on a wire stand."""
+    """The column to the left of a wire's interposers."""
     ends = [run.role(end) for end in (wire["publisher"], *wire["subscribers"][:1])]
     return min((FLOW.index(role) for role in ends if role in FLOW), default=len(FLOW) - 1)
 
 
 def _lines(run: RunFolder, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], Line]:
-    seated: dict[str, int] = {}
+    columns_by_node: dict[str, int] = {}
     for wire in wires:
         for node in wire.get("interposers", ()):
-            seated[node] = min(seated.get(node, len(FLOW)), _gap(run, wire))
+            columns_by_node[node] = min(columns_by_node.get(node, len(FLOW)), _gap(run, wire))
     lines: dict[tuple[Spot, Spot], Line] = defaultdict(Line)
     for wire in wires:
         chain = wire.get("interposers", ())
         branched = any(leg.get("before") for leg in wire.get("legs", ()))
 
         def spot(node: str, wire: Mapping[str, Any] = wire, chain: Sequence[str] = chain) -> Spot:
-            return Spot(node, _gap(run, wire) if node in chain else seated.get(node, -1))
+            return Spot(node, _gap(run, wire) if node in chain else columns_by_node.get(node, -1))
 
         for leg in wire.get("legs") or [{"from": wire["publisher"], "to": wire["subscribers"]}]:
-            listening = [ear["node"] for ear in wire.get("listeners", ()) if ear["key"] == leg.get("key")]
-            for to in (*leg["to"], *listening):
+            listeners = [
+                listener["node"] for listener in wire.get("listeners", ()) if listener["key"] == leg.get("key")
+            ]
+            for to in (*leg["to"], *listeners):
                 if run.role(to) in _LISTENERS:
                     continue
                 line = lines[spot(leg["from"]), spot(to)]

@@ -1,16 +1,16 @@
-"""What attackers try against a run that is under way, at each level of security, and what comes of it.
+"""Attacks on a run in progress at each security level, and their effects.
 
-An outsider has the network; an insider has one node's certificate and key.
+An outsider has network access; an insider also has one node's certificate and key.
 
-attempts      what an outsider can try: classes that a scenario file names in its `outsider()`
-insiders      what a compromised node can try: classes that it names in its `insiders()`
-siege         a run that goes on while it is tried
+attempts      attacks by an outsider: classes for a scenario file's `outsider()`
+insiders      attacks by a compromised node: classes for a scenario file's `insiders()`
+attacked_run  a run that plays while attackers act
 infiltration  a run with an insider, compared with its undisturbed twin
-position      what a compromised node knows of its run
-forgeries     the control messages that it sends, of which
-malformed     no decoder takes these, and
-falsehoods    these are sound, and not true
-sending       sends them
-detour        the way of one node to the router, in the outsider's hands
+position      what a compromised node knows about its run
+forgeries     control messages that it sends:
+malformed     those that every decoder rejects
+falsehoods    those that are well formed but untrue
+sending       sends forged messages
+detour        redirects one node's connection to the router
 comparison    the same at every level of security
 """

@@ -1,7 +1,7 @@
-"""What an outsider can try against a run. Each attempt is really made; what comes of it is counted, not judged.
+"""Attacks by an outsider. Each one is carried out, and its effects are counted.
 
 A scenario file's `outsider()` lists attempts as dicts: dict(type="Inject", name="no certificate", shows="nothing", …).
-Subclasses of Attempt in that file can be named as well.
+The file may define its own subclasses of Attempt.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ import zenoh
 from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security.credentials import ROUTER
 from mast_zenoh.security.levels import endpoint, router_settings
-from mast_zenoh.study.rogue.siege import NOTHING, Siege
+from mast_zenoh.study.rogue.attacked_run import NOTHING, AttackedRun
 
 _MATCH_S = 1.0
 _FLUSH_S = 0.3
 _LURE_S = 3.0
-_BACK_S = 10.0
+_RECOVERY_S = 10.0
 
 
 @dataclass
 class Outcome:
-    """What came of one attempt.
+    """The effects of one attempt.
 
     admitted: whether the outsider got a session on the mesh
-    sent:     messages sent to `key`; reached: how often a node's host has got one of them, of `expected` if all went
-    heard:    samples (or answers) overheard
-    lured:    nodes that have talked to a router of the outsider's
+    sent:     messages sent to `key`; reached: how many deliveries to hosts there were, of `expected` if none is lost
+    heard:    samples (or replies) overheard
+    lured:    nodes that connected to the outsider's router
     """
 
     admitted: bool = False
@@ -47,20 +47,20 @@ class Outcome:
 
     @property
     def succeeded(self) -> bool:
-        """Whether anything got in, out, or onto the wrong way."""
+        """Whether any message was injected, overheard or diverted."""
         return bool(self.reached or self.heard or self.lured)
 
 
 class Attempt(ABC):
-    """Base of all attempts.
+    """Base class of attempts.
 
-    name:  what the table calls it
-    shows: what the outsider shows: "nothing", "foreign", "expired", or the name of a node whose certificate he has
+    name:  its name in the table
+    shows: the credentials presented: "nothing", "foreign", "expired", or the name of a node whose certificate is used
     """
 
-    #: the node whose way to the router the outsider must hold
-    detours: str | None = None
-    #: whether what he shows decides about him: where nobody asks for it he just joins
+    #: the node whose connection to the router must pass through the outsider
+    detour_node: str | None = None
+    #: whether the outcome depends on the credentials, on meshes that ask for them
     by_certificate: ClassVar[bool] = True
 
     def __init__(self, name: str, shows: str = NOTHING) -> None:
@@ -69,18 +69,18 @@ class Attempt(ABC):
 
     @property
     def key(self) -> str:
-        """The key on which forged messages are sent, of this attempt alone, for they are counted by it; or ""."""
+        """The key of its forged messages, by which they are counted, so unique among attempts; or ""."""
         return ""
 
     @abstractmethod
-    def make(self, siege: Siege) -> Outcome:
-        """Try it, and say what was seen of it at once; `reached` is counted when the run has ended."""
+    def make(self, attacked_run: AttackedRun) -> Outcome:
+        """Carry out the attempt and return its immediate effects; `reached` is counted after the run."""
 
 
 class Inject(Attempt):
     """Send forged messages on a wire.
 
-    wire: its key, without the run's prefix; messages: how many
+    wire: its key, without the run's prefix; messages: their number
     """
 
     def __init__(self, name: str, wire: str, shows: str = NOTHING, messages: int = 20) -> None:
@@ -90,26 +90,26 @@ class Inject(Attempt):
 
     @property
     def key(self) -> str:
-        """See Attempt."""
         return self.wire
 
-    def make(self, siege: Siege) -> Outcome:
-        """See Attempt."""
-        with _admitted(siege, self.shows) as session:
-            return self.send(siege, session)
+    def make(self, attacked_run: AttackedRun) -> Outcome:
+        with _admitted(attacked_run, self.shows) as session:
+            return self.send(attacked_run, session)
 
-    def send(self, siege: Siege, session: zenoh.Session | None) -> Outcome:
-        """Send them through a session, if there is one."""
-        outcome = Outcome(session is not None, self.wire, expected=self.messages * siege.hearers(self.wire))
+    def send(self, attacked_run: AttackedRun, session: zenoh.Session | None) -> Outcome:
+        """Send the messages through a session; None: the outsider was refused."""
+        outcome = Outcome(
+            session is not None, self.wire, expected=self.messages * attacked_run.subscriber_count(self.wire)
+        )
         if session is not None:
-            outcome.sent = forge(siege, session, self.wire, self.messages)
+            outcome.sent = forge(attacked_run, session, self.wire, self.messages)
         return outcome
 
 
 class DuplicateSession(Inject):
-    """Join with the Zenoh id of a node that is there, and speak as it would.
+    """Join with the Zenoh id of a running node and send messages in its name.
 
-    node: whose id
+    node: the node with this id
     """
 
     by_certificate = False
@@ -118,16 +118,15 @@ class DuplicateSession(Inject):
         super().__init__(name, wire, shows, messages)
         self.node = node
 
-    def make(self, siege: Siege) -> Outcome:
-        """See Attempt."""
-        with _admitted(siege, self.shows, siege.zid(self.node)) as session:
-            return self.send(siege, session)
+    def make(self, attacked_run: AttackedRun) -> Outcome:
+        with _admitted(attacked_run, self.shows, attacked_run.zid(self.node)) as session:
+            return self.send(attacked_run, session)
 
 
 class Eavesdrop(Attempt):
-    """Subscribe to a key expression, of the whole mesh, and listen.
+    """Subscribe to a key expression on the whole mesh and count samples.
 
-    keys: the expression; `{run}` in it stands for the run's prefix; seconds: how long
+    keys: the expression, in which `{run}` stands for the run's prefix; seconds: duration
     """
 
     by_certificate = False
@@ -137,37 +136,35 @@ class Eavesdrop(Attempt):
         self.keys = keys
         self.seconds = seconds
 
-    def make(self, siege: Siege) -> Outcome:
-        """See Attempt."""
-        with _admitted(siege, self.shows) as session:
+    def make(self, attacked_run: AttackedRun) -> Outcome:
+        with _admitted(attacked_run, self.shows) as session:
             if session is None:
                 return Outcome()
-            heard = _Count()
-            subscriber = session.declare_subscriber(self.keys.replace("{run}", siege.prefix), heard.callback())
+            counter = _SampleCounter()
+            subscriber = session.declare_subscriber(self.keys.replace("{run}", attacked_run.prefix), counter.callback())
             threading.Event().wait(self.seconds)
             subscriber.undeclare()
-            return Outcome(True, heard=heard.total)
+            return Outcome(True, heard=counter.total)
 
 
 class AskRouter(Attempt):
-    """Ask the router's admin space who is there, and who speaks on which key."""
+    """Query the router's admin space for sessions and their keys."""
 
     by_certificate = False
 
-    def make(self, siege: Siege) -> Outcome:
-        """See Attempt."""
-        with _admitted(siege, self.shows) as session:
+    def make(self, attacked_run: AttackedRun) -> Outcome:
+        with _admitted(attacked_run, self.shows) as session:
             if session is None:
                 return Outcome()
             replies = [reply.ok for reply in session.get("@/**", timeout=1.0) if reply.ok is not None]
-            own = f"@/{session.info.zid()}/"  # every session answers for itself
-            return Outcome(True, heard=sum(not str(reply.key_expr).startswith(own) for reply in replies))
+            own_prefix = f"@/{session.info.zid()}/"  # every session also replies about itself
+            return Outcome(True, heard=sum(not str(reply.key_expr).startswith(own_prefix) for reply in replies))
 
 
 class RogueRouter(Attempt):
-    """Turn the way of a node to the router: to a router of one's own, which is a client of the real one.
+    """Redirect a node's connection to a rogue router, which is a client of the real one.
 
-    node: whose way; wire: what is forged towards it; shows: whose certificate the rogue has, as a router too
+    node: the redirected node; wire: key of messages forged for it; shows: credentials of the rogue router
     """
 
     by_certificate = False
@@ -177,56 +174,60 @@ class RogueRouter(Attempt):
         self.node = node
         self.wire = wire
         self.messages = messages
-        self.detours = node
+        self.detour_node = node
 
     @property
     def key(self) -> str:
-        """See Attempt."""
         return self.wire
 
-    def make(self, siege: Siege) -> Outcome:
-        """See Attempt."""
-        outcome = Outcome(key=self.wire, expected=self.messages * siege.hearers(self.wire))
-        detour = siege.detours[self.node]
-        session, address = open_router(endpoint(siege.level, "tcp/127.0.0.1:0"), security=self._settings(siege))
+    def make(self, attacked_run: AttackedRun) -> Outcome:
+        outcome = Outcome(key=self.wire, expected=self.messages * attacked_run.subscriber_count(self.wire))
+        relay = attacked_run.detours[self.node]
+        session, address = open_router(
+            endpoint(attacked_run.level, "tcp/127.0.0.1:0"), security=self._settings(attacked_run)
+        )
         with session:
-            said = _Count()
-            spied = session.declare_subscriber(f"{siege.prefix}/agent/{self.node}/*", said.callback())
-            detour.turn(int(address.rpartition(":")[2]))
+            overheard = _SampleCounter()
+            subscriber = session.declare_subscriber(f"{attacked_run.prefix}/agent/{self.node}/*", overheard.callback())
+            relay.redirect(int(address.rpartition(":")[2]))
             try:
-                if siege.wait(lambda: _clients(session), _LURE_S):
+                if attacked_run.wait(lambda: _clients(session), _LURE_S):
                     outcome.lured = _clients(session)
                     outcome.admitted = True
-                    siege.wait(lambda: said.total, _LURE_S)
-                    outcome.heard = said.total
-                    outcome.sent = forge(siege, session, self.wire, self.messages)
+                    attacked_run.wait(lambda: overheard.total, _LURE_S)
+                    outcome.heard = overheard.total
+                    outcome.sent = forge(attacked_run, session, self.wire, self.messages)
             finally:
-                spied.undeclare()
-                detour.turn(None)
-        before = siege.frame
-        siege.wait(lambda: siege.frame > before, _BACK_S, "the run goes on")
+                subscriber.undeclare()
+                relay.redirect(None)
+        last_frame = attacked_run.frame
+        attacked_run.wait(lambda: attacked_run.frame > last_frame, _RECOVERY_S, "the run continues")
         return outcome
 
-    def _settings(self, siege: Siege) -> dict[str, Any]:
-        """A router that passes everything on to the real one, with the best certificate that the outsider has."""
-        upstream = {"connect/endpoints": [siege.endpoint], "connect/exit_on_failure": False, "connect/timeout_ms": 0}
-        if siege.level == "open":
+    def _settings(self, attacked_run: AttackedRun) -> dict[str, Any]:
+        """Settings of a router that forwards to the real one, with the outsider's best certificate."""
+        upstream = {
+            "connect/endpoints": [attacked_run.endpoint],
+            "connect/exit_on_failure": False,
+            "connect/timeout_ms": 0,
+        }
+        if attacked_run.level == "open":
             return upstream
-        credentials = siege.credentials(self.shows)
+        credentials = attacked_run.credentials(self.shows)
         if credentials is None or not credentials.certificate:
-            credentials = siege.foreign.issue(ROUTER, ["127.0.0.1"])
+            credentials = attacked_run.foreign.issue(ROUTER, ["127.0.0.1"])
         return upstream | router_settings("tls", credentials)
 
 
-def forge(siege: Siege, session: zenoh.Session, key: str, messages: int) -> int:
-    """Send forged messages, and give them time to arrive; how many.
+def forge(attacked_run: AttackedRun, session: zenoh.Session, key: str, messages: int) -> int:
+    """Send forged messages and wait until they may have arrived; returns their number.
 
-    They are put, not published: a publisher would keep to itself what nobody is known to hear.
+    Uses put: a declared publisher would not send messages on keys without known subscribers.
     """
     for _ in range(messages):
         session.put(
-            f"{siege.prefix}/{key}",
-            siege.forged(key),
+            f"{attacked_run.prefix}/{key}",
+            attacked_run.forged_message(key),
             congestion_control=zenoh.CongestionControl.BLOCK,
             express=True,
         )
@@ -235,10 +236,10 @@ def forge(siege: Siege, session: zenoh.Session, key: str, messages: int) -> int:
 
 
 @contextmanager
-def _admitted(siege: Siege, shows: str, zid: str | None = None) -> Iterator[zenoh.Session | None]:
-    """A session on the mesh, or None where it is refused."""
+def _admitted(attacked_run: AttackedRun, shows: str, zid: str | None = None) -> Iterator[zenoh.Session | None]:
+    """A session on the mesh, or None if it is refused."""
     try:
-        session = siege.join(shows, zid)
+        session = attacked_run.join(shows, zid)
     except zenoh.ZError:
         yield None
         return
@@ -247,7 +248,7 @@ def _admitted(siege: Siege, shows: str, zid: str | None = None) -> Iterator[zeno
 
 
 def _clients(session: zenoh.Session) -> int:
-    """How many clients a router in this process has."""
+    """The number of clients of a router in this process."""
     for reply in session.get(f"@/{session.info.zid()}/router", timeout=1.0):
         if reply.ok is not None:
             sessions = json.loads(reply.ok.payload.to_bytes())["sessions"]
@@ -255,15 +256,15 @@ def _clients(session: zenoh.Session) -> int:
     return 0
 
 
-class _Count:
+class _SampleCounter:
     """Counts samples, in Zenoh's own thread."""
 
     def __init__(self) -> None:
         self.total = 0
 
     def callback(self) -> Any:
-        """For a subscriber."""
-        return zenoh.handlers.Callback(self._take, indirect=False)
+        """The callback for a subscriber."""
+        return zenoh.handlers.Callback(self._count, indirect=False)
 
-    def _take(self, _: zenoh.Sample) -> None:
+    def _count(self, _: zenoh.Sample) -> None:
         self.total += 1

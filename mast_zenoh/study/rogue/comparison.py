@@ -1,4 +1,4 @@
-"""The same attempts against the same run at every level of security: which of them succeeds where."""
+"""Carries out the same attacks on the same run at every security level."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.report.tables import attempts as attempts_table
 from mast_zenoh.report.tables.attempts import AttemptRow
 from mast_zenoh.study.definition import Configuration, Study
+from mast_zenoh.study.rogue.attacked_run import AttackedRun, attacker_errors
 from mast_zenoh.study.rogue.attempts import Attempt, Outcome
 from mast_zenoh.study.rogue.infiltration import infiltrate
 from mast_zenoh.study.rogue.insiders import Insider
-from mast_zenoh.study.rogue.siege import Siege, attackers_own
 
-#: Of a run with an insider, unless the study says how many: there is one for each insider and level.
+#: Default number of frames of a run with an insider: there is one run per insider and level.
 _INSIDER_FRAMES = 60
 
 
 @dataclass(frozen=True)
-class Besieged:
-    """A study that has ended: its folder, a row for each attempt or insider and level, and its files."""
+class RogueResult:
+    """A finished study: its folder, a row per attempt or insider and level, and its files."""
 
     out: Path
     rows: list[AttemptRow]
     files: list[Path]
 
 
-class _Prepared(NamedTuple):
-    """A run of the study, as the outsider and as insiders find it."""
+class _PreparedRun(NamedTuple):
+    """A run of the study: in real time for the outsider, in lock-step for insiders."""
 
     label: str
     realtime: Resolved
@@ -55,45 +55,44 @@ def run(
     seed: int | None = None,
     frames: int | None = None,
     console: Console | None = None,
-) -> Besieged:
-    """Play every run of the study at every level, while attackers try what its file lists.
+) -> RogueResult:
+    """Play every run of the study at every level, with the attackers that its scenario file lists.
 
-    The outsider makes all its attempts in one run, in real time. Each insider has a run of its own, in lock-step, so
-    that it can be compared with an undisturbed twin. Everything is resolved, and refused if it is wrong, before the
-    first run starts. study.json is there from the beginning, with a status, and gets a row as soon as it is known.
-    Raises RunError for a run that ended while the outsider was at it, or before an insider was, and HandlerFailed for
-    an attacker whose own code fails.
+    The outsider makes all its attempts in one real-time run. Each insider has its own lock-step run, which is compared
+    with an undisturbed twin. All runs are resolved and validated before the first one starts. study.json exists from
+    the start, with a status, and gets each row as soon as it is known. Raises RunError if a run ends before its
+    attackers have finished, and HandlerFailed if the code of an attacker fails.
     """
     console = console or Console(quiet=True)
-    prepared = [_prepared(study, configuration, seed, frames) for configuration in study.configurations]
+    prepared = [_prepare(study, configuration, seed, frames) for configuration in study.configurations]
     folder = run_folder.create(out, study.name)
-    for part in ("logs", "figures"):
-        (folder / part).rmdir()
+    for subfolder in ("logs", "figures"):
+        (folder / subfolder).rmdir()
     rows: list[AttemptRow] = []
 
-    def note(status: str) -> None:
+    def write_status(status: str) -> None:
         content = {"name": study.name, "status": status, "security": list(study.security)}
         run_folder.write_json(folder / "study.json", content | {"rows": [row._asdict() for row in rows]})
 
-    with ending.written(note):
+    with ending.written(write_status):
         try:
             for each in prepared:
-                rows.extend(_played(each, study.security, folder, console))
+                rows.extend(_attack_rows(each, study.security, folder, console))
         except KeyboardInterrupt as caught:
             raise ending.explained(caught, f"what was found is in {folder / 'study.json'}") from None
     files = []
     for name, write in (("attempts.md", attempts_table.as_markdown), ("attempts.csv", attempts_table.as_csv)):
         (folder / name).write_text(write(rows), encoding="utf-8")
         files.append(folder / name)
-    return Besieged(folder, rows, files)
+    return RogueResult(folder, rows, files)
 
 
-def _played(each: _Prepared, levels: Sequence[str], folder: Path, console: Console) -> Iterator[AttemptRow]:
-    """The rows of a run of the study, as they come."""
+def _attack_rows(each: _PreparedRun, levels: Sequence[str], folder: Path, console: Console) -> Iterator[AttemptRow]:
+    """Attack one run of the study at every level; yields rows as they become known."""
     for level in levels:
         if each.attempts:
             console.print(f"[dim]{each.label} at {level}: {len(each.attempts)} attempts of an outsider")
-            yield from _outside(each, level, folder)
+            yield from _outsider_rows(each, level, folder)
     if each.insiders:
         console.print(f"[dim]{each.label}: the undisturbed twin")
         twin = launcher.run(each.lockstep, folder / f"{each.label}-twin", runtime="inproc")
@@ -101,50 +100,57 @@ def _played(each: _Prepared, levels: Sequence[str], folder: Path, console: Conso
             raise twin.error
         for level, insider in itertools.product(levels, each.insiders):
             console.print(f"[dim]{each.label} at {level}: {insider.name}", highlight=False)
-            yield _inside(each, level, folder, insider, twin.folder)
+            yield _insider_row(each, level, folder, insider, twin.folder)
 
 
 def load(name: str) -> list[Attempt]:
-    """The attempts that a scenario file's `outsider()` lists; raises ConfigurationError."""
-    attempts: list[Attempt] = _listed(name, "outsider", Attempt)
-    _tell_apart(name, "outsider", "key", [attempt.key for attempt in attempts if attempt.key])
+    """Load the attempts of a scenario file's `outsider()`; raises ConfigurationError."""
+    attempts: list[Attempt] = _load_attackers(name, "outsider", Attempt)
+    _require_unique(name, "outsider", "key", [attempt.key for attempt in attempts if attempt.key])
     return attempts
 
 
 def load_insiders(name: str) -> list[Insider]:
-    """The compromised nodes that a scenario file's `insiders()` lists; raises ConfigurationError."""
-    insiders: list[Insider] = _listed(name, "insiders", Insider)
+    """Load the insiders of a scenario file's `insiders()`; raises ConfigurationError."""
+    insiders: list[Insider] = _load_attackers(name, "insiders", Insider)
     return insiders
 
 
-def _listed(name: str, what: str, base: Any) -> list[Any]:
-    """What a function of a scenario file lists, made of subclasses of `base`; nothing if there is no such function."""
+def _load_attackers(name: str, function_name: str, base: Any) -> list[Any]:
+    """Build the attackers that a function of a scenario file lists; [] if there is no such function."""
     path, _ = loading.function("scenarios", name, "scenario")
-    function = getattr(loading.module(path), what, None)
+    function = getattr(loading.module(path), function_name, None)
     content = function() if callable(function) else []
     if not isinstance(content, (list, tuple)):
-        raise ConfigurationError(f"{path}: {what}() returned {type(content).__name__}, expected a list of dicts")
-    made = [registry.build(spec, base, f"{path}: {what}()[{index}]") for index, spec in enumerate(content)]
-    _tell_apart(name, what, "name", [each.name for each in made])
-    return made
+        raise ConfigurationError(
+            f"{path}: {function_name}() returned {type(content).__name__}, expected a list of dicts"
+        )
+    attackers = [
+        registry.build(spec, base, f"{path}: {function_name}()[{index}]") for index, spec in enumerate(content)
+    ]
+    _require_unique(name, function_name, "name", [each.name for each in attackers])
+    return attackers
 
 
-def _tell_apart(name: str, what: str, part: str, values: Sequence[str]) -> None:
-    twice = {value for value in values if values.count(value) > 1}
-    if twice:
-        raise ConfigurationError(f"{name}: {what}(): two attempts have the {part} {twice.pop()!r}")
+def _require_unique(name: str, function_name: str, attribute: str, values: Sequence[str]) -> None:
+    duplicates = {value for value in values if values.count(value) > 1}
+    if duplicates:
+        raise ConfigurationError(f"{name}: {function_name}(): two attempts have the {attribute} {duplicates.pop()!r}")
 
 
-def besiege(
+def run_outsider(
     resolved: Resolved, folder: Path, level: str, attempts: Sequence[Attempt]
 ) -> tuple[Mapping[str, Outcome], int]:
-    """(what came of each attempt by its name, messages of strangers that reached a host and are nobody's)."""
+    """Make an outsider's attempts in one run.
+
+    Returns the effects by attempt, and how many other messages from outside the run reached a host.
+    """
     outcomes: dict[str, Outcome] = {}
-    with Siege(resolved, folder, level, [a.detours for a in attempts if a.detours]) as siege:
+    with AttackedRun(resolved, folder, level, [a.detour_node for a in attempts if a.detour_node]) as attacked_run:
         for attempt in attempts:
-            with attackers_own(attempt.name, attempt.make):
-                outcomes[attempt.name] = attempt.make(siege)
-        received = siege.received()
+            with attacker_errors(attempt.name, attempt.make):
+                outcomes[attempt.name] = attempt.make(attacked_run)
+        received = attacked_run.foreign_messages()
         for outcome in outcomes.values():
             outcome.reached = sum(keys.get(outcome.key, 0) for keys in received.values())
         attempted = {outcome.key for outcome in outcomes.values()}
@@ -152,38 +158,40 @@ def besiege(
     return outcomes, stray
 
 
-def _prepared(study: Study, configuration: Configuration, seed: int | None, frames: int | None) -> _Prepared:
-    """Raises ConfigurationError for what cannot be played, and for a file that lists no attackers."""
+def _prepare(study: Study, configuration: Configuration, seed: int | None, frames: int | None) -> _PreparedRun:
+    """Resolve a run; raises ConfigurationError if it is invalid or its file lists no attackers."""
     file, loaded = scenario.load(configuration.scenario, (*study.scenes[0].settings, *configuration.settings))
     attempts, insiders = load(configuration.scenario), load_insiders(configuration.scenario)
     if not attempts and not insiders:
         raise ConfigurationError(f"{file}: lists no attackers: expected a function `outsider` or `insiders`")
     seed, frames = study.seed if seed is None else seed, frames or study.frames
-    named = loaded | {"name": configuration.label}
-    realtime = scenario.resolve(file, named, seed=seed, frames=frames, mode="realtime")
-    recorded = named | {"run": named.get("run", {}) | {"record": True}}
-    short = frames or _INSIDER_FRAMES
-    lockstep = scenario.resolve(file, recorded, seed=seed, frames=short, mode="lockstep", record=True)
+    named_scenario = loaded | {"name": configuration.label}
+    realtime = scenario.resolve(file, named_scenario, seed=seed, frames=frames, mode="realtime")
+    recorded_scenario = named_scenario | {"run": named_scenario.get("run", {}) | {"record": True}}
+    insider_frames = frames or _INSIDER_FRAMES
+    lockstep = scenario.resolve(file, recorded_scenario, seed=seed, frames=insider_frames, mode="lockstep", record=True)
     for insider in insiders:
         if insider.node not in lockstep.nodes:
             raise ConfigurationError(
                 f"{file}: insiders(): no node {insider.node!r}{nearest(insider.node, lockstep.nodes)}"
             )
-    return _Prepared(configuration.label, realtime, lockstep, attempts, insiders)
+    return _PreparedRun(configuration.label, realtime, lockstep, attempts, insiders)
 
 
-def _outside(each: _Prepared, level: str, folder: Path) -> list[AttemptRow]:
-    """A row for each attempt of the outsider at one level, and one for what no attempt accounts for."""
-    outcomes, stray = besiege(each.realtime, folder / f"{each.label}-{level}", level, each.attempts)
+def _outsider_rows(each: _PreparedRun, level: str, folder: Path) -> list[AttemptRow]:
+    """A row for each attempt of the outsider at one level, and one for unexplained messages."""
+    outcomes, stray = run_outsider(each.realtime, folder / f"{each.label}-{level}", level, each.attempts)
     rows = [_row(each.label, level, attempt, outcomes[attempt.name]) for attempt in each.attempts]
     return [*rows, AttemptRow(each.label, level, attempts_table.STRAY, reached=stray, succeeded=stray > 0)]
 
 
-def _inside(each: _Prepared, level: str, folder: Path, insider: Insider, twin: Path) -> AttemptRow:
+def _insider_row(each: _PreparedRun, level: str, folder: Path, insider: Insider, twin: Path) -> AttemptRow:
     number = each.insiders.index(insider) + 1
-    place = folder / f"{each.label}-{level}-insider_{number}"
-    admitted, sent, found = infiltrate(each.lockstep, place, level, insider, twin)
-    return AttemptRow(each.label, level, insider.name, admitted, sent, succeeded=found.succeeded, verdict=found.verdict)
+    insider_folder = folder / f"{each.label}-{level}-insider_{number}"
+    admitted, sent, finding = infiltrate(each.lockstep, insider_folder, level, insider, twin)
+    return AttemptRow(
+        each.label, level, insider.name, admitted, sent, succeeded=finding.succeeded, verdict=finding.verdict
+    )
 
 
 def _row(label: str, level: str, attempt: Attempt, outcome: Outcome) -> AttemptRow:

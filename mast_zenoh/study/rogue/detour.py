@@ -1,4 +1,4 @@
-"""The way of one node to the router, in the hands of whoever can turn it: a TCP relay that can be pointed elsewhere."""
+"""A redirectable TCP relay between a node and the router."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ _CONNECT_S = 2.0
 
 
 class Detour:
-    """Relays connections byte for byte to the port that `target` says, until it is turned to another one.
+    """Relays connections byte for byte to the port that `target` returns, until it is redirected.
 
-    It stands for what turns a way in a real network (a forged ARP or DNS answer, a NAT rule), and needs no privilege.
+    It stands for redirection in a real network (a forged ARP or DNS reply, a NAT rule), and needs no privileges.
 
-    target: the port on this machine that a connection is for; asked for each anew
+    target: returns the local port to connect to; called for each connection
     """
 
     def __init__(self, target: Callable[[], int]) -> None:
         self._target = target
-        self._turned: int | None = None
+        self._override_port: int | None = None
         self._open: set[socket.socket] = set()
         self._lock = threading.Lock()
-        self._listening = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._listening.getsockname()[1]
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._server.getsockname()[1]
         self._threads = [threading.Thread(target=self._accept, name="detour")]
         self._threads[0].start()
 
-    def turn(self, port: int | None) -> None:
-        """Cut what is connected, and lead what connects from now on to this port; None: where it is meant for."""
-        self._turned = port
-        self._cut()
+    def redirect(self, port: int | None) -> None:
+        """Close all connections, and relay new ones to this port; None: to the original target."""
+        self._override_port = port
+        self._disconnect()
 
     def close(self) -> None:
-        """Cut everything and stop."""
+        """Close all connections and stop."""
         with contextlib.suppress(OSError):
-            self._listening.shutdown(socket.SHUT_RDWR)  # wakes the accepting thread, which close alone does not
-        self._listening.close()
-        self._cut()
+            self._server.shutdown(socket.SHUT_RDWR)  # wakes the accepting thread; closing alone does not
+        self._server.close()
+        self._disconnect()
         for thread in self._threads:
             thread.join()
 
@@ -51,60 +51,60 @@ class Detour:
     ) -> None:
         self.close()
 
-    def _cut(self) -> None:
+    def _disconnect(self) -> None:
         with self._lock:
-            for end in self._open:
+            for endpoint in self._open:
                 with contextlib.suppress(OSError):
-                    end.shutdown(socket.SHUT_RDWR)
+                    endpoint.shutdown(socket.SHUT_RDWR)
 
     def _accept(self) -> None:
         while True:
             try:
-                near, _ = self._listening.accept()
+                near, _ = self._server.accept()
             except OSError:
                 return
             try:
-                port = self._target() if self._turned is None else self._turned
+                port = self._target() if self._override_port is None else self._override_port
                 far = socket.create_connection(("127.0.0.1", port), _CONNECT_S)
             except OSError:
                 near.close()
                 continue
             far.settimeout(None)
-            pair = _Pair(near, far, self._forget)
+            connection = _RelayedConnection(near, far, self._remove)
             with self._lock:
                 self._open |= {near, far}
-            for way in ((near, far), (far, near)):
-                self._threads.append(threading.Thread(target=pair.relay, args=way, name="detour"))
+            for direction in ((near, far), (far, near)):
+                self._threads.append(threading.Thread(target=connection.relay, args=direction, name="detour"))
                 self._threads[-1].start()
 
-    def _forget(self, ends: set[socket.socket]) -> None:
+    def _remove(self, ends: set[socket.socket]) -> None:
         with self._lock:
             self._open -= ends
 
 
-class _Pair:
-    """One connection and its continuation; when one way ends, so does the other."""
+class _RelayedConnection:
+    """A connection and its continuation; when one direction ends, so does the other."""
 
     def __init__(self, near: socket.socket, far: socket.socket, closed: Callable[[set[socket.socket]], None]) -> None:
         self._ends = {near, far}
         self._closed = closed
-        self._left = 2
+        self._open_directions = 2
         self._lock = threading.Lock()
-        for end in self._ends:
-            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for endpoint in self._ends:
+            endpoint.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def relay(self, source: socket.socket, target: socket.socket) -> None:
-        """One way, until an end closes."""
+        """Relay one direction until either endpoint closes."""
         with contextlib.suppress(OSError):
             while data := source.recv(65536):
                 target.sendall(data)
-        for end in self._ends:
+        for endpoint in self._ends:
             with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
+                endpoint.shutdown(socket.SHUT_RDWR)
         with self._lock:
-            self._left -= 1
-            last = self._left == 0
+            self._open_directions -= 1
+            last = self._open_directions == 0
         if last:
             self._closed(self._ends)
-            for end in self._ends:
-                end.close()
+            for endpoint in self._ends:
+                endpoint.close()

@@ -1,4 +1,4 @@
-"""Control messages as a sound node could make them, that are not true. Pure: a position in a run in, messages out."""
+"""Well-formed but untrue control messages; pure functions of a position."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ _OUTCOME: dict[str, Any] = {
 }
 
 
-def sound(control: str, position: Position) -> Any:
-    """A message of this kind as it should be, to be damaged."""
+def valid_message(control: str, position: Position) -> Any:
+    """A valid message of this kind, as the basis of malformed ones."""
     return {
-        "counts": [1, dict.fromkeys(position.publishes[:1], 3), dict.fromkeys(position.hears[:2], 3)],
+        "counts": [1, dict.fromkeys(position.publishes[:1], 3), dict.fromkeys(position.subscribes[:2], 3)],
         "epoch": [2, position.roles, None],
         "failed": ["0123456789abcdef", _FAILURE],
         "act": [3, [["kill", position.others[0]]]],
@@ -53,17 +53,17 @@ def sound(control: str, position: Position) -> Any:
         "intercept": [msgpack.packb({"do": "release", "number": "1", "name": None, "wire": "clock"}), b"\0" * 32],
         "stop": "end",
         "leave": "leave",
-        "drain": (*position.hears, "clock")[0],
+        "drain": (*position.subscribes, "clock")[0],
     }[control]
 
 
 def falsehoods(control: str, position: Position) -> list[Any]:
-    """All of a kind: plain values, or a str for bare text."""
-    return list(_OF_KIND[control](position))
+    """All false messages of a kind: plain values, or a str for bare text."""
+    return list(_GENERATORS[control](position))
 
 
 def false_results(position: Position) -> Iterator[dict[str, Any]]:
-    """What a node can hand in that is not what it has found."""
+    """Results that differ from what a node has computed."""
     table, name = {"frame": [0, 1], "rmse_m": [0.0, 0.0]}, position.others[0]
     paths = ("metrics", "objects", "attacks", "x", *position.files, "/dev/null", "..", "a\0b", "a\nb", "x" * 300, "")
     parts: list[dict[str, Any]] = [{"tables": {path: table}} for path in paths]
@@ -84,7 +84,7 @@ def false_results(position: Position) -> Iterator[dict[str, Any]]:
         {"x": np.array(["x" * 100_000, *[""] * 20_000], object)},
         {"x" * (1 << 20): list(range(1 << 16))},
         {"x": float("nan"), "y": float("inf"), "z": (1 << 64) - 1, "[/red]": "\x1b[2J\u202e"},
-        _deep(20),
+        _nested(20),
     ]
     for part in parts:
         yield _OUTCOME | {"results": part}
@@ -98,25 +98,25 @@ def false_results(position: Position) -> Iterator[dict[str, Any]]:
     yield _OUTCOME | {"unsigned": _BILLION}
     yield _OUTCOME | {"rejected": {}, "foreign": {}, "invalid": {}, "first_rejected": {}, "arrived_ns": {"": {}}}
     yield _OUTCOME | {"first_rejected": {key: [-1, f"forged by {name}"] for key in position.foreign}}
-    yield _OUTCOME | {"arrived_ns": {key: {0: _LATE} for key in (*position.hears, *position.foreign)}}
+    yield _OUTCOME | {"arrived_ns": {key: {0: _LATE} for key in (*position.subscribes, *position.foreign)}}
     yield _OUTCOME | {"process": f"../{MARKER}", "last_frame": _LATE, "cpu_s": -1e15}
     yield _OUTCOME | {"clock": {"offset_ms": -1e12, "round_trip_ms": -1e12}, "versions": {"[/red]": "\x1b[2J"}}
-    for said in ("stop_reason", "frames", "wall_s", "sent_ns", "churn"):  # the driver's alone
-        yield _OUTCOME | {said: "implausible: " + name}
+    for field in ("stop_reason", "frames", "wall_s", "sent_ns", "churn"):  # fields of the driver alone
+        yield _OUTCOME | {field: "implausible: " + name}
 
 
 def false_counts(position: Position) -> Iterator[list[Any]]:
-    """Counters of the first epochs, with keys that are this node's and with others."""
+    """Counters of the first epochs, with the node's own keys and with others."""
     for epoch in (1, 2, _BILLION):
         yield [epoch, {}, {}]
-        for keys in (position.publishes, position.hears, position.foreign):
+        for keys in (position.publishes, position.subscribes, position.foreign):
             for count in (0, 3, _BILLION):
                 yield [epoch, dict.fromkeys(keys, count), {}]
                 yield [epoch, {}, dict.fromkeys(keys, count)]
-                yield [epoch, dict.fromkeys(position.publishes, count), dict.fromkeys(position.hears, count)]
+                yield [epoch, dict.fromkeys(position.publishes, count), dict.fromkeys(position.subscribes, count)]
 
 
-def _deep(depth: int) -> dict[str, Any]:
+def _nested(depth: int) -> dict[str, Any]:
     value: dict[str, Any] = {}
     for _ in range(depth):
         value = {"x": [value]}
@@ -151,8 +151,17 @@ def _failed(position: Position) -> Iterator[Any]:
 
 
 def _stop(position: Position) -> Iterator[Any]:
-    blamed = f"{position.others[0]} reports {_BILLION} messages of {position.driver} handled on clock"
-    yield from ("", "end", "interrupted", f"implausible: {blamed}", "stall: forged", "start: forged", "\x1b[2J", MARKER)
+    accusation = f"{position.others[0]} reports {_BILLION} messages of {position.driver} handled on clock"
+    yield from (
+        "",
+        "end",
+        "interrupted",
+        f"implausible: {accusation}",
+        "stall: forged",
+        "start: forged",
+        "\x1b[2J",
+        MARKER,
+    )
 
 
 def _leave(position: Position) -> Iterator[Any]:
@@ -185,14 +194,14 @@ def _file(position: Position) -> Iterator[Any]:
 
 
 def _drain(position: Position) -> Iterator[Any]:
-    yield from (*position.hears, *position.foreign, "@control/stop", "..")
+    yield from (*position.subscribes, *position.foreign, "@control/stop", "..")
 
 
 def _rewire(position: Position) -> Iterator[Any]:
     own = position.wiring
     empty: dict[str, Any] = {"wires": [], "overhearers": []}
-    spied = own | {"overhearers": [*own["overhearers"], {"node": position.node, "port": "everything"}]}
-    for wiring in (own, empty, spied):
+    tapped = own | {"overhearers": [*own["overhearers"], {"node": position.node, "port": "everything"}]}
+    for wiring in (own, empty, tapped):
         for leave in ([], [position.driver], list(position.others)):
             yield {"wiring": wiring, "join": {}, "leave": leave}
     yield {"wiring": own, "join": {"stranger": "adversary"}, "leave": []}
@@ -201,14 +210,14 @@ def _rewire(position: Position) -> Iterator[Any]:
 def _intercept(position: Position) -> Iterator[Any]:
     spec = {"file": f"/tmp/{MARKER}.py", "type": "Forged", "role": "adversary", "config": {}, "on_exit": "fail"}
     place = {"wire": "clock", "input": "in", "output": "out", "hears": {}, "says": []}
-    asked = {"do": "intercept", "number": "1", "name": MARKER, "spec": spec, "place": place}
-    released = {"do": "release", "number": "2", "name": position.others[0], "wire": None}
-    for request in (asked, released):
+    intercept = {"do": "intercept", "number": "1", "name": MARKER, "spec": spec, "place": place}
+    release = {"do": "release", "number": "2", "name": position.others[0], "wire": None}
+    for request in (intercept, release):
         for digest in (b"", bytes(32), b"\xff" * 32, MARKER.encode()):
             yield [msgpack.packb(request), digest]
 
 
-_OF_KIND: dict[str, Callable[[Position], Iterator[Any]]] = {
+_GENERATORS: dict[str, Callable[[Position], Iterator[Any]]] = {
     "counts": _counts,
     "epoch": _epoch,
     "failed": _failed,

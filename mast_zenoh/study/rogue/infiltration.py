@@ -1,4 +1,4 @@
-"""A run one of whose nodes is compromised: what comes of it, measured from what the run leaves behind."""
+"""A run with a compromised node; its effects are measured from the run folder."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import run
 from mast_zenoh.launch.folder import json_or_empty
 from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.study.rogue.attacked_run import AttackedRun, attacker_errors
 from mast_zenoh.study.rogue.insiders import Insider
 from mast_zenoh.study.rogue.position import MARKER, position
-from mast_zenoh.study.rogue.siege import Siege, attackers_own
 
 _END_S = 90.0
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a run leaves behind, beside its undisturbed twin.
+    """A run with an insider, compared with its undisturbed twin.
 
-    node:    the compromised one; others: all other nodes
-    ended:   whether it ended by itself; crash: the exception with which the launcher did, if it did
-    failure: why it failed, as run.json and the command line say it; "" for a run that is "ok"
-    frames:  that were played; expected: that the scenario has
-    changed: wires on which messages are not those of the twin; metrics: whether metrics.json is
-    strays:  files outside the run folder that were not there before
+    node:    the compromised node; others: all other nodes
+    ended:   whether the run ended by itself; crash: the exception that ended the launcher, or ""
+    failure: the run's error as in run.json and on the command line; "" for status "ok"
+    frames:  number played; expected: number in the scenario
+    changed: wires whose messages differ from the twin's; metrics: whether metrics.json is equal to the twin's
+    strays:  new files outside the run folder
     """
 
     node: str
@@ -49,7 +49,7 @@ class Finding:
 
     @property
     def verdict(self) -> str:
-        """What the insider has achieved, in words; see `succeeded`."""
+        """What the insider achieved, in words; see `succeeded`."""
         if self.strays:
             return f"succeeds: wrote outside the run folder ({', '.join(sorted(self.strays))})"
         if self.crash:
@@ -57,70 +57,72 @@ class Finding:
         if not self.ended:
             return "succeeds: stalled the run"
         if self.failure:
-            named = _first_named(self.failure, [self.node, *self.others])
-            if named == self.node:
+            mentioned = _first_mentioned(self.failure, [self.node, *self.others])
+            if mentioned == self.node:
                 return "ends the run, and is named"
-            return f"succeeds: ends the run, and {named or 'nobody'} is named"
+            return f"succeeds: ends the run, and {mentioned or 'no node'} is named"
         if self.frames < self.expected:
             return f"succeeds: stopped the run early, after {self.frames} of {self.expected} frames"
         if self.changed:
-            return f"succeeds: changed what others said ({len(self.changed)} wires)"
+            return f"succeeds: changed other nodes' messages ({len(self.changed)} wires)"
         return "no effect" if self.metrics else "succeeds: the run looks sound, but differs"
 
     @property
     def succeeded(self) -> bool:
-        """Whether it has done what no compromised node may do."""
+        """Whether the insider did something that a compromised node must not be able to do."""
         return self.verdict.startswith("succeeds")
 
 
 def infiltrate(resolved: Resolved, folder: Path, level: str, insider: Insider, twin: Path) -> tuple[bool, int, Finding]:
-    """(whether the insider got a session, how many messages it sent, what came of them).
+    """(whether the insider got a session, how many messages it sent, their effects).
 
-    resolved: in lock-step, and recorded; twin: the folder of the same run, undisturbed
+    resolved: a recorded lock-step run; twin: folder of the same run without the insider
     """
-    before = _outside(folder)
+    before = _files_outside(folder)
     admitted, sent = False, 0
-    with Siege(resolved, folder, level) as siege:
-        siege.known(insider.node)
-        with suppress(zenoh.ZError), siege.join(insider.node) as session:
+    with AttackedRun(resolved, folder, level) as attacked_run:
+        attacked_run.require_node(insider.node)
+        with suppress(zenoh.ZError), attacked_run.join(insider.node) as session:
             admitted = True
-            with attackers_own(insider.name, insider.act):
-                sent = insider.act(siege, session, position(resolved, insider.node, version.version_string()))
-            siege.ended(_END_S)
-        ended = siege.ended(_END_S)
-        in_time = ended is not None
-        ended = ended or siege.end()
-    strays = {str(path) for path in _outside(folder) - before if MARKER in path.name or path.parent == folder.parent}
-    found = _finding(resolved, insider.node, ended, in_time, twin, strays)
-    return admitted, sent, replace(found, crash=siege.crash)
+            with attacker_errors(insider.name, insider.act):
+                sent = insider.act(attacked_run, session, position(resolved, insider.node, version.version_string()))
+            attacked_run.wait_until_ended(_END_S)
+        finished = attacked_run.wait_until_ended(_END_S)
+        ended_in_time = finished is not None
+        finished = finished or attacked_run.stop()
+    strays = {
+        str(path) for path in _files_outside(folder) - before if MARKER in path.name or path.parent == folder.parent
+    }
+    finding = _assess(resolved, insider.node, finished, ended_in_time, twin, strays)
+    return admitted, sent, replace(finding, crash=attacked_run.crash)
 
 
-def _finding(
-    resolved: Resolved, node: str, ended: run.Run | None, in_time: bool, twin: Path, strays: set[str]
+def _assess(
+    resolved: Resolved, node: str, finished: run.Run | None, ended_in_time: bool, twin: Path, strays: set[str]
 ) -> Finding:
     driver = next(name for name, spec in resolved.nodes.items() if spec.role == "simulator")
     others = [name for name in resolved.nodes if name != node]
-    if ended is None:
+    if finished is None:
         return Finding(node, others, False, "", 0, resolved.frames, (), False, strays)
-    played = (ended.record["nodes"].get(driver, {}).get("last_frame") or 0) + 1
+    played = (finished.record["nodes"].get(driver, {}).get("last_frame") or 0) + 1
     changed: set[str] = set()
     with suppress(RunFolderError):
-        found = compare(twin, ended.folder, taps=True)
-        changed = {*found.differing, *found.only_a, *found.only_b}
-    metrics = json_or_empty(twin / "metrics.json") == json_or_empty(ended.folder / "metrics.json")
-    failure = str(ended.error) if ended.error else ""
-    return Finding(node, others, in_time, failure, played, resolved.frames, changed, metrics, strays)
+        difference = compare(twin, finished.folder, taps=True)
+        changed = {*difference.differing, *difference.only_a, *difference.only_b}
+    metrics = json_or_empty(twin / "metrics.json") == json_or_empty(finished.folder / "metrics.json")
+    failure = str(finished.error) if finished.error else ""
+    return Finding(node, others, ended_in_time, failure, played, resolved.frames, changed, metrics, strays)
 
 
-def _outside(folder: Path) -> set[Path]:
-    """What lies in the places where a forged path could lead, but not in the run folder."""
+def _files_outside(folder: Path) -> set[Path]:
+    """Files in the folders that a forged path could lead to, other than the run folder."""
     places = {folder.parent, Path.cwd(), Path.home(), Path(tempfile.gettempdir()), Path("/tmp")}
     return {path for place in places if place.is_dir() for path in place.iterdir()} - {folder}
 
 
-def _first_named(text: str, nodes: Iterable[str]) -> str:
-    """The node that is named first in a text; "" for none."""
-    places = {
-        node: found.start() for node in nodes if (found := re.search(rf"(?<![\w-]){re.escape(node)}(?![\w-])", text))
+def _first_mentioned(text: str, nodes: Iterable[str]) -> str:
+    """The node mentioned first in a text; "" for none."""
+    offsets = {
+        node: match.start() for node in nodes if (match := re.search(rf"(?<![\w-]){re.escape(node)}(?![\w-])", text))
     }
-    return min(places, key=lambda node: places[node], default="")
+    return min(offsets, key=lambda node: offsets[node], default="")

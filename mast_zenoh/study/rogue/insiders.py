@@ -1,7 +1,7 @@
-"""What a compromised node can try against its run, with its own certificate and key.
+"""Attacks by a compromised node with its own certificate and key.
 
 A scenario file's `insiders()` lists them as dicts: dict(type="ForgeControls", name="agent", node="infra_1", …).
-Subclasses of Insider in that file can be named as well.
+The file may define its own subclasses of Insider.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from abc import ABC, abstractmethod
 import zenoh
 
 from mast_zenoh import streams
-from mast_zenoh.study.rogue.forgeries import FALSE, MALFORMED, Forgery, everything
+from mast_zenoh.study.rogue.attacked_run import AttackedRun
+from mast_zenoh.study.rogue.forgeries import FALSE, MALFORMED, Forgery, all_forgeries
 from mast_zenoh.study.rogue.position import Position
 from mast_zenoh.study.rogue.sending import send
-from mast_zenoh.study.rogue.siege import Siege
 
 
 class Insider(ABC):
-    """Base of all insiders. It is a second session with a node's credentials; the node itself stays sound.
+    """Base class of insiders: a second session with a node's credentials; the node itself is unchanged.
 
-    name: what the table calls it
-    node: whose certificate and key it has
+    name: its name in the table
+    node: the node whose certificate and key it has
     """
 
     def __init__(self, name: str, node: str) -> None:
@@ -29,16 +29,16 @@ class Insider(ABC):
         self.node = node
 
     @abstractmethod
-    def act(self, siege: Siege, session: zenoh.Session, position: Position) -> int:
-        """Try it, while the run goes on; how many messages were sent. What comes of it is measured from the run."""
+    def act(self, attacked_run: AttackedRun, session: zenoh.Session, position: Position) -> int:
+        """Attack the run while it plays; returns the number of messages sent."""
 
 
 class ForgeControls(Insider):
     """Send forged control messages.
 
-    own:      in the node's own name, and false; otherwise in the names of others and of the driver and the launcher,
-              and malformed ones in its own
-    messages: how many; seed: which
+    own:      true: false messages in the node's own name; false: messages in the names of other nodes, the driver and
+              the launcher, and malformed ones in its own name
+    messages: their number; seed: selects them
     """
 
     def __init__(self, name: str, node: str, own: bool = False, messages: int = 30, seed: int = 0) -> None:
@@ -47,22 +47,26 @@ class ForgeControls(Insider):
         self.messages = messages
         self.seed = seed
 
-    def chosen(self, position: Position) -> list[Forgery]:
-        """The messages, of all kinds alike, in an order drawn at random."""
-        made = [each for each in everything(position, self.messages, self.seed) if self._fits(each)]
-        order = streams.stream(self.seed, "order", position.node).permutation(len(made))
-        kinds: dict[str, list[Forgery]] = {}
-        for at in order:
-            kinds.setdefault(made[at].control, []).append(made[at])
-        rounds = (kind[turn] for turn in range(self.messages) for kind in kinds.values() if turn < len(kind))
+    def select_messages(self, position: Position) -> list[Forgery]:
+        """The messages to send: kinds take turns, in random order within each kind."""
+        candidates = [each for each in all_forgeries(position, self.messages, self.seed) if self._is_selected(each)]
+        order = streams.stream(self.seed, "order", position.node).permutation(len(candidates))
+        by_control: dict[str, list[Forgery]] = {}
+        for index in order:
+            by_control.setdefault(candidates[index].control, []).append(candidates[index])
+        rounds = (
+            forgeries[round_index]
+            for round_index in range(self.messages)
+            for forgeries in by_control.values()
+            if round_index < len(forgeries)
+        )
         return [each for each, _ in zip(rounds, range(self.messages), strict=False)]
 
-    def act(self, siege: Siege, session: zenoh.Session, position: Position) -> int:
-        """See Insider."""
-        return send(session, siege.prefix, self.chosen(position))
+    def act(self, attacked_run: AttackedRun, session: zenoh.Session, position: Position) -> int:
+        return send(session, attacked_run.prefix, self.select_messages(position))
 
-    def _fits(self, each: Forgery) -> bool:
-        in_own_name = each.own == self.node
+    def _is_selected(self, forgery: Forgery) -> bool:
+        in_own_name = forgery.sender == self.node
         if self.own:
-            return in_own_name and each.made == FALSE and each.control not in ("leave", "drain")
-        return not in_own_name or each.made == MALFORMED
+            return in_own_name and forgery.defect == FALSE and forgery.control not in ("leave", "drain")
+        return not in_own_name or forgery.defect == MALFORMED

@@ -1,4 +1,4 @@
-"""What a compromised node knows of its run: itself, the other nodes, and which keys are whose. Pure."""
+"""What a compromised node knows about its run: nodes, roles and keys. Pure."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from typing import Any, NamedTuple
 from mast_zenoh.config.resolved import RECORDING, Resolved
 from mast_zenoh.wiring.model import Wiring
 
-#: A word in everything forged that could become the name of a file: whatever is called so was written by an insider.
+#: Part of every forged string that could become a file name: files with this name were written by an insider.
 MARKER = "mast_forged_by_an_insider"
 
 
 class Position(NamedTuple):
-    """Where a compromised node stands in its run.
+    """The position of a compromised node in its run.
 
     node:      its name
     driver:    the node that drives the scene
     roles:     role of every node, by name
-    publishes, hears: its keys, without the run's prefix; foreign: keys that are neither
+    publishes, subscribes: its keys, without the run's prefix; foreign: all other keys
     wiring:    of the run, as JSON
-    version:   of mast-zenoh, as the launcher has it
+    version:   of mast-zenoh on the launcher's host
     """
 
     node: str
     driver: str
     roles: dict[str, str]
     publishes: tuple[str, ...]
-    hears: tuple[str, ...]
+    subscribes: tuple[str, ...]
     foreign: tuple[str, ...]
     wiring: dict[str, Any]
     version: str
@@ -38,17 +38,17 @@ class Position(NamedTuple):
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Paths that are in every run folder, and some that lead out of it."""
+        """Paths that exist in every run folder, and some that lead out of it."""
         inside = ("run.json", "scenario.json", "wiring.json", "metrics.json", RECORDING, "logs/x.log", "messages.mcap")
         return (*inside, f"../{MARKER}", f"/tmp/{MARKER}", f"../../../../../../tmp/{MARKER}", f"~/{MARKER}", MARKER)
 
 
 def position(resolved: Resolved, node: str, version: str) -> Position:
-    """Where a node of a scenario stands. version: what it says that it runs."""
+    """The position of a node in a scenario. version: the one that it reports."""
     wiring = Wiring.from_json(resolved.wiring)
     published = tuple(dict.fromkeys(leg.key for _, leg in wiring.legs() if leg.publisher.node == node))
-    heard = tuple(dict.fromkeys(key for key, _, subscriber in wiring.flows() if subscriber == node))
-    foreign = tuple(key for key in dict.fromkeys(wiring.keys()) if key not in (*published, *heard))
+    subscribed = tuple(dict.fromkeys(key for key, _, subscriber in wiring.flows() if subscriber == node))
+    foreign = tuple(key for key in dict.fromkeys(wiring.keys()) if key not in (*published, *subscribed))
     roles = {name: spec.role for name, spec in resolved.nodes.items()}
     driver = next(name for name, role in roles.items() if role == "simulator")
-    return Position(node, driver, roles, published, heard, foreign, resolved.wiring, version)
+    return Position(node, driver, roles, published, subscribed, foreign, resolved.wiring, version)

@@ -1,4 +1,4 @@
-"""A run that goes on while an outsider tries to get at it: what the outsider is given, and what the run says after."""
+"""A run that plays while attackers act: their access to it, and its outcome."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from mast_zenoh.security.levels import client_settings, endpoint
 from mast_zenoh.study.rogue.detour import Detour
 from mast_zenoh.wiring.model import Wiring
 
-#: What an outsider may show besides the certificate of a node: `shows` of an attempt.
+#: Credentials that an outsider may present besides those of a node: `shows` of an attempt.
 NOTHING, FOREIGN, EXPIRED = "nothing", "foreign", "expired"
 
 OUTSIDER = "outsider"
@@ -44,11 +44,11 @@ _END_S = 30.0
 _POLL_S = 0.02
 
 
-class Siege:
-    """A context: entered, the run has played its first frames; left, it has ended.
+class AttackedRun:
+    """A context manager: on entry the run has played its first frames, on exit it has ended.
 
-    resolved: the run; level: of its mesh; folder: of its results
-    detoured: nodes whose way to the router leads past the outsider
+    resolved: the run; level: security level of its mesh; folder: its run folder
+    detoured: nodes whose connection to the router passes through the outsider
     engine, console: as for `launch.run`
     """
 
@@ -65,7 +65,7 @@ class Siege:
         self.level = level
         self.wiring = Wiring.from_json(resolved.wiring)
         self.detours: dict[str, Detour] = {}
-        self.crash = ""  # the exception with which the launcher has ended, if it has
+        self.crash = ""  # the exception that ended the launcher, if any
         self._resolved = resolved
         self._folder = folder
         self._detoured = detoured
@@ -73,11 +73,11 @@ class Siege:
         self._console = console
         self._context: RunContext | None = None
         self._ended: run.Run | None = None
-        self._thread = threading.Thread(target=self._play, name="siege")
+        self._thread = threading.Thread(target=self._play, name="attacked-run")
         self._resources = ExitStack()
         self._foreign: Authority | None = None
 
-    def __enter__(self) -> Siege:
+    def __enter__(self) -> AttackedRun:
         for node in self._detoured:
             self.detours[node] = self._resources.enter_context(Detour(lambda: _port(self.endpoint)))
         self._thread.start()
@@ -91,10 +91,10 @@ class Siege:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.end()
+        self.stop()
         self._resources.close()
 
-    # -- what the outsider knows and has -------------------------------------------------------------------------
+    # -- knowledge and credentials of the outsider -----------------------------------------------------------------
 
     @property
     def frame(self) -> int:
@@ -103,18 +103,18 @@ class Siege:
 
     @property
     def endpoint(self) -> str:
-        """Of the router. Addresses and the authority's certificate are public; so is the run's id on a wire."""
+        """The router's endpoint. Addresses, the authority's certificate and the run's id are public."""
         return str(self._joined.record["endpoint"])
 
     @property
     def prefix(self) -> str:
-        """Of all keys of the run."""
+        """The prefix of all keys of the run."""
         return prefix(self._joined.run_id)
 
     def credentials(self, shows: str) -> Credentials | None:
-        """What an outsider has who shows this; None on an open mesh, where there is nothing to show.
+        """The credentials that an outsider presents; None on an open mesh, which asks for none.
 
-        shows: NOTHING, FOREIGN (certified by an authority of his own), EXPIRED, or a node whose files he has
+        shows: NOTHING, FOREIGN (issued by the outsider's own authority), EXPIRED, or a node whose files it has stolen
         """
         deployment = self._mesh.deployment
         if deployment is None or deployment.authority is None:
@@ -123,24 +123,24 @@ class Siege:
         if shows == NOTHING:
             return public
         if shows == FOREIGN:
-            theirs = self.foreign.issue("infra_1")
-            return Credentials(public.authority, theirs.certificate, theirs.key)
+            issued = self.foreign.issue("infra_1")
+            return Credentials(public.authority, issued.certificate, issued.key)
         if shows == EXPIRED:
             now = datetime.now(UTC)
             return deployment.authority.issue("infra_1", begins=now - timedelta(hours=2), ends=now - timedelta(hours=1))
-        stolen = deployment.of(self.known(shows))
-        assert stolen is not None
-        return Credentials.read(stolen)
+        credential_files = deployment.of(self.require_node(shows))
+        assert credential_files is not None
+        return Credentials.read(credential_files)
 
     @property
     def foreign(self) -> Authority:
-        """An authority of the outsider's own, which says of its certificates what the real one would."""
+        """The outsider's own authority, which issues certificates with the same contents as the real one."""
         if self._foreign is None:
             self._foreign = Authority(self._joined.run_id)
         return self._foreign
 
     def join(self, shows: str, zid: str | None = None) -> zenoh.Session:
-        """A session on the run's mesh; raises zenoh.ZError when it is refused. zid: Zenoh's id of the session."""
+        """Open a session on the run's mesh; raises zenoh.ZError if refused. zid: Zenoh id of the session."""
         credentials = self.credentials(shows)
         settings = {
             "mode": "client",
@@ -152,18 +152,18 @@ class Siege:
         return open_session(settings)
 
     def zid(self, node: str) -> str:
-        """The Zenoh id of a node's session. On an open mesh everybody may ask for it; here the router itself does."""
+        """The Zenoh id of a node's session, asked of the router; on an open mesh any client may ask."""
         session = self._mesh.session
-        key = f"@/{session.info.zid()}/router/token/{self.prefix}/alive/{self.known(node)}"
+        key = f"@/{session.info.zid()}/router/token/{self.prefix}/alive/{self.require_node(node)}"
         for reply in session.get(key, timeout=5.0):
             if reply.ok is not None:
                 return str(json.loads(reply.ok.payload.to_bytes())["clients"][0])
         raise RunError(f"the router knows no session of {node}")
 
-    def forged(self, key: str) -> bytes:
-        """A message as the wire of this key carries it, empty, whose source says who has made it.
+    def forged_message(self, key: str) -> bytes:
+        """An empty message for the wire of this key, with OUTSIDER as its source.
 
-        So the host that gets it refuses it, and counts it.
+        A host that receives it therefore rejects and counts it.
         """
         schema = SCHEMAS[self._leg(key)[0].message]
         sizes = [[0 if isinstance(size, str) else size for size in column.shape] for column in schema.columns]
@@ -173,12 +173,12 @@ class Siege:
         }
         return codec.encode(Message(Header(schema.name, OUTSIDER, self.frame, 0, 0), body))
 
-    def hearers(self, key: str) -> int:
-        """How many nodes hear what is sent on this key."""
+    def subscriber_count(self, key: str) -> int:
+        """The number of nodes that receive messages on this key."""
         wire, leg = self._leg(key)
         return len(wire.hearers(leg)) + len(self.wiring.overhearers)
 
-    def known(self, node: str) -> str:
+    def require_node(self, node: str) -> str:
         """The name of a node of the run; raises ConfigurationError."""
         if node not in self._resolved.nodes:
             raise ConfigurationError(f"outsider: no node {node!r}{nearest(node, self._resolved.nodes)}")
@@ -200,50 +200,52 @@ class Siege:
                 return wire, leg
         raise ConfigurationError(f"outsider: no wire has the key {key!r}{nearest(key, self.wiring.keys())}")
 
-    # -- what becomes of the run ---------------------------------------------------------------------------------
+    # -- progress and outcome of the run ---------------------------------------------------------------------------
 
-    def wait(self, condition: Callable[[], Any], seconds: float, what: str = "") -> bool:
-        """Wait until something is the case, while the run goes on; False when it takes too long.
+    def wait(self, condition: Callable[[], Any], seconds: float, description: str = "") -> bool:
+        """Wait for a condition while the run plays; False after a timeout of `seconds`.
 
-        what: raise RunError then, which names it. Raises RunError when the run has ended.
+        description: if given, a timeout raises RunError with it. Raises RunError if the run has ended.
         """
         pause, deadline = threading.Event(), time.monotonic() + seconds
         while not condition():
             if not self._thread.is_alive():
                 error = self.crash or (self._ended and self._ended.error)
-                raise RunError(f"the run ended while the attackers were at it: {error or 'all frames are played'}")
+                raise RunError(f"the run ended before the attackers had finished: {error or 'all frames are played'}")
             if time.monotonic() > deadline:
-                if what:
-                    raise RunError(f"not within {seconds:.0f} s: {what}")
+                if description:
+                    raise RunError(f"timed out after {seconds:.0f} s, waiting until {description}")
                 return False
             pause.wait(_POLL_S)
         return True
 
-    def ended(self, seconds: float) -> run.Run | None:
-        """What has become of the run when it has ended by itself; None when it has not within so many seconds."""
+    def wait_until_ended(self, seconds: float) -> run.Run | None:
+        """Wait for the run to end by itself; its outcome, or None after a timeout of `seconds`."""
         self._thread.join(seconds)
         return self._ended
 
-    def end(self) -> run.Run | None:
-        """Have the run end, if it has not; what has become of it."""
+    def stop(self) -> run.Run | None:
+        """Stop the run if it is still playing; its outcome."""
         if self._thread.is_alive() and self._context is not None:
             self._context.interrupt()
         self._thread.join(_END_S)
         return self._ended
 
-    def received(self) -> dict[str, dict[str, int]]:
-        """After the end, by node and key: messages without the mark of this run's nodes that have reached its host."""
-        ended = self.end()
-        if ended is None or (ended.error is not None and not isinstance(ended.error, Interrupted)):
-            raise RunError(f"the run under siege failed: {ended.error if ended else self.crash or 'it does not end'}")
-        if ended.failures:
-            raise HandlerFailed(failures.summary(ended.failures, ended.logs))
-        found: dict[str, dict[str, int]] = {}
-        for name, node in ended.record["nodes"].items():
+    def foreign_messages(self) -> dict[str, dict[str, int]]:
+        """Stop the run; by node and key, messages from outside the run that reached the node's host."""
+        finished = self.stop()
+        if finished is None or (finished.error is not None and not isinstance(finished.error, Interrupted)):
+            raise RunError(
+                f"the attacked run failed: {finished.error if finished else self.crash or 'it did not stop'}"
+            )
+        if finished.failures:
+            raise HandlerFailed(failures.summary(finished.failures, finished.logs))
+        counts: dict[str, dict[str, int]] = {}
+        for name, node in finished.record["nodes"].items():
             if node["foreign"] is None:
-                raise RunError(f"{name} handed in nothing: {node['ended']}")
-            found[name] = node["foreign"]
-        return found
+                raise RunError(f"{name} reported no results: {node['ended']}")
+            counts[name] = node["foreign"]
+        return counts
 
     def _play(self) -> None:
         def prepare(context: RunContext) -> None:
@@ -252,16 +254,16 @@ class Siege:
             }
             self._context = context
 
-        more: dict[str, Any] = {"engine": self._engine, "console": self._console}
+        options: dict[str, Any] = {"engine": self._engine, "console": self._console}
         try:
-            self._ended = run.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **more)
-        except Exception as error:  # a defect, which the attackers may have found
+            self._ended = run.run(self._resolved, self._folder, secure=self.level, prepare=prepare, **options)
+        except Exception as error:  # a defect that the attackers may have triggered
             self.crash = described(error)
 
 
 @contextmanager
-def attackers_own(name: str, call: Callable[..., Any]) -> Iterator[None]:
-    """Raises HandlerFailed, with file and line, where the code of an attacker fails; `call` is that code."""
+def attacker_errors(name: str, call: Callable[..., Any]) -> Iterator[None]:
+    """Turn an error in an attacker's code into HandlerFailed with file and line; `call` is that code."""
     try:
         yield
     except (MastError, zenoh.ZError):
