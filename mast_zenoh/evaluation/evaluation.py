@@ -25,6 +25,7 @@ from mast_zenoh.metrics import (
     Scores,
     Severed,
     achievement,
+    achievement_summary,
     causes_of,
     consequences,
     named,
@@ -172,7 +173,7 @@ class _Results:
                 "settled": self.settings.settled(len(frames)),
                 "agents": summary,
                 "same_as": _nested(scores.same_as),
-                "achieved": achievement.summary(
+                "achieved": achievement_summary.summary(
                     targets, manipulations.culprits, scores, labels.switch_by, heard.ego, heard.period_s, scored
                 ),
                 "driving": consequences.summary(drives, scored),

@@ -16,7 +16,7 @@
 See docs/metrics.md.
 """
 
-from mast_zenoh.metrics import achievement, consequences, user_metrics
+from mast_zenoh.metrics import achievement, achievement_summary, consequences, user_metrics
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, IoU3DGreedyAssigner
 from mast_zenoh.metrics.attribution import Attribution
 from mast_zenoh.metrics.blame import causes_of
@@ -60,6 +60,7 @@ __all__ = [
     "Severed",
     "Table",
     "achievement",
+    "achievement_summary",
     "birdseye_intersection",
     "causes_of",
     "consequences",

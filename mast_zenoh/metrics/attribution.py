@@ -288,10 +288,7 @@ class _Case:
         return cause, by
 
     def _tracked(self, rows: Histories, lone: Ints) -> Bools:
-        """Whether the estimate of each row could have known of its object: what it is made from holds the object.
-
-        Of an agent's own tracks that is its sensor, of all others the own tracks of any agent.
-        """
+        """Whether the input of each row's estimate has its object: an agent's sensor, or any agent's own tracks."""
         judged = self.scores.judged
         own = [row for (_, estimator), row in self.scores.every_series.items() if estimator == LOCAL]
         local = np.flatnonzero(np.isin(judged.series, own) & ~judged.is_track & (judged.outcome == MATCHED))

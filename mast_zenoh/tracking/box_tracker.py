@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, duplicates, overlap
-from mast_zenoh.tracking.gating import Pairs, gains, near_pairs
+from mast_zenoh.tracking.gating import Match, gains, near_pairs
 from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, settle_sense
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.measured import Measured
@@ -205,7 +205,7 @@ class KalmanBoxTracker3D(Tracker):
             t[:, tracks.AGE] += dt
             existence.survive(t, dt, self._lifetime_s, self._memory_s)
 
-    def _associate(self, measurements: Measured, detected: Floats) -> _Match:
+    def _associate(self, measurements: Measured, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
         t = self._tracks
         class_id = tracks.classes_of(t)
@@ -217,9 +217,9 @@ class KalmanBoxTracker3D(Tracker):
             t, detected, measurements.class_id, classes.CONFUSION, i, j, pairs.log_density, self._log_clutter
         )
         chosen = self._assignment.match(i, j, -gain)
-        return _Match(i[chosen], j[chosen], ratio[chosen], pairs.jump[chosen], pairs, len(chosen) < len(i))
+        return Match(i[chosen], j[chosen], ratio[chosen], pairs.jump[chosen], pairs, len(chosen) < len(i))
 
-    def _matched_tracks(self, match: _Match, measurements: Measured, detected: Floats) -> Floats:
+    def _matched_tracks(self, match: Match, measurements: Measured, detected: Floats) -> Floats:
         """A copy of the matched tracks, updated except for mean and covariance."""
         used = match.measurement
         hit = self._tracks.take(match.track, 0)
@@ -243,7 +243,7 @@ class KalmanBoxTracker3D(Tracker):
             missed[rows] = view.expects(t.take(rows, 0), t.take(screens, 0))
         return missed
 
-    def _new_objects(self, match: _Match, measurements: Measured) -> Ints:
+    def _new_objects(self, match: Match, measurements: Measured) -> Ints:
         """Rows of the measurements that may be new objects: neither matched nor duplicates of a matched object."""
         explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True
@@ -273,7 +273,7 @@ class KalmanBoxTracker3D(Tracker):
             tracks.vote(new_tracks, measurements.class_id[rows])
         return new_tracks
 
-    def _finish(self, match: _Match, new_tracks: Floats) -> ObjectStates:
+    def _finish(self, match: Match, new_tracks: Floats) -> ObjectStates:
         """Drop tracks, add the new ones and report."""
         t = self._tracks
         keep, report = existence.kept(
@@ -295,17 +295,3 @@ class KalmanBoxTracker3D(Tracker):
         self._tracks = np.concatenate([t, new_tracks]) if len(new_tracks) else t
         self._matched = reported[:, ROW].astype(np.int64)
         return tracks.to_states(reported)
-
-
-class _Match(NamedTuple):
-    """k matched tracks and measurements, log density ratios to clutter, jump variances, and all gated pairs.
-
-    contested: whether there are gated pairs that were not chosen
-    """
-
-    track: Ints
-    measurement: Ints
-    log_ratio: Floats
-    jump: Floats
-    near: Pairs
-    contested: bool

@@ -143,3 +143,17 @@ def _gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[
     dy = dy - slope * dx
     distance = dx * dx / a + dy * dy / conditional
     return -0.5 * (distance + np.log(a * conditional)) - LOG_2_PI, distance
+
+
+class Match(NamedTuple):
+    """k matched tracks and measurements, log density ratios to clutter, jump variances, and all gated pairs.
+
+    contested: whether there are gated pairs that were not chosen
+    """
+
+    track: Ints
+    measurement: Ints
+    log_ratio: Floats
+    jump: Floats
+    near: Pairs
+    contested: bool

@@ -12,7 +12,7 @@ from measured import PERIOD_S, Row, effects, labelled
 from metric_oracles import cars
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.metrics import Record, Series, achievement
+from mast_zenoh.metrics import Record, Series, achievement, achievement_summary
 from mast_zenoh.metrics.record import Snapshot
 
 #: Where the only object is, and where adversaries insert others; the ego is at the origin.
@@ -35,7 +35,7 @@ def achieved(
     truth = record.truth(scores.frames)
     victims = {name: {1} for name in done.culprits}
     found = achievement.targets(scores, labels.cause, labels.by, done, truth, record.agents, "ego", victims, 100.0, 5)
-    return achievement.summary(found, done.culprits, scores, labels.switch_by, "ego", PERIOD_S)
+    return achievement_summary.summary(found, done.culprits, scores, labels.switch_by, "ego", PERIOD_S)
 
 
 def removed(frames: list[int], name: str = "eve") -> list[Row]:

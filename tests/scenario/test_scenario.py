@@ -426,7 +426,7 @@ WRONG_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "a rewrite by the name that it had before": (
         lambda s: s["keyexpr"].update(rewrites=["coordinated.toml"]),
-        r"coordinated\.toml: .* name 'on_tracks\.toml' and 'coordination\.toml' instead",
+        r"coordinated\.toml: .* use 'on_tracks\.toml' and 'coordination\.toml' instead",
     ),
     "a rewrite in the scenario": (
         lambda s: s["keyexpr"].update(rewrites=[{"inserts": []}]),
