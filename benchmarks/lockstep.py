@@ -5,7 +5,7 @@ pose and detections are there, the broker when all tracks are there, the centre 
 when the simulator begins the next frame:
 
     bare, lock-step     when every process has said that it has got all of this frame (one empty message each)
-    bare, no barrier    when it hears the picture, whoever else is still busy: the floor of the transport
+    bare, no barrier    when it receives the picture, although other nodes are still busy: the floor of the transport
 
 What the testbed adds is the price of what it computes. It runs without a recorder here.
 

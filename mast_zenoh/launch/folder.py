@@ -95,7 +95,7 @@ def _unused(path: Path) -> Path:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file so that whoever reads it finds the old one or the new one, whole."""
+    """Write a JSON file atomically: a reader finds the old file or the new one."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:

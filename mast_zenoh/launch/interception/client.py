@@ -1,7 +1,7 @@
-"""Asks a run that goes on to put a node on a wire, or to take one off: what `mast intercept` and `mast release` do.
+"""Asks a running run to insert a node into a wire or to remove it: `mast intercept` and `mast release`.
 
-Whoever asks checks the request against the run folder, and builds the node once, so that the launcher need not run the
-file of a user: it only starts it, as a process of its own.
+The client checks the request against the run folder and builds the node once. So the launcher executes no file of a
+user: it only starts the node's process.
 """
 
 from __future__ import annotations

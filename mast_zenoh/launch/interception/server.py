@@ -228,7 +228,7 @@ class Interceptions:
                 if "error" in answer:
                     raise RunError(f"nothing was changed: {answer['error']}")
                 return answer
-        raise RunError("nothing was changed: whoever drives the scene does not answer")
+        raise RunError("nothing was changed: the driver does not answer")
 
     def _end(self, child: Child, why: str) -> Generator[None]:
         """Have a process leave; end it when it does not."""

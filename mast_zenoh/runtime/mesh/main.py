@@ -90,7 +90,7 @@ def _leave_with_launcher(hosted: list[MeshNode], credentials: Path | None) -> No
     if credentials is not None:
         shutil.rmtree(credentials, ignore_errors=True)
         with contextlib.suppress(OSError):
-            credentials.parent.rmdir()  # by whoever is the last
+            credentials.parent.rmdir()  # by the last process
     for node in hosted:
         node.inbox.put(("stop", "orphaned"))
         threading.Event().wait(ORPHAN_GRACE_S)
