@@ -1,7 +1,7 @@
 """Finds deployment engines: ours by name, a user's by its file.
 
 One of ours is a folder here with an engine.py, and is loaded only when it is asked for: what it needs may not be
-installed. One of a user is a subclass of `Engine` in a file: `my_engine.py`, or `my_engine.py:Class` if there are
+installed. One of a user is a subclass of `Engine` in a file: FILE.py, or FILE.py:CLASS if there are
 several.
 """
 

@@ -16,10 +16,13 @@ import pyarrow.compute as pc
 import pytest
 
 import mast_zenoh as mast
+from mast_zenoh import testing
+from mast_zenoh.config import loading
 from mast_zenoh.launch.tables import read_table
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
+COMMANDS = re.findall(r"^```console\n(.*?)^```$", PAGE, flags=re.S | re.M)
 FRAMES = 40
 
 
@@ -121,23 +124,55 @@ def test_the_node_counts_the_objects_of_the_picture(play: Callable[..., mast.Run
     assert table["count"].sum() == run.picture.num_rows > 0
 
 
-@pytest.mark.mesh
-def test_the_engine_deploys_a_run_that_equals_the_one_in_this_process(folder: Path) -> None:
-    assert "polite.py" in FILES
+CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {
+    "pushed.py": ("Push", testing.check_attack, {}),
+    "nearest.py": ("NearestTracker", testing.check_tracker, {}),
+    "unclustered.py": ("EveryTrackAlone", testing.check_clusterer, {}),
+    "surest.py": ("SurestMember", testing.check_fusion, {}),
+    "alarms.py": ("AlarmShare", testing.check_metric, {}),
+    "every_fourth.py": ("EveryNth", testing.check_link_rule, {}),
+    "jammed.py": ("Jam", testing.check_fault, dict(at=1.0, until=2.0, node="ego")),
+}
+
+
+@pytest.mark.parametrize("file", CHECKS)
+def test_the_class_conforms(folder: Path, file: str) -> None:
+    name, check, parameters = CHECKS[file]
+    check(getattr(loading.module(folder / file), name)(**parameters))
+
+
+def test_the_node_conforms(folder: Path) -> None:
+    testing.check_node(loading.node_class(folder / "counted.py"))
+    testing.check_scenario(folder / "counted.py", frames=5)
+
+
+def carry_out(commands: str, folder: Path) -> list[str]:
+    """What each command of a block prints."""
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    (commands,) = re.findall(r"^```console\n(.*?)^```$", PAGE, flags=re.S | re.M)
-    said = []
+    printed = []
     for line in commands.splitlines():
         words = shlex.split(line.removeprefix("$ "))
         done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
-        said.append(done.stdout)
-    assert re.search(r"simulator +exited with 0 +this machine", said[1])
-    assert len(said) == 6
+        printed.append(done.stdout)
+    return printed
+
+
+@pytest.mark.mesh
+def test_the_engine_deploys_a_run_that_equals_the_one_in_this_process(folder: Path) -> None:
+    assert "polite.py" in FILES
+    printed = carry_out(COMMANDS[0], folder)
+    assert re.search(r"simulator +exited with 0 +this machine", printed[1])
+
+
+def test_the_tests_of_the_page_pass(folder: Path) -> None:
+    assert "test_pushed.py" in FILES
+    (printed,) = carry_out(COMMANDS[1], folder)
+    assert "3 passed" in printed
 
 
 def test_every_file_of_the_page_is_run_by_a_test() -> None:
     tests = Path(__file__).read_text()
-    assert FILES
+    assert len(COMMANDS) == 2
     for name in FILES:
         assert f'"{name}"' in tests, f"nothing runs {name}"
