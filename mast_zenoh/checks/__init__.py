@@ -6,6 +6,7 @@
     convergence  after the last heal the picture is what it would have been;  reference  what it would have been
     sequences    no hole and no double that nothing explains
     processes    nothing is left running
+    user_checks  those in the files of a scenario
 
 See docs/faults.md.
 """
@@ -21,12 +22,18 @@ from mast_zenoh.checks.convergence import check_convergence
 from mast_zenoh.checks.evidence import Evidence
 from mast_zenoh.checks.processes import check_processes
 from mast_zenoh.checks.sequences import check_sequences
+from mast_zenoh.checks.user_checks import RunCheck, apply, of_scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import RunFolderError
 
-__all__ = ["FILE", "Check", "run"]
+__all__ = ["FILE", "Check", "RunCheck", "run", "wanted"]
 
 FILE = "checks.json"
+
+
+def wanted(resolved: Resolved) -> bool:
+    """Whether runs of a scenario are checked: those with links or faults, and those with checks of the user."""
+    return any(entry["kind"] != "attack" for entry in resolved.timeline) or bool(of_scenario(resolved))
 
 
 def run(folder: Path, resolved: Resolved) -> list[Check]:
@@ -43,6 +50,7 @@ def run(folder: Path, resolved: Resolved) -> list[Check]:
         found = [check_collation(evidence), check_convergence(evidence), check_sequences(evidence)]
         heals = evidence.heals_s()
     found.append(check_processes(folder))
+    found += [apply(kind, folder) for kind in of_scenario(resolved)]
     after = next((check.values.get("converged_after_s") for check in found if check.name == "convergence"), None)
     content = {"checks": [check._asdict() for check in found], "heals_s": heals, "converged_after_s": after}
     (folder / FILE).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -122,6 +123,14 @@ def test_the_node_counts_the_objects_of_the_picture(play: Callable[..., mast.Run
     run = play("counted.py")
     table = read_table(run.path / "results" / "counter" / "objects.parquet")
     assert table["count"].sum() == run.picture.num_rows > 0
+
+
+def test_the_check_is_applied_to_the_run(play: Callable[..., mast.Run]) -> None:
+    run = play("checked.py")
+    checks = json.loads((run.path / "checks.json").read_text())["checks"]
+    (found,) = [check for check in checks if check["name"] == "PictureNeverEmpty"]
+    assert found["ok"]
+    assert found["detail"] == "0 frames without any object after the first one"
 
 
 CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {
