@@ -46,8 +46,8 @@ def main() -> None:
         from mast_zenoh.errors import DiskFull
 
         code = code or DiskFull.exit_code
-    # Python ends a process by SIGINT if a KeyboardInterrupt has ever left code executed from a string, such as that of a
-    # dataclass, even if it was caught. Executing another string clears that.
+    # Python ends a process by SIGINT if a KeyboardInterrupt has ever left code executed from a string, such as that of
+    # a dataclass, even if it was caught. Executing another string clears that.
     exec("")
     sys.exit(code)
 

@@ -11,6 +11,7 @@ LAYERS: dict[str, str] = {
     "__main__": "the process: signals and standard streams, before anything slow is imported",
     "cli": "thin: every command is one call into the packages below",
     "study": "sweeps, Monte Carlo, statistics, tables; rogue/: what attackers achieve against a run",
+    "testing": "checks for classes that users write, and fixtures for pytest",
     "api": "runs as Python objects, and what a scenario can name: for notebooks and scripts",
     "report": "pages of runs and studies; figures/ tables/ narrative/ templates/",
     "deploy": "nodes that run elsewhere: an engine each in compose/, swarm/ and ssh/",

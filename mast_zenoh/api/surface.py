@@ -25,6 +25,8 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "metric": ("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
     "link rule": ("mast_zenoh.links.Rule",),
     "fault": ("mast_zenoh.faults.Fault",),
+    "check": ("mast_zenoh.checks.RunCheck",),
+    "deployment engine": ("mast_zenoh.launch.engine.Engine",),
 }
 
 

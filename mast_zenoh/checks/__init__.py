@@ -6,6 +6,7 @@ collation    messages delivered in time are in the collation
 convergence  after the last heal the picture equals that of a run without faults;  reference  that picture
 sequences    every gap and every duplicate is explained
 processes    no process is left running
+user_checks  checks in the files of a scenario
 """
 
 from __future__ import annotations
@@ -19,12 +20,18 @@ from mast_zenoh.checks.convergence import check_convergence
 from mast_zenoh.checks.evidence import Evidence
 from mast_zenoh.checks.processes import check_processes
 from mast_zenoh.checks.sequences import check_sequences
+from mast_zenoh.checks.user_checks import RunCheck, apply, of_scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import RunFolderError
 
-__all__ = ["FILE", "Check", "run"]
+__all__ = ["FILE", "Check", "RunCheck", "run", "wanted"]
 
 FILE = "checks.json"
+
+
+def wanted(resolved: Resolved) -> bool:
+    """Whether runs of a scenario are checked: those with links or faults, and those with checks of the user."""
+    return any(entry["kind"] != "attack" for entry in resolved.timeline) or bool(of_scenario(resolved))
 
 
 def run(folder: Path, resolved: Resolved) -> list[Check]:
@@ -41,6 +48,7 @@ def run(folder: Path, resolved: Resolved) -> list[Check]:
         checks = [check_collation(evidence), check_convergence(evidence), check_sequences(evidence)]
         heals = evidence.heals_s()
     checks.append(check_processes(folder))
+    checks += [apply(kind, folder) for kind in of_scenario(resolved)]
     converged_after_s = next(
         (check.values.get("converged_after_s") for check in checks if check.name == "convergence"), None
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
@@ -31,7 +31,10 @@ from mast_zenoh.errors import ConfigurationError, RunFolderError
 
 app = typer.Typer(help="Run a scenario in containers or on other hosts.", no_args_is_help=True, add_completion=False)
 
-Engine = Annotated[Literal["compose", "swarm", "ssh"], typer.Option(help="Where the nodes run.")]
+Engine = Annotated[
+    str,
+    typer.Option(metavar="NAME|FILE", help="Where the nodes run: compose, swarm, ssh, or the file of your own engine."),
+]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")]
 
 
@@ -54,6 +57,9 @@ def up(
         list[str] | None,
         typer.Option(metavar="NODES=LABEL", help="Swarm: run nodes on the machine with this label mast.host."),
     ] = None,
+    option: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="A parameter of the engine, such as one of your own.")
+    ] = None,
     patience: Annotated[float | None, typer.Option(help="Seconds that nodes run without this launcher.")] = None,
     report: Report = True,
     record: Record = True,
@@ -67,7 +73,10 @@ def up(
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
     options = {"image": image, "hosts": hosts, "place": _placed(place), "patience_s": patience}
-    chosen = _engine(engines.load(engine), {name: value for name, value in options.items() if value is not None})
+    kind = engines.load(engine)
+    parameters = {name: value for name, value in options.items() if value is not None}
+    _check_options(kind, parameters)
+    chosen = engines.make(kind, parameters | engines.options(kind, option or ()))
     space.check(out or Path("runs"), space.needed(resolved))
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
     ended = run.run(resolved, out, engine=chosen, secure=secure, **allowed, console=_out)
@@ -154,15 +163,14 @@ def _deployed(folder: Path) -> tuple[Any, dict[str, Any]]:
     return engines.load(record["deployment"]["engine"]), record
 
 
-def _engine(kind: Any, options: dict[str, Any]) -> Any:
-    """An engine with these options; raises BadParameter for an option that it does not have."""
+def _check_options(kind: Any, options: dict[str, Any]) -> None:
+    """Raise BadParameter for an option that the engine does not have."""
     accepted = inspect.signature(kind).parameters
     for name in options:
         if name not in accepted:
             raise typer.BadParameter(
                 f"engine {kind.name} has no such option", param_hint=f"--{name.removesuffix('_s')}"
             )
-    return kind(**options)
 
 
 def _placed(words: list[str] | None) -> dict[str, str] | None:

@@ -1,6 +1,6 @@
 """Runs a scenario where the nodes live elsewhere: in containers, on other hosts. docs/deploy.md shows how.
 
-engines    the engines by name
+engines    finds an engine by its name or its file
 compose/   containers of this machine
 swarm/     containers of many machines
 ssh/       processes on other hosts

@@ -1,23 +1,83 @@
-"""The deployment engines by name. An engine is imported on demand, as its dependencies may not be installed."""
+"""Finds deployment engines: ours by name, a user's by its file.
+
+One of ours is a folder here with an engine.py, and is loaded only when it is asked for: what it needs may not be
+installed. One of a user is a subclass of `Engine` in a file: FILE.py, or FILE.py:CLASS if there are
+several.
+"""
 
 from __future__ import annotations
 
+import inspect
+import re
+from collections.abc import Mapping, Sequence
 from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
-from mast_zenoh.errors import EngineError, nearest
+from mast_zenoh.config import loading, registry, settings
+from mast_zenoh.errors import ConfigurationError, EngineError, nearest
 from mast_zenoh.launch.engine import Engine
 
-ENGINES = {
-    "compose": "mast_zenoh.deploy.compose.engine:Compose",
-    "ssh": "mast_zenoh.deploy.ssh.engine:Ssh",
-    "swarm": "mast_zenoh.deploy.swarm.engine:Swarm",
-}
+_FILE = re.compile(r"(.*\.py)(?::(\w+))?")
+
+
+def names() -> tuple[str, ...]:
+    """The names of our engines."""
+    return tuple(sorted(file.parent.name for file in Path(__file__).parent.glob("*/engine.py")))
 
 
 def load(name: str) -> type[Engine]:
-    """The engine of this name; raises EngineError."""
-    if name not in ENGINES:
-        raise EngineError(f"there is no engine {name!r}{nearest(name, ENGINES)}")
-    module, _, attribute = ENGINES[name].partition(":")
-    engine: type[Engine] = getattr(import_module(module), attribute)
-    return engine
+    """The engine of this name, or in this file.
+
+    Raises EngineError, and ConfigurationError for a file that cannot be loaded.
+    """
+    if match := _FILE.fullmatch(name):
+        return _of_file(Path(match[1]), match[2])
+    if name not in names():
+        raise EngineError(f"there is no engine {name!r}{nearest(name, names())}")
+    (found,) = _defined_in(import_module(f"mast_zenoh.deploy.{name}.engine")).values()
+    return found
+
+
+def _of_file(file: Path, name: str | None) -> type[Engine]:
+    if not file.is_file():
+        raise EngineError(
+            f"{file}: no such file, expected one that defines a subclass of mast_zenoh.launch.engine.Engine"
+        )
+    classes = _defined_in(loading.module(file))
+    if name is None and len(classes) != 1:
+        found = ", ".join(sorted(classes)) or "none"
+        raise EngineError(f"{file}: found the engines {found}, expected one, or --engine {file}:NAME")
+    if name is not None and name not in classes:
+        raise EngineError(f"{file}: defines no engine {name!r}{nearest(name, classes)}")
+    return classes[name] if name else next(iter(classes.values()))
+
+
+def _defined_in(module: ModuleType) -> dict[str, type[Engine]]:
+    """The engines that a module defines, by the names of their classes."""
+    return {
+        name: value
+        for name, value in vars(module).items()
+        if isinstance(value, type) and issubclass(value, Engine) and value.__module__ == module.__name__
+    }
+
+
+def options(kind: type[Engine], words: Sequence[str]) -> dict[str, Any]:
+    """The parameters of an engine from `--option KEY=VALUE`; raises ConfigurationError for unknown ones."""
+    takes = inspect.signature(kind, eval_str=True).parameters
+    for word in words:
+        key, equals, _ = word.partition("=")
+        if not equals:
+            raise ConfigurationError(f"--option {word}: expected KEY=VALUE")
+        if key.partition(".")[0] not in takes:
+            raise ConfigurationError(f"--option {word}: engine {kind.name} has no such parameter{nearest(key, takes)}")
+    values = settings.nested(words)
+    paths = {key for key, value in values.items() if isinstance(value, str) and takes[key].annotation is Path}
+    return values | {key: Path(values[key]) for key in paths}
+
+
+def make(kind: type[Engine], values: Mapping[str, Any]) -> Engine:
+    """An engine with these parameters; raises ConfigurationError for those of a wrong type."""
+    made: Engine = registry.construct(kind, values, f"engine {kind.name}")
+    return made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from abc import ABC, abstractmethod
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,11 +15,20 @@ from mast_zenoh.launch.context import Mesh, RunContext
 class Engine(ABC):
     """Creates the mesh of a run and its nodes somewhere, and removes all of it again.
 
-    name: as `--engine` has it; unplugs: whether nodes can be taken off their networks
+    name: as `--engine` has it; without one, the file and the name of the class
+    unplugs: whether nodes can be taken off their networks
+
+    Parameters of `__init__` come from the command line: `--option KEY=VALUE`.
     """
 
     name: ClassVar[str]
     unplugs: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "name" not in vars(cls):
+            file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+            cls.name = f"{Path(file).resolve()}:{cls.__name__}" if file else cls.__name__
 
     @abstractmethod
     def check(self, resolved: Resolved, secure: str) -> None:

@@ -127,7 +127,7 @@ def run(
         run_folder.finish(folder, record)
         if caught is not None and ending.from_exception(caught) is None:
             raise caught  # a defect
-        if any(entry["kind"] != "attack" for entry in resolved.timeline):
+        if checks.wanted(resolved):
             checks.run(folder, resolved)
     if received and not ended.error:
         stop_signals.pass_on(received)  # it came when nothing of the run was left to stop

@@ -28,7 +28,12 @@ BASES = {
     *("mast_zenoh.pipelines.Pipeline", "mast_zenoh.fusion.Clusterer", "mast_zenoh.fusion.Fusion"),
     *("mast_zenoh.fusion.GroupTracker", "mast_zenoh.scenes.Scene", "mast_zenoh.sensing.Detector"),
     *("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
-    *("mast_zenoh.links.Rule", "mast_zenoh.faults.Fault"),
+    *(
+        "mast_zenoh.links.Rule",
+        "mast_zenoh.faults.Fault",
+        "mast_zenoh.launch.engine.Engine",
+        "mast_zenoh.checks.RunCheck",
+    ),
 }
 MEMBERS = {
     "Run": {

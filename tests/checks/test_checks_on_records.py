@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tiny_world  # noqa: F401 (so that scenarios can name TinyScene)
 from planted import (
     FAULTS,
     FRAMES,

@@ -18,7 +18,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy import doctor, engines, space
 from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.compose.containers import connected_as
-from mast_zenoh.errors import BackendError, DiskFull, EngineError, RunError
+from mast_zenoh.errors import BackendError, ConfigurationError, DiskFull, EngineError, RunError
 from mast_zenoh.launch import run
 from mast_zenoh.launch.file_server import files_for_node, with_neighbours
 from mast_zenoh.messagelog.writer import MessageLog
@@ -87,7 +87,7 @@ def test_an_engine_that_cannot_disconnect_nodes_refuses_before_anything_starts(
 
 
 def test_nodes_on_ssh_hosts_cannot_be_disconnected() -> None:
-    assert [name for name in engines.ENGINES if engines.load(name).unplugs] == ["compose"]
+    assert [name for name in engines.names() if engines.load(name).unplugs] == ["compose"]
 
 
 def test_a_disconnected_node_waits_longer_for_the_launcher() -> None:
@@ -127,6 +127,63 @@ def test_an_option_that_an_engine_lacks_is_a_usage_error(tmp_path: Path) -> None
 def test_an_unknown_engine_is_named_with_the_nearest() -> None:
     with pytest.raises(EngineError, match="did you mean 'compose'"):
         engines.load("composed")
+    assert engines.names() == ("compose", "ssh", "swarm")
+
+
+ENGINES = """
+from mast_zenoh.launch.engine import Engine
+
+class {first}(Engine):
+    def __init__(self, *, racks: int = 1, place: str = "here") -> None:
+        self.racks = racks
+    check = join = lambda self, *arguments: None
+    status = logs = down = classmethod(lambda cls, *arguments, **more: [])
+
+class {second}({first}):
+    pass
+"""
+
+
+@pytest.fixture
+def engine_file(tmp_path: Path) -> Path:
+    """A file that defines two engines."""
+    (tmp_path / "lab.py").write_text(ENGINES.format(first="Rack", second="Blade"))
+    return tmp_path / "lab.py"
+
+
+def test_an_engine_is_found_in_the_file_that_defines_it(engine_file: Path) -> None:
+    kind = engines.load(f"{engine_file}:Rack")
+    assert kind.name == f"{engine_file}:Rack"
+    assert engines.load(kind.name) is kind
+    made = engines.make(kind, engines.options(kind, ["racks=3"]))
+    assert made.racks == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("{file}", "found the engines Blade, Rack, expected one, or --engine .*lab.py:NAME"),
+        ("{file}:Rak", "defines no engine 'Rak'; did you mean 'Rack'"),
+        ("{folder}/nosuch.py", "nosuch.py: no such file, expected one that defines a subclass of"),
+    ],
+)
+def test_a_file_without_the_engine_asked_for_is_named(engine_file: Path, name: str, message: str) -> None:
+    with pytest.raises(EngineError, match=message):
+        engines.load(name.format(file=engine_file, folder=engine_file.parent))
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("rack=3", "--option rack=3: engine .*lab.py:Rack has no such parameter; did you mean 'racks'"),
+        ("racks", "--option racks: expected KEY=VALUE"),
+        ("racks=many", "engine .*lab.py:Rack.racks: found 'many', expected a whole number"),
+    ],
+)
+def test_an_unsuitable_parameter_of_an_engine_is_named(engine_file: Path, option: str, message: str) -> None:
+    kind = engines.load(f"{engine_file}:Rack")
+    with pytest.raises(ConfigurationError, match=message):
+        engines.make(kind, engines.options(kind, [option]))
 
 
 def test_the_doctor_finds_the_mesh_and_suggests_fixes_for_the_rest() -> None:

@@ -1,0 +1,48 @@
+"""User-defined checks: found in the files of a scenario, and applied to its finished runs."""
+
+from __future__ import annotations
+
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+
+from mast_zenoh.checks.base import Check
+from mast_zenoh.config import loading
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control.failures import described, location
+
+
+class RunCheck(ABC):
+    """Checks a finished run. A subclass in a scenario's file, or imported by it, is applied to every run of it."""
+
+    @abstractmethod
+    def check(self, folder: Path) -> tuple[bool, str]:
+        """Whether it holds, and a sentence on what was found.
+
+        folder: of the run; `mast_zenoh.open(folder)` reads its messages, metrics and tables
+
+        If it raises an exception, it does not hold.
+        """
+
+
+def of_scenario(resolved: Resolved) -> list[type[RunCheck]]:
+    """The concrete subclasses of RunCheck in the files of a scenario."""
+    return list(dict.fromkeys(_found(resolved)))
+
+
+def _found(resolved: Resolved) -> Iterator[type[RunCheck]]:
+    for file in resolved.modules:
+        for value in vars(loading.module(Path(file))).values():
+            if isinstance(value, type) and issubclass(value, RunCheck) and not inspect.isabstract(value):
+                yield value
+
+
+def apply(kind: type[RunCheck], folder: Path) -> Check:
+    """The outcome of a user's check on the run in a folder."""
+    try:
+        ok, detail = kind().check(folder)
+    except Exception as error:
+        where = location(error, kind.check)
+        return Check(kind.__name__, False, f"the check itself failed: {described(error)} ({where})", {"checked": True})
+    return Check(kind.__name__, bool(ok), str(detail), {"checked": True})

@@ -1,0 +1,26 @@
+"""Fixtures for pytest: `from mast_zenoh.testing.fixtures import play`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mast_zenoh.api import execution
+from mast_zenoh.api.execution import Scenario
+from mast_zenoh.api.runs import Run
+
+
+@pytest.fixture
+def play(tmp_path: Path) -> Callable[..., Run]:
+    """Runs a scenario in this process, into a folder of the test, 20 frames unless told otherwise: `mast_zenoh.run`."""
+    runs: list[Run] = []
+
+    def played(scenario: Scenario, **options: Any) -> Run:
+        usual: dict[str, Any] = {"frames": 20, "out": tmp_path / f"run_{len(runs)}"}
+        runs.append(execution.run(scenario, **usual | options))
+        return runs[-1]
+
+    return played

@@ -1,0 +1,102 @@
+"""Checks of nodes, and of whole scenarios."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh import scenario as scenarios
+from mast_zenoh.api.execution import Scenario
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import results
+from mast_zenoh.control.failures import lines
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.messagelog.explain import explain
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import SCHEMAS
+from mast_zenoh.node import Node, handler_names
+from mast_zenoh.runtime.context import Outgoing
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.testing.comparison import expect
+from mast_zenoh.wiring.model import ANY
+
+_ORDERS = 3  #: random orders of delivery
+
+
+def check_node(node: type[Node]) -> None:
+    """Check that the class of a node has a role, a handler for each input, and ports of known message types.
+
+    `check_scenario` checks what it does.
+    Raises AssertionError.
+    """
+    expect(node.role, f"{node.__name__}.role: found nothing, expected the name of a role")
+    for ports in ("inputs", "outputs"):
+        for port, message in getattr(node, ports).items():
+            known = message in SCHEMAS or (ports == "inputs" and message == ANY)
+            expect(known, f"{node.__name__}.{ports}[{port!r}]: there is no message type {message!r}")
+    try:
+        handler_names(node)
+    except TypeError as error:
+        raise AssertionError(str(error)) from error
+
+
+def check_scenario(
+    scenario: Scenario, *, frames: int = 20, seed: int = 0, mesh: bool = False, **parameters: Any
+) -> None:
+    """Check that a scenario gives the same messages and results in every order of delivery and in every place.
+
+    scenario, parameters: as `mast_zenoh.run` takes them
+    frames, seed:         how much is played, and the seed of all random draws
+    mesh:                 play it with a process for each node as well, which takes some seconds
+
+    It is played with messages shared between its nodes, with copies, and in random orders of delivery. A node that
+    changes its inputs, or depends on the order of messages, is found if it changes any message or result.
+    Raises AssertionError; MastError for a scenario that cannot be played.
+    """
+    path, content = scenarios.load_values(scenario, parameters)
+    resolved = scenarios.resolve(path, content, frames=frames, seed=seed, mode="lockstep")
+    first = _played(resolved, encode=True)
+    _expect_equal(first, _played(resolved, encode=False), "when nodes share arrays: does one change its inputs?")
+    for order in range(_ORDERS):
+        _expect_equal(first, _played(resolved, encode=True, shuffle=order), f"in another order of delivery ({order})")
+    if mesh:
+        recorded = scenarios.resolve(path, content, frames=frames, seed=seed, mode="lockstep", record=True)
+        _check_mesh(recorded)
+
+
+_Played = tuple[dict[str, list[bytes]], bytes]
+
+
+def _played(resolved: Resolved, *, encode: bool, shuffle: int | None = None) -> _Played:
+    """All messages by key, and the results of the nodes."""
+    messages: dict[str, list[bytes]] = defaultdict(list)
+
+    def tap(sent: Outgoing) -> None:
+        payload = sent.payload
+        messages[sent.key].append(payload if isinstance(payload, bytes) else codec.encode(payload))
+
+    process = InProcess(resolved, encode=encode, shuffle=shuffle, tap=tap)
+    outcome = process.run()
+    del outcome[""]
+    expect(not process.failures(), "a handler has failed: " + "; ".join(lines(process.failures())))
+    return messages, results.pack(outcome)
+
+
+def _expect_equal(first: _Played, second: _Played, when: str) -> None:
+    for key in sorted(first[0].keys() | second[0].keys()):
+        expect(first[0].get(key) == second[0].get(key), f"{key}: messages differ {when}")
+    expect(first[1] == second[1], f"results of nodes differ {when}")
+
+
+def _check_mesh(resolved: Resolved) -> None:
+    with tempfile.TemporaryDirectory(prefix="mast-check-") as folder:
+        here = launcher.run(resolved, Path(folder) / "here", runtime="inproc")
+        there = launcher.run(resolved, Path(folder) / "there", runtime="mesh")
+        for run in (here, there):
+            if run.error is not None:
+                raise run.error
+        found = compare(here.folder, there.folder, taps=True)
+        expect(found.first is None, "the mesh differs from one process:\n" + "\n".join(explain(found)))

@@ -1,0 +1,48 @@
+"""Checks in a scenario's file are found and applied; one that fails is named, and the run is not affected."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mast_zenoh as mast
+
+SCENARIO = """
+from mast_zenoh.checks import RunCheck
+from mast_zenoh.scenario import load
+
+
+class Recorded(RunCheck):
+    def check(self, folder):
+        return (folder / "messages.mcap").is_file(), "looked for messages.mcap"
+
+
+class Broken(RunCheck):
+    def check(self, folder):
+        raise KeyError("nosuch")
+
+
+class Unfinished(RunCheck):
+    pass
+
+
+def scenario():
+    return load("baseline", ["n_infrastructure=1"])[1]
+"""
+
+
+def test_checks_of_a_scenario_are_applied_and_a_broken_one_is_named(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(SCENARIO)
+    run = mast.run(str(tmp_path / "mine.py"), frames=3, out=str(tmp_path / "run"))
+    assert run.status == "ok"
+    found = {check["name"]: check for check in json.loads((run.path / "checks.json").read_text())["checks"]}
+    assert found["Recorded"]["ok"]
+    assert not found["Broken"]["ok"]
+    assert "the check itself failed: KeyError" in found["Broken"]["detail"]
+    assert "mine.py:13" in found["Broken"]["detail"]
+    assert "Unfinished" not in found
+
+
+def test_a_run_without_faults_or_checks_of_the_user_is_not_checked(tmp_path: Path) -> None:
+    run = mast.run("baseline", n_infrastructure=1, frames=3, out=str(tmp_path / "run"))
+    assert not (run.path / "checks.json").exists()

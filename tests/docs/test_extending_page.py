@@ -1,0 +1,187 @@
+"""Every example of docs/extending.md runs as written, and does what the page says."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh import testing
+from mast_zenoh.config import loading
+from mast_zenoh.launch.tables import read_table
+
+PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
+COMMANDS = re.findall(r"^```console\n(.*?)^```$", PAGE, flags=re.S | re.M)
+FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with all files of the page."""
+    made = tmp_path_factory.mktemp("extending")
+    for name, text in FILES.items():
+        (made / name).write_text(text)
+    return made
+
+
+@pytest.fixture(scope="module")
+def play(folder: Path) -> Callable[..., mast.Run]:
+    """Plays a file of the page, or one of our scenarios, in this process."""
+
+    def played(name: str, **parameters: Any) -> mast.Run:
+        scenario = str(folder / name) if name in FILES else name
+        return mast.run(scenario, frames=FRAMES, seed=3, report=False, out=str(folder / f"run of {name}"), **parameters)
+
+    return played
+
+
+@pytest.fixture(scope="module")
+def baseline(play: Callable[..., mast.Run]) -> mast.Run:
+    """What the examples are compared with."""
+    return play("baseline")
+
+
+def picture(run: mast.Run, measure: str) -> float:
+    """A measure of the picture near the ego, the mean over the frames."""
+    value = run.summary["agents"]["ego"]["picture"][measure]
+    return float(value["mean"] if isinstance(value, dict) else value)
+
+
+def test_the_attack_moves_all_objects_of_its_victim(play: Callable[..., mast.Run]) -> None:
+    run = play("pushed.py")
+    moved = run.attacks.filter(pc.field("effect") == "moved").to_pylist()
+    assert min(row["frame"] for row in moved) == 10
+    assert {round(row["after_x"] - row["before_x"], 6) for row in moved} == {3.0}
+
+
+def test_the_tracker_follows_what_is_seen(play: Callable[..., mast.Run], baseline: mast.Run) -> None:
+    run = play("nearest.py")
+    assert run.agent("ego").tracks.num_rows > 0
+    assert picture(run, "tp") > 0.5 * picture(baseline, "tp")
+    assert picture(run, "fp") > picture(baseline, "fp"), "it tracks clutter at once"
+
+
+def test_without_clusters_an_object_is_in_the_picture_several_times(
+    play: Callable[..., mast.Run], baseline: mast.Run
+) -> None:
+    run = play("unclustered.py")
+    assert picture(run, "fp") > picture(baseline, "fp") + 1.0
+
+
+def test_the_fusion_takes_one_member(play: Callable[..., mast.Run], baseline: mast.Run) -> None:
+    run = play("surest.py")
+    assert picture(run, "tp") > 0.8 * picture(baseline, "tp")
+    assert picture(run, "rmse_m") != picture(baseline, "rmse_m")
+
+
+def test_the_scene_has_as_many_cars_as_asked_for(play: Callable[..., mast.Run]) -> None:
+    run = play("parked.py", n_cars=2)
+    assert np.unique(run.truth["id"].to_numpy()).tolist() == [0, 1, 2]
+    assert run.agents == ("ego", "infra_1")
+    assert picture(run, "tp") > 1.0
+
+
+def test_the_detector_sees_nothing_beyond_its_range(play: Callable[..., mast.Run]) -> None:
+    run = play("short_sighted.py")
+    detections = run.agent("ego").detections
+    distance = np.linalg.norm([detections[axis].to_numpy() for axis in "xyz"], axis=0)
+    assert 0.0 < distance.max() <= 25.0
+
+
+def test_the_metric_is_in_the_summary(play: Callable[..., mast.Run]) -> None:
+    run = play("alarms.py")
+    assert 0.0 < run.summary["agents"]["infra_1"]["picture"]["alarm_share"] <= 1.0
+
+
+def test_the_link_rule_loses_every_fourth_message(play: Callable[..., mast.Run]) -> None:
+    run = play("every_fourth.py")
+    lost = run.attacks.filter(pc.field("effect") == "dropped")
+    frames = {row["frame"] for row in lost.to_pylist() if row["wire"] == "agent/ego/tracks"}
+    assert frames == set(range(3, FRAMES, 4))
+
+
+def test_the_fault_jams_its_targets_while_it_lasts(play: Callable[..., mast.Run]) -> None:
+    run = play("jammed.py")
+    lost = run.attacks.filter(pc.field("effect") == "dropped").to_pylist()
+    assert {row["interposer"] for row in lost} == {"link_infra_1", "link_infra_2"}
+    assert {10 <= row["frame"] < 30 for row in lost} == {True}
+
+
+def test_the_node_counts_the_objects_of_the_picture(play: Callable[..., mast.Run]) -> None:
+    run = play("counted.py")
+    table = read_table(run.path / "results" / "counter" / "objects.parquet")
+    assert table["count"].sum() == run.picture.num_rows > 0
+
+
+def test_the_check_is_applied_to_the_run(play: Callable[..., mast.Run]) -> None:
+    run = play("checked.py")
+    checks = json.loads((run.path / "checks.json").read_text())["checks"]
+    (found,) = [check for check in checks if check["name"] == "PictureNeverEmpty"]
+    assert found["ok"]
+    assert found["detail"] == "0 frames without any object after the first one"
+
+
+CHECKS: dict[str, tuple[str, Callable[[Any], None], dict[str, Any]]] = {
+    "pushed.py": ("Push", testing.check_attack, {}),
+    "nearest.py": ("NearestTracker", testing.check_tracker, {}),
+    "unclustered.py": ("EveryTrackAlone", testing.check_clusterer, {}),
+    "surest.py": ("SurestMember", testing.check_fusion, {}),
+    "alarms.py": ("AlarmShare", testing.check_metric, {}),
+    "every_fourth.py": ("EveryNth", testing.check_link_rule, {}),
+    "jammed.py": ("Jam", testing.check_fault, dict(at=1.0, until=2.0, node="ego")),
+}
+
+
+@pytest.mark.parametrize("file", CHECKS)
+def test_the_class_conforms(folder: Path, file: str) -> None:
+    name, check, parameters = CHECKS[file]
+    check(getattr(loading.module(folder / file), name)(**parameters))
+
+
+def test_the_node_conforms(folder: Path) -> None:
+    testing.check_node(loading.node_class(folder / "counted.py"))
+    testing.check_scenario(folder / "counted.py", frames=5)
+
+
+def carry_out(commands: str, folder: Path) -> list[str]:
+    """What each command of a block prints."""
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    printed = []
+    for line in commands.splitlines():
+        words = shlex.split(line.removeprefix("$ "))
+        done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+        printed.append(done.stdout)
+    return printed
+
+
+@pytest.mark.mesh
+def test_the_engine_deploys_a_run_that_equals_the_one_in_this_process(folder: Path) -> None:
+    assert "polite.py" in FILES
+    printed = carry_out(COMMANDS[0], folder)
+    assert re.search(r"simulator +exited with 0 +this machine", printed[1])
+
+
+def test_the_tests_of_the_page_pass(folder: Path) -> None:
+    assert "test_pushed.py" in FILES
+    (printed,) = carry_out(COMMANDS[1], folder)
+    assert "3 passed" in printed
+
+
+def test_every_file_of_the_page_is_run_by_a_test() -> None:
+    tests = Path(__file__).read_text()
+    assert len(COMMANDS) == 2
+    for name in FILES:
+        assert f'"{name}"' in tests, f"nothing runs {name}"
