@@ -44,6 +44,16 @@ class Control(NamedTuple):
         return {*self.senders} <= {DRIVER, LAUNCHER}
 
 
+def prefix(run: str) -> str:
+    """The prefix of all keys of a run."""
+    return f"mast/{run}"
+
+
+def control_prefix(run: str) -> str:
+    """The prefix of the control keys of a run."""
+    return f"{prefix(run)}/@control"
+
+
 _KIB, _MIB = 1 << 10, 1 << 20
 
 CONTROLS = {

@@ -14,11 +14,11 @@ import zenoh
 from rich.markup import escape
 
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import prefix
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import RunError
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.security.deployment import Deployment
 from mast_zenoh.wiring.model import Wiring
 

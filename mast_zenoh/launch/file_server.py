@@ -23,13 +23,12 @@ import zenoh
 
 from mast_zenoh import version
 from mast_zenoh.config.resolved import RECORDING, Resolved
-from mast_zenoh.control import files
+from mast_zenoh.control import control_prefix, files
 from mast_zenoh.control.failures import described
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
 from mast_zenoh.runtime.file_client import written_by
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.scenes.recording import Recording
 
 #: Requests of one node that may wait; it sends one at a time, and again after five seconds.
@@ -71,7 +70,7 @@ class FileServer:
         self._kept: dict[str, dict[str, bytes | Path]] = {}
         self._asked: queue.SimpleQueue[tuple[zenoh.Query, Request, int] | None] = queue.SimpleQueue()
         handler: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
-        base = f"{prefix(run)}/@control"
+        base = control_prefix(run)
         self._declared = [session.declare_queryable(f"{base}/{what}/*", handler) for what in ("fetch", "file")]
         self._thread = threading.Thread(target=self._live, name="file-server")
         self._thread.start()

@@ -8,6 +8,7 @@ from typing import Any
 
 import zenoh
 
+from mast_zenoh.control import control_prefix, prefix
 from mast_zenoh.errors import BackendError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import local_mesh, mesh_conclusion
@@ -21,7 +22,6 @@ from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.steps import StepRequests, Steps
 from mast_zenoh.launch.watch import Watch
 from mast_zenoh.runtime.lockstep.timetable import Timetable
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.stamp import stamp_of
 
 _END_GRACE_S = 1.0  # between closing inputs, SIGTERM and SIGKILL
@@ -40,7 +40,7 @@ def run(context: RunContext, display: Display, endpoint: str | None, listen: str
         mesh, hosts = _join(context, stack, endpoint, listen, engine)
         context.joined(mesh)
         session, supervisor = mesh.session, mesh.supervisor
-        control = f"{prefix(context.run_id)}/@control"
+        control = control_prefix(context.run_id)
 
         def leave(name: str) -> None:
             session.put(f"{control}/leave/{name}", context.signatures.sign(f"leave/{name}", b"leave"))

@@ -6,7 +6,7 @@ import time
 
 from rich.markup import escape
 
-from mast_zenoh.control import failures
+from mast_zenoh.control import control_prefix, failures
 from mast_zenoh.control.stop_reasons import StopKind, decode_reason
 from mast_zenoh.errors import (
     BackendError,
@@ -26,7 +26,6 @@ from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.reports import Report, Reports
 from mast_zenoh.launch.steps import StepRequests, Steps
 from mast_zenoh.launch.supervisor import Child
-from mast_zenoh.runtime.mesh.node import prefix
 
 _POLL_S = 0.05
 _LEAVE_GRACE_S = 20.0  # from the end of the scene to the last node's results
@@ -114,7 +113,7 @@ class Watch:
         """Ask all nodes to stop; whether to wait no longer."""
         # Every time, because a node that is still starting, or was cut off, has not got it before.
         stop = self._context.signatures.sign("stop", self._stop.reason.encode())
-        self._session.put(f"{prefix(self._context.run_id)}/@control/stop", stop)
+        self._session.put(f"{control_prefix(self._context.run_id)}/stop", stop)
         if self._interrupts > 1:
             return True
         self._supervisor.resume(self._supervisor.running())  # a suspended node gets no message

@@ -23,11 +23,10 @@ import zenoh
 
 from mast_zenoh import version
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import files
+from mast_zenoh.control import control_prefix, files
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.errors import MessageError, RunError
 from mast_zenoh.messagelog.writer import MessageLog
-from mast_zenoh.runtime.mesh.node import prefix
 
 _HAND_IN_EVERY_S = 1.0
 _HAND_IN_TIMEOUT_S = 20.0
@@ -46,7 +45,7 @@ class FileClient:
 
     def __init__(self, session: zenoh.Session, run: str, name: str) -> None:
         self._session = session
-        self._base = f"{prefix(run)}/@control"
+        self._base = control_prefix(run)
         self._name = name
         self.clock: dict[str, float] = {}
 

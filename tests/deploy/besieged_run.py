@@ -26,11 +26,11 @@ from rich.console import Console
 from mast_zenoh import scenario
 from mast_zenoh.cli.options import reporting
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import prefix
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.report import html
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.session import open_session
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.security.levels import client_settings

@@ -17,6 +17,7 @@ from typing import Any
 from mast_zenoh.config import bundle, loading
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.config.settings import nested
+from mast_zenoh.control import control_prefix
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.interception import answer_of, place_json
 from mast_zenoh.errors import ConfigurationError, NodeFileError, NotRunning, WiringError, nearest
@@ -24,7 +25,6 @@ from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.interception.server import SECRET_FILE, seal
 from mast_zenoh.node import Node
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.scenario.nodes import inform, node_spec
 from mast_zenoh.scenes.recording import Recording
@@ -200,7 +200,7 @@ def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[
     if not _reachable(endpoint):
         raise NotRunning(f"{run}: nobody answers at {endpoint}: the run has ended without a word")
     with open_client(endpoint) as session:
-        replies = session.get(f"{prefix(record['id'])}/@control/intercept", payload=sealed, timeout=_TIMEOUT_S)
+        replies = session.get(f"{control_prefix(record['id'])}/intercept", payload=sealed, timeout=_TIMEOUT_S)
         for reply in replies:
             if reply.ok is not None:
                 return answer_of(reply.ok.payload.to_bytes())

@@ -22,14 +22,13 @@ import msgpack
 import zenoh
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control import fields, files, flow
+from mast_zenoh.control import fields, files, flow, prefix
 from mast_zenoh.control import interception as control
 from mast_zenoh.control.failures import described
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NotRunning, RunError, StartError
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.insertion import Place
 from mast_zenoh.wiring.model import Wiring

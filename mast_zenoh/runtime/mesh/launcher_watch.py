@@ -11,7 +11,7 @@ from typing import Any
 
 import zenoh
 
-from mast_zenoh.runtime.mesh.node import prefix
+from mast_zenoh.control import control_prefix
 
 #: A file in the folder of temporary files, there while the launcher is: for health checks.
 UP = "mast-up"
@@ -31,7 +31,7 @@ class LauncherWatch:
         self._changed = threading.Condition()
         self._over = False
         handler: Any = zenoh.handlers.Callback(self._note, indirect=False)
-        key = f"{prefix(run)}/@control/launcher"
+        key = f"{control_prefix(run)}/launcher"
         self._subscriber = session.liveliness().declare_subscriber(key, handler, history=True)
         self._watcher = threading.Thread(target=self._watch, daemon=True)
 

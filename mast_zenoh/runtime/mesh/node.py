@@ -17,7 +17,7 @@ from typing import Any
 
 import zenoh
 
-from mast_zenoh.control import flow, reports, results
+from mast_zenoh.control import flow, prefix, reports, results
 from mast_zenoh.control.failures import Failure
 from mast_zenoh.control.flow import WiringUpdate
 from mast_zenoh.control.invalid import InvalidMessages
@@ -38,11 +38,6 @@ from mast_zenoh.runtime.mesh.wiring_follower import WiringFollower
 from mast_zenoh.wiring.model import Wiring
 
 _LINGER_S = 0.01  # for messages that are likely to be on their way
-
-
-def prefix(run: str) -> str:
-    """The prefix of all keys of a run."""
-    return f"mast/{run}"
 
 
 class MeshNode:

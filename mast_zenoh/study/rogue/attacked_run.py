@@ -17,7 +17,7 @@ import zenoh
 from rich.console import Console
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import failures
+from mast_zenoh.control import failures, prefix
 from mast_zenoh.control.failures import described
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, MastError, RunError, nearest
 from mast_zenoh.launch import run
@@ -25,7 +25,6 @@ from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
-from mast_zenoh.runtime.mesh.node import prefix
 from mast_zenoh.runtime.mesh.session import open_session
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.credentials import Credentials
