@@ -19,6 +19,9 @@ if TYPE_CHECKING:  # most nodes never load a scene
 
 RECORDING = "scene.npz"
 
+#: Role of the node that drives the scene.
+DRIVER_ROLE = "simulator"
+
 
 @dataclass(frozen=True, slots=True)
 class NodeSpec:
@@ -29,6 +32,11 @@ class NodeSpec:
     type: str
     config: dict[str, Any]
     on_exit: str
+
+
+def driver_of(nodes: Mapping[str, NodeSpec]) -> str:
+    """The name of the node that drives the scene; "" if there is none."""
+    return next((name for name, spec in nodes.items() if spec.role == DRIVER_ROLE), "")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import zenoh
 from rich.markup import escape
 
-from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.resolved import Resolved, driver_of
 from mast_zenoh.control import prefix
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.control.signatures import Signatures
@@ -121,7 +121,7 @@ class RunContext:
             Wiring.from_json(self.resolved.wiring),
             nodes,
             prefix=prefix(self.run_id),
-            driver=next((name for name, spec in nodes.items() if spec.role == "simulator"), ""),
+            driver=driver_of(nodes),
             hosts=hosts,
             folder=folder,
         )

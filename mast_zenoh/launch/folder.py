@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh import kernels
-from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.config.resolved import NodeSpec, driver_of
 from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import churn
@@ -229,8 +229,8 @@ def note_recording(
 
 def _gap(folder: Path, nodes: Mapping[str, NodeSpec]) -> int | None:
     """The first frame of which a message of the node that drives the scene was not recorded."""
-    driver = next((name for name, spec in nodes.items() if spec.role == "simulator"), None)
-    return None if driver is None else first_missing(folder, driver)
+    driver = driver_of(nodes)
+    return first_missing(folder, driver) if driver else None
 
 
 def _trouble(recorded: Mapping[str, Any]) -> dict[str, Any]:

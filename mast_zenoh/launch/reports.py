@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 
+from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.control import files
 from mast_zenoh.control import reports as control
 from mast_zenoh.control.failures import Entry, merged
@@ -23,8 +24,6 @@ MAX_WAITING = {"result": 2, "failed": 1000}
 
 #: Processes that may have been one node, one after the other, and have reported failures.
 MAX_PROCESSES = 64
-
-_DRIVER = "simulator"  # role of the node that drives the scene
 
 
 class Report(NamedTuple):
@@ -93,7 +92,7 @@ class Reports:
             node = str(query.key_expr).rpartition("/")[2]
             payload = query.payload.to_bytes() if query.payload else b""
             try:
-                drives = self._child("result", node).spec.role == _DRIVER
+                drives = self._child("result", node).spec.role == DRIVER_ROLE
                 outcome = control.decode_result(payload, node, drives=drives)
                 self._put("result", node, (outcome, hashlib.sha256(payload).digest()))
             except MessageError as error:

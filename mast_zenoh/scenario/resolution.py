@@ -11,7 +11,7 @@ import numpy as np
 
 from mast_zenoh import scenes
 from mast_zenoh.config import bundle, loading, registry
-from mast_zenoh.config.resolved import NodeSpec, Resolved, build_node
+from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
 from mast_zenoh.messages.timespan import LEEWAY_S
 from mast_zenoh.node import Node
@@ -89,7 +89,7 @@ def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
 def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:
     """Whether the shipped simulator plays the scene: a user's may play other frames, at other times."""
     shipped = (bundle.ROOT / "nodes" / "simulator.py").resolve()
-    return all(Path(spec.file).resolve() == shipped for spec in nodes.values() if spec.role == "simulator")
+    return all(Path(spec.file).resolve() == shipped for spec in nodes.values() if spec.role == DRIVER_ROLE)
 
 
 def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:

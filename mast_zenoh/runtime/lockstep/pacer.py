@@ -17,9 +17,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 
+from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.wiring.model import Wiring
-
-_DRIVER = "simulator"  # role of the node that drives the scene
 
 
 class Pacer:
@@ -122,7 +121,7 @@ class Pacer:
             if len(lies) > 1 and not agree[key]:
                 heard = ", ".join(f"{name} {n}" for _, name, _, n in lies[:3])
                 return f"{publisher} reports {sent} messages sent on {key}, of which more have been handled ({heard})"
-            if not agree[key] and self.members.get(publisher) != _DRIVER:
+            if not agree[key] and self.members.get(publisher) != DRIVER_ROLE:
                 both = f"{publisher} reports {sent} messages sent on {key}, {subscriber} {handled} handled"
                 return f"{both}: one of the two does not tell the truth"
             return f"{subscriber} reports {handled} messages of {publisher} handled on {key}, of which {sent} were sent"

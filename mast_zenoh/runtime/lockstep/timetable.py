@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 
 from mast_zenoh.config.process_steps import ACTIONS, REALTIME, ProcessStep
-from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.errors import ConfigurationError, nearest
 
 #: After these a node is not there any more.
@@ -32,7 +32,7 @@ class Timetable:
                 raise ConfigurationError(
                     f"{where}: expected one of {', '.join(ACTIONS)}{nearest(step.action, ACTIONS)}"
                 )
-            if resolved.nodes[step.node].role == "simulator":
+            if resolved.nodes[step.node].role == DRIVER_ROLE:
                 raise ConfigurationError(f"{where}: the run ends without the node that drives the scene")
             if lockstep and step.action in REALTIME:
                 raise ConfigurationError(f"{where}: in lock-step everybody is waited for; {step.action} in real time")

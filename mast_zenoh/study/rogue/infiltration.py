@@ -12,7 +12,7 @@ from pathlib import Path
 import zenoh
 
 from mast_zenoh import version
-from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.resolved import Resolved, driver_of
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import run
 from mast_zenoh.launch.folder import json_or_empty
@@ -100,7 +100,7 @@ def infiltrate(resolved: Resolved, folder: Path, level: str, insider: Insider, t
 def _assess(
     resolved: Resolved, node: str, finished: run.Run | None, ended_in_time: bool, twin: Path, strays: set[str]
 ) -> Finding:
-    driver = next(name for name, spec in resolved.nodes.items() if spec.role == "simulator")
+    driver = driver_of(resolved.nodes)
     others = [name for name in resolved.nodes if name != node]
     if finished is None:
         return Finding(node, others, False, "", 0, resolved.frames, (), False, strays)

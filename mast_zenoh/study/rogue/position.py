@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from mast_zenoh.config.resolved import RECORDING, Resolved
+from mast_zenoh.config.resolved import RECORDING, Resolved, driver_of
 from mast_zenoh.wiring.model import Wiring
 
 #: Part of every forged string that could become a file name: files with this name were written by an insider.
@@ -50,5 +50,5 @@ def position(resolved: Resolved, node: str, version: str) -> Position:
     subscribed = tuple(dict.fromkeys(key for key, _, subscriber in wiring.flows() if subscriber == node))
     foreign = tuple(key for key in dict.fromkeys(wiring.keys()) if key not in (*published, *subscribed))
     roles = {name: spec.role for name, spec in resolved.nodes.items()}
-    driver = next(name for name, role in roles.items() if role == "simulator")
+    driver = driver_of(resolved.nodes)
     return Position(node, driver, roles, published, subscribed, foreign, resolved.wiring, version)
