@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +37,12 @@ def first_frames(churn: Churn, node: str) -> list[int]:
 def comparable(*paths: Path) -> tuple[int | None, str]:
     """The first frame from which recordings cannot be compared, and why; None if all can.
 
+    Where a recording is incomplete from the frame in which a node was lost, the recording is the reason.
+
     paths: run folders or recordings; nothing is known about the completeness of the latter. Raises RunFolderError for
     an unreadable run.json.
     """
-    return min((reason for path in paths for reason in _reasons(path)), default=(None, ""))
+    return min((reason for path in paths for reason in _reasons(path)), key=itemgetter(0), default=(None, ""))
 
 
 def _first_affected(event: Mapping[str, Any]) -> int:
@@ -56,9 +59,10 @@ def _reasons(path: Path) -> list[tuple[int, str]]:
     try:
         record = json.loads(file.read_text(encoding="utf-8")) or {}
         lost = [event for event in record.get("churn", ()) if event["what"] == LOST]
-        reasons = [(_first_affected(event), f"{event['node']} was lost in {path}") for event in lost]
+        reasons = []
         if "from_frame" in record.get("recording", {}):
             reasons.append((int(record["recording"]["from_frame"]), f"the recording of {path} is incomplete"))
+        reasons.extend((_first_affected(event), f"{event['node']} was lost in {path}") for event in lost)
     except (ValueError, AttributeError, KeyError, TypeError) as error:
         raise RunFolderError(f"{file}: cannot be read: {error}") from error
     return reasons

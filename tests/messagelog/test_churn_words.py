@@ -37,6 +37,12 @@ def test_runs_are_not_comparable_after_a_gap_in_a_recording(tmp_path):
     assert comparable(tmp_path) == (12, f"the recording of {tmp_path} is incomplete")
 
 
+def test_an_incomplete_recording_is_the_reason_where_a_node_was_lost_in_the_same_frame(tmp_path):
+    record = {"churn": EVENTS[2:], "recording": {"complete": False, "from_frame": 59}}
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    assert comparable(tmp_path) == (59, f"the recording of {tmp_path} is incomplete")
+
+
 def test_runs_are_comparable_up_to_the_first_loss_in_either(tmp_path):
     for name, events in (("a", EVENTS[2:]), ("b", EVENTS), ("c", [])):
         (tmp_path / name).mkdir()
