@@ -10,13 +10,13 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-from control_samples import DRIVEN, ENTRY, OUTCOME
 from hypothesis import given
 from hypothesis import strategies as st
-from sound_controls import CODECS, MEMBERS, TAP, WIRING, packed
+from sound_controls import CODECS, DRIVEN, MEMBERS, OUTCOME, TAP, WIRING, packed
 
 from mast_zenoh.control import CONTROLS, files, flow, reports, results
 from mast_zenoh.errors import MessageError, RunError
+from mast_zenoh.study.rogue.valid_messages import FAILURE
 from mast_zenoh.wiring.model import Wiring
 
 every_codec = pytest.mark.parametrize("name", CODECS)
@@ -58,7 +58,7 @@ def test_decoding_restores_what_was_encoded() -> None:
     assert flow.decode_act(CODECS["act"][1]) == (7, (("kill", "ego"), ("start", "eve")))
     assert flow.decode_rewire(CODECS["rewire"][1]) == (WIRING, {"eve": "adversary"}, ("spy",))
     assert files.decode_fetch(CODECS["piece"][1]) == files.Piece("scenario.json", 0)
-    assert reports.decode_failure(CODECS["failed"][1]) == ("0123", ENTRY)
+    assert reports.decode_failure(CODECS["failed"][1]) == ("0123", FAILURE)
     assert reports.decode_result(CODECS["driver's result"][1], "sim", drives=True)["stop_reason"] == "end"
     refusal = files.decode_refusal(files.encode_refusal(RunError("no")))
     assert (type(refusal), str(refusal)) == (RunError, "no")
@@ -156,8 +156,8 @@ def without(name: str) -> dict[str, Any]:
         ("piece", packed({"do": "piece", "path": "a", "offset": 0, "more": 0})),
         ("file", packed({"path": "a", "offset": 0, "piece": "text"})),
         ("file", packed({"path": "a", "offset": 0, "piece": bytes(files.PIECE_BYTES + 1)})),
-        ("failed", packed(["a", ENTRY | {"count": 0}])),
-        ("failed", packed(["a", ENTRY | {"exception": "x" * 301}])),
+        ("failed", packed(["a", FAILURE | {"count": 0}])),
+        ("failed", packed(["a", FAILURE | {"exception": "x" * 301}])),
         ("result", results.pack(OUTCOME | {"stop_reason": "stall: no"})),
         ("result", results.pack(OUTCOME | {"sent_ns": {}})),
         ("result", results.pack(OUTCOME | {"cpu_s": float("nan")})),

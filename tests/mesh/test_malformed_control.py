@@ -20,7 +20,7 @@ import zenoh
 from fuzzing import Fuzzing
 from held_back import allow, resolved
 from launched import Launched, Observer, eventually
-from malformed_control import malformed
+from malformed_control import malformed_payloads
 from sound_controls import CODECS, packed
 from test_flood import LIMIT_MB, peak_mb
 
@@ -64,7 +64,7 @@ class Target(NamedTuple):
     def payloads(self, seed: tuple[int, ...]) -> Iterator[bytes]:
         """Malformed messages without end, made of one example after the other."""
         made = [
-            malformed(self.kind, CODECS[name][1], CODECS[name][0], (*seed, number))
+            malformed_payloads(self.kind, CODECS[name][1], CODECS[name][0], (*seed, number))
             for number, name in enumerate(self.examples)
         ]
         return (self.wrap(payload) for several in zip(*made, strict=True) for payload in several)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import msgpack
 import pytest
 import zenoh
-from control_samples import DRIVEN, ENTRY, OUTCOME
 from launched import eventually
+from sound_controls import DRIVEN, OUTCOME
 
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control import results
@@ -19,6 +19,7 @@ from mast_zenoh.control.reports import MAX_HANDLERS, MAX_RESULT
 from mast_zenoh.launch.reports import Report, Reports
 from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.study.rogue.valid_messages import FAILURE
 
 pytestmark = pytest.mark.mesh
 CONTROL = "mast/x/@control"
@@ -61,14 +62,14 @@ def mesh() -> Iterator[Mesh]:
 
 
 def test_malformed_reports_and_those_of_nobody_are_counted_and_ignored(mesh: Mesh) -> None:
-    sound = msgpack.packb(["a", ENTRY])
+    sound = msgpack.packb(["a", FAILURE])
     for payload in (b"", b"\xc1", b"\x93", msgpack.packb(7), msgpack.packb(["a", {}]), msgpack.packb(["a", [1]])):
         mesh.stranger.put(f"{CONTROL}/failed/ego", payload)
     mesh.stranger.put(f"{CONTROL}/failed/nobody", sound)
     mesh.stranger.put(f"{CONTROL}/failed/ego", sound)
     taken: list[Report] = []
     eventually(lambda: taken.extend(mesh.reports.take()) or taken, "the sound one")
-    assert taken == [Report("ego", ENTRY)]
+    assert taken == [Report("ego", FAILURE)]
     assert mesh.children["ego"].ended == "exit code 0, but it handed in no results"
     forged = [
         b"",
@@ -90,7 +91,7 @@ def test_malformed_reports_and_those_of_nobody_are_counted_and_ignored(mesh: Mes
     assert mesh.ask("ego", results.pack(OUTCOME | {"failures": []})) == [True]
     assert list(mesh.reports.take()) == [Report("ego")]
     assert mesh.children["ego"].ended == "ok"
-    assert mesh.reports.by_node()["ego"]["failures"] == [ENTRY], "of the process before"
+    assert mesh.reports.by_node()["ego"]["failures"] == [FAILURE], "of the process before"
 
 
 def test_malformed_reports_take_no_room_of_sound_ones(mesh: Mesh) -> None:
@@ -98,16 +99,16 @@ def test_malformed_reports_take_no_room_of_sound_ones(mesh: Mesh) -> None:
     assert [mesh.ask("ego", b"\xc1") for _ in range(5)] == [[False]] * 5
     for _ in range(1500):
         mesh.stranger.put(f"{CONTROL}/failed/ego", b"\xc1", congestion_control=zenoh.CongestionControl.BLOCK)
-    mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb(["a", ENTRY]))
+    mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb(["a", FAILURE]))
     assert mesh.ask("ego", results.pack(OUTCOME)) == [True]
-    assert list(mesh.reports.take()) == [Report("ego", ENTRY), Report("ego")]
+    assert list(mesh.reports.take()) == [Report("ego", FAILURE), Report("ego")]
     assert mesh.invalid.counts == {"failed/ego": 1500, "result/ego": 5}
 
 
 def test_what_a_process_hands_in_stands_for_what_it_has_reported_before(mesh: Mesh) -> None:
     for count in (1, 2):
-        mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb([OUTCOME["process"], ENTRY | {"count": count}]))
-    mesh.ask("ego", results.pack(OUTCOME | {"failures": [ENTRY | {"count": 5, "frames": 4}]}))
+        mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb([OUTCOME["process"], FAILURE | {"count": count}]))
+    mesh.ask("ego", results.pack(OUTCOME | {"failures": [FAILURE | {"count": 5, "frames": 4}]}))
     taken: list[Report] = []
     eventually(lambda: taken.extend(mesh.reports.take()) or len(taken) >= 2, "both")
     assert mesh.reports.by_node()["ego"]["failures"][0]["count"] == 5
@@ -143,7 +144,7 @@ def test_only_the_node_that_drives_the_scene_says_why_the_run_stops(mesh: Mesh) 
 
 def test_a_node_whose_handlers_and_processes_never_end_is_stopped_counting(mesh: Mesh) -> None:
     for i in range(300):
-        mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb(["b", ENTRY | {"handler": f"on_{i}"}]))
+        mesh.stranger.put(f"{CONTROL}/failed/ego", msgpack.packb(["b", FAILURE | {"handler": f"on_{i}"}]))
     taken: list[Report] = []
     refused = 300 - MAX_HANDLERS
     eventually(

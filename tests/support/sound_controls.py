@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import msgpack
-from control_samples import DRIVEN, ENTRY, OUTCOME
+import numpy as np
 
 from mast_zenoh.control import fields, files, flow, interception, reports, results
+from mast_zenoh.study.rogue.valid_messages import FAILURE, RESULT
 from mast_zenoh.wiring.model import Endpoint, Leg, Listener, Wire, Wiring
 
 TAP = "agent/ego/tracks/@tap/0"
@@ -33,6 +34,19 @@ MEMBERS = {"simulator": "simulator", "ego": "agent"}
 PLACE = {"wire": "clock", "input": "in", "output": "out", "hears": {"clock": "clock"}, "says": []}
 SPEC = {"file": "/a/eve.py", "type": "Eve", "role": "adversary", "config": {"gain": 2.0}, "on_exit": "continue"}
 INTERCEPT = {"do": "intercept", "number": "ab", "name": "eve", "spec": SPEC, "place": PLACE}
+#: The results of a node, one of whose handlers failed.
+OUTCOME = RESULT | {
+    "results": {"n": 1, "tables": {"mine": {"a": np.arange(3), "b": np.array(["x", "y", "z"])}}},
+    "failures": [FAILURE],
+}
+#: The results of the node that drives the scene.
+DRIVEN = OUTCOME | {
+    "frames": 12,
+    "wall_s": 1.5,
+    "stop_reason": "end",
+    "sent_ns": {0: 1_700_000_000_000_000_000},
+    "churn": [],
+}
 
 
 def asked(payload: bytes) -> Any:
@@ -68,7 +82,7 @@ CODECS: dict[str, tuple[Callable[[bytes], Any], bytes]] = {
     "clock's answer": (files.decode_clock, packed({"now_ns": 1_700_000_000_000_000_000})),
     "piece's answer": (files.decode_piece, packed({"piece": b"abc"})),
     "file's answer": (files.decode_nothing, packed({})),
-    "failed": (reports.decode_failure, reports.encode_failure("0123", ENTRY)),
+    "failed": (reports.decode_failure, reports.encode_failure("0123", FAILURE)),
     "result": (lambda payload: reports.decode_result(payload, "ego", drives=False), results.pack(OUTCOME)),
     "driver's result": (lambda payload: reports.decode_result(payload, "sim", drives=True), results.pack(DRIVEN)),
     "intercept": (asked, packed(INTERCEPT)),

@@ -2,15 +2,16 @@
 
 An outsider has network access; an insider also has one node's certificate and key.
 
-attempts      attacks by an outsider: classes for a scenario file's `outsider()`
-insiders      attacks by a compromised node: classes for a scenario file's `insiders()`
-attacked_run  a run that plays while attackers act
-infiltration  a run with an insider, compared with its undisturbed twin
-position      what a compromised node knows about its run
-forgeries     control messages that it sends:
-malformed     those that every decoder rejects
-falsehoods    those that are well formed but untrue
-sending       sends forged messages
-detour        redirects one node's connection to the router
-comparison    the same at every level of security
+attempts        attacks by an outsider: classes for a scenario file's `outsider()`
+insiders        attacks by a compromised node: classes for a scenario file's `insiders()`
+attacked_run    a run that plays while attackers act
+infiltration    a run with an insider, compared with its undisturbed twin
+position        what a compromised node knows about its run
+forgeries       control messages that it sends
+valid_messages  those that forgeries are made from
+malformed       those that every decoder rejects
+falsehoods      those that are well formed but untrue
+sending         sends forged messages
+detour          redirects one node's connection to the router
+comparison      the same at every level of security
 """

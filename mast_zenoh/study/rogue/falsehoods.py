@@ -10,51 +10,10 @@ import numpy as np
 
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.study.rogue.position import MARKER, Position
+from mast_zenoh.study.rogue.valid_messages import FAILURE, RESULT
 
 _BILLION = 10**9
 _LATE = 1 << 61
-_FAILURE = {
-    "handler": "on_clock",
-    "count": 3,
-    "frames": 3,
-    "first_frame": 1,
-    "last_frame": 3,
-    "exception": "KeyError: 'forged'",
-    "where": f"/tmp/{MARKER}.py:1",
-}
-_OUTCOME: dict[str, Any] = {
-    "results": {"n": 1},
-    "rejected": {"clock: forged": 2},
-    "first_rejected": {"clock": [3, "forged"]},
-    "foreign": {"clock": 1},
-    "invalid": {"epoch": [1, "forged"]},
-    "unsigned": 3,
-    "process": "0123456789abcdef",
-    "failures": [],
-    "last_frame": 3,
-    "cpu_s": 0.5,
-    "arrived_ns": {"clock": {0: 1_700_000_000_000_000_000}},
-    "versions": {"numpy": "2.0"},
-    "clock": {"offset_ms": -1.5, "round_trip_ms": 0.1},
-}
-
-
-def valid_message(control: str, position: Position) -> Any:
-    """A valid message of this kind, as the basis of malformed ones."""
-    return {
-        "counts": [1, dict.fromkeys(position.publishes[:1], 3), dict.fromkeys(position.subscribes[:2], 3)],
-        "epoch": [2, position.roles, None],
-        "failed": ["0123456789abcdef", _FAILURE],
-        "act": [3, [["kill", position.others[0]]]],
-        "result": _OUTCOME | {"failures": [_FAILURE]},
-        "fetch": {"do": "piece", "path": "scenario.json", "offset": 0},
-        "file": {"path": "messages.mcap", "offset": 0, "piece": MARKER.encode()},
-        "rewire": {"wiring": position.wiring, "join": {}, "leave": [position.others[0]]},
-        "intercept": [msgpack.packb({"do": "release", "number": "1", "name": None, "wire": "clock"}), b"\0" * 32],
-        "stop": "end",
-        "leave": "leave",
-        "drain": (*position.subscribes, "clock")[0],
-    }[control]
 
 
 def falsehoods(control: str, position: Position) -> list[Any]:
@@ -87,22 +46,22 @@ def false_results(position: Position) -> Iterator[dict[str, Any]]:
         _nested(20),
     ]
     for part in parts:
-        yield _OUTCOME | {"results": part}
+        yield RESULT | {"results": part}
     for failure in _failures():
-        yield _OUTCOME | {"failures": [failure]}
+        yield RESULT | {"failures": [failure]}
     keys = [*(f"counts/{other}" for other in position.others), "epoch", "stop", "result/*"]
-    yield _OUTCOME | {"invalid": {key: [_BILLION, f"forged by {name}"] for key in keys}}
-    yield _OUTCOME | {"foreign": dict.fromkeys((*position.foreign, "x" * 100_000), _BILLION)}
-    yield _OUTCOME | {"rejected": {f"{key}: forged": _BILLION for key in position.foreign}}
-    yield _OUTCOME | {"rejected": {"clock: forged": 1, "": _LATE}, "first_rejected": {}}
-    yield _OUTCOME | {"unsigned": _BILLION}
-    yield _OUTCOME | {"rejected": {}, "foreign": {}, "invalid": {}, "first_rejected": {}, "arrived_ns": {"": {}}}
-    yield _OUTCOME | {"first_rejected": {key: [-1, f"forged by {name}"] for key in position.foreign}}
-    yield _OUTCOME | {"arrived_ns": {key: {0: _LATE} for key in (*position.subscribes, *position.foreign)}}
-    yield _OUTCOME | {"process": f"../{MARKER}", "last_frame": _LATE, "cpu_s": -1e15}
-    yield _OUTCOME | {"clock": {"offset_ms": -1e12, "round_trip_ms": -1e12}, "versions": {"[/red]": "\x1b[2J"}}
+    yield RESULT | {"invalid": {key: [_BILLION, f"forged by {name}"] for key in keys}}
+    yield RESULT | {"foreign": dict.fromkeys((*position.foreign, "x" * 100_000), _BILLION)}
+    yield RESULT | {"rejected": {f"{key}: forged": _BILLION for key in position.foreign}}
+    yield RESULT | {"rejected": {"clock: forged": 1, "": _LATE}, "first_rejected": {}}
+    yield RESULT | {"unsigned": _BILLION}
+    yield RESULT | {"rejected": {}, "foreign": {}, "invalid": {}, "first_rejected": {}, "arrived_ns": {"": {}}}
+    yield RESULT | {"first_rejected": {key: [-1, f"forged by {name}"] for key in position.foreign}}
+    yield RESULT | {"arrived_ns": {key: {0: _LATE} for key in (*position.subscribes, *position.foreign)}}
+    yield RESULT | {"process": f"../{MARKER}", "last_frame": _LATE, "cpu_s": -1e15}
+    yield RESULT | {"clock": {"offset_ms": -1e12, "round_trip_ms": -1e12}, "versions": {"[/red]": "\x1b[2J"}}
     for field in ("stop_reason", "frames", "wall_s", "sent_ns", "churn"):  # fields of the driver alone
-        yield _OUTCOME | {field: "implausible: " + name}
+        yield RESULT | {field: "implausible: " + name}
 
 
 def false_counts(position: Position) -> Iterator[list[Any]]:
@@ -125,12 +84,12 @@ def _nested(depth: int) -> dict[str, Any]:
 
 def _failures() -> Iterator[dict[str, Any]]:
     for handler in ("start", "finish", "on_nothing", "", f"../{MARKER}", "[/red]", "x" * 300):
-        yield _FAILURE | {"handler": handler}
+        yield FAILURE | {"handler": handler}
     for exception in ("DiskFull: no room", "StartError: forged", "\x1b]0;forged\x07", "[/red][link=file:///]", ""):
-        yield _FAILURE | {"exception": exception}
-    yield _FAILURE | {"handler": "start", "exception": "DiskFull: forged"}
-    yield _FAILURE | {"count": _LATE, "frames": _LATE, "first_frame": -1, "last_frame": _LATE}
-    yield _FAILURE | {"where": "\x1b[2J" * 1000}
+        yield FAILURE | {"exception": exception}
+    yield FAILURE | {"handler": "start", "exception": "DiskFull: forged"}
+    yield FAILURE | {"count": _LATE, "frames": _LATE, "first_frame": -1, "last_frame": _LATE}
+    yield FAILURE | {"where": "\x1b[2J" * 1000}
 
 
 def _counts(position: Position) -> Iterator[Any]:

@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 from mast_zenoh import streams
 from mast_zenoh.control import CONTROLS
-from mast_zenoh.study.rogue.falsehoods import falsehoods, valid_message
+from mast_zenoh.study.rogue.falsehoods import falsehoods
 from mast_zenoh.study.rogue.malformed import flipped, heavy, malformed, pack
 from mast_zenoh.study.rogue.position import Position
+from mast_zenoh.study.rogue.valid_messages import valid_message
 
 #: Kinds sent as queries; all others are published.
 QUERIES = frozenset({"result", "fetch", "file", "drain", "rewire", "intercept"})
