@@ -153,7 +153,7 @@ def test_bytes_of_strangers_are_no_request(payload: bytes) -> None:
         (dict(status="ok", runtime="mesh"), "the run is over: ok"),
         (dict(status="running", runtime="inproc"), "plays in one process"),
         (dict(status="running", runtime="mesh", security="mtls", endpoint="tcp/127.0.0.1:1"), "security level mtls"),
-        (dict(status="running", runtime="mesh"), "not on its way yet"),
+        (dict(status="running", runtime="mesh"), "has not started its nodes yet"),
     ],
 )
 def test_a_run_that_cannot_be_changed_says_why(tmp_path: Path, record: dict[str, str], what: str) -> None:

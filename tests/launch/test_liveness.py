@@ -58,12 +58,12 @@ def test_what_lives_elsewhere_cannot_be_told_but_nothing_outlives_its_machine(el
 
 @pytest.mark.parametrize("launcher", [None, {}, {"pid": "x"}, "someone", [1]])
 def test_a_record_that_does_not_say_who_launched_it_is_taken_at_its_word(launcher: object) -> None:
-    assert liveness.seen_now({"status": "running", "launcher": launcher})["status"] == "running"
+    assert liveness.current_record({"status": "running", "launcher": launcher})["status"] == "running"
 
 
 def test_a_run_that_has_ended_is_not_killed_when_its_launcher_has_gone() -> None:
     dead = liveness.identity() | {"began": "1"}
-    assert liveness.seen_now({"status": "ok", "launcher": dead})["status"] == "ok"
+    assert liveness.current_record({"status": "ok", "launcher": dead})["status"] == "ok"
 
 
 def test_every_tool_that_reads_the_folder_says_that_the_run_was_killed(tmp_path: Path) -> None:
