@@ -71,7 +71,7 @@ class FileServer:
         self._requests: queue.SimpleQueue[tuple[zenoh.Query, Request, int] | None] = queue.SimpleQueue()
         handler: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         base = control_prefix(run)
-        self._declared = [session.declare_queryable(f"{base}/{what}/*", handler) for what in ("fetch", "file")]
+        self._declared = [session.declare_queryable(f"{base}/{kind}/*", handler) for kind in ("fetch", "file")]
         self._thread = threading.Thread(target=self._run, name="file-server")
         self._thread.start()
 
@@ -104,7 +104,7 @@ class FileServer:
             request = files.decode_file(payload) if kind == "file" else files.decode_fetch(payload)
             with self._lock:
                 if self._waiting[node] >= MAX_WAITING:
-                    raise MessageError(f"more than {MAX_WAITING} wait")
+                    raise MessageError(f"more than {MAX_WAITING} requests are waiting")
                 self._waiting[node] += 1
         except MessageError as error:
             self._refuse(query, kind, node, error)
@@ -144,7 +144,7 @@ class FileServer:
             return self._admit(node, request)
         content = self._contents.get(node, {}).get(request.path)
         if content is None:
-            raise MessageError(f"{node} has no file {request.path!r:.80} to get")
+            raise MessageError(f"{node} has no file {request.path!r:.80} to fetch")
         if isinstance(content, bytes):
             return {"piece": content[request.offset : request.offset + PIECE_BYTES]}
         with content.open("rb") as file:
@@ -171,11 +171,11 @@ class FileServer:
     def _receive(self, node: str, written: files.Written) -> dict[str, Any]:
         path, offset, piece = written
         if path not in written_by(self._resolved(), node):
-            raise MessageError(f"{node} has no file {path!r:.80} to give")
+            raise MessageError(f"{node} has no file {path!r:.80} to send")
         target = self._folder / path
         with target.open("r+b" if target.exists() else "xb") as file:
             if offset > file.seek(0, 2):
-                raise MessageError(f"{path}: there are {file.tell()} bytes, found a piece that begins at {offset}")
+                raise MessageError(f"{path}: has {file.tell()} bytes, found a piece that begins at {offset}")
             file.seek(offset)
             file.write(piece)
         self.last_received_s = time.monotonic()
@@ -184,8 +184,8 @@ class FileServer:
 
 def _kind_and_node(query: zenoh.Query) -> tuple[str, str]:
     """Kind of a request, and its node: the last two chunks of the key."""
-    what, node = str(query.key_expr).rsplit("/", 2)[1:]
-    return what, node
+    kind, node = str(query.key_expr).rsplit("/", 2)[1:]
+    return kind, node
 
 
 def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tuple[str, bytes | Path]]:

@@ -54,7 +54,7 @@ def create(out: Path | None, name: str) -> Path:
     except OSError as error:
         if out is not None and (out / "logs").is_dir():
             raise occupied from None  # by a run that started at the same moment
-        message = f"{requested}: cannot be made a run folder: {error.strerror or error}"
+        message = f"{requested}: cannot be created as a run folder: {error.strerror or error}"
         raise DiskFull(message) if is_disk_full(error) else RunFolderError(message) from None
     return out.resolve()
 
@@ -91,7 +91,7 @@ def _unused(path: Path) -> Path:
         except FileExistsError:
             continue
         return candidate
-    raise FileExistsError(f"{path}-2 to {path}-999 are all there")
+    raise FileExistsError(f"{path}-2 to {path}-999 all exist")
 
 
 def write_json(path: Path, content: Any) -> None:

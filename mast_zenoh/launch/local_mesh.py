@@ -28,7 +28,7 @@ def join(context: RunContext, stack: ExitStack, endpoint: str | None, listen: st
         raise BackendError(f"security level {context.secure}: expected a router in this process, found {where}")
     if network:
         if endpoint:
-            raise BackendError(f"hosts have a router of their own: they cannot be on the mesh of {endpoint}")
+            raise BackendError(f"hosts need their own router: they cannot join the mesh of {endpoint}")
         return _join_hosts(context, stack)
     return (_join_router(context, stack, endpoint) if endpoint else _open_router(context, stack, listen)), None
 

@@ -93,7 +93,7 @@ def _join(
         return local_mesh.join(context, stack, endpoint, listen)
     if endpoint or context.resolved.network:
         where = f"the router at {endpoint}" if endpoint else "hosts in network namespaces"
-        raise BackendError(f"engine {engine.name} has a router of its own: found {where}")
+        raise BackendError(f"engine {engine.name} starts its own router: found {where}")
     return engine.join(context, stack), None
 
 

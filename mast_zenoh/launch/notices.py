@@ -196,8 +196,8 @@ def _longest_wait_ms(resolved: Resolved) -> float:
     takes up to a frame to compute the picture.
     """
     config = next((spec.config for spec in resolved.nodes.values() if spec.role == "broker"), {})
-    waits = max(config.get("patience", 0) + 1, config.get("latency_s", 0.0) * 1e9 / resolved.period_ns + 1)
-    return float(waits + 1) * resolved.period_ns * 1e-6 / resolved.rate
+    wait_frames = max(config.get("patience", 0) + 1, config.get("latency_s", 0.0) * 1e9 / resolved.period_ns + 1)
+    return float(wait_frames + 1) * resolved.period_ns * 1e-6 / resolved.rate
 
 
 def _number(count: int, noun: str) -> str:

@@ -28,8 +28,8 @@ def check(resolved: Resolved, where: str, *, unplugs: bool) -> None:
         if step.action == "disconnect" and not unplugs:
             raise BackendError(
                 f"Unplug of {step.node!r} (before frame {step.frame}): only the containers of engine compose can be "
-                f"taken off their networks (mast deploy up --engine compose), found {where}; use Partition, or on this "
-                "machine `hosts` with HostPartition"
+                f"disconnected from their networks (mast deploy up --engine compose), found {where}; use Partition, or "
+                "on this machine `hosts` with HostPartition"
             )
 
 
@@ -70,7 +70,7 @@ class Steps:
         requested = Counter((frame, action, node) for action, node in group)
         if unplanned := requested - self._planned:
             _, action, node = min(unplanned)
-            raise MessageError(f"act: {action} {node} before frame {frame}: the scenario does not say so (again)")
+            raise MessageError(f"act: {action} {node} before frame {frame}: the scenario has no such step left")
         self._planned -= requested
         starting = {node for action, node in group if action == "start"}
         for action, node in group:
@@ -137,7 +137,7 @@ class StepRequests:
         except MessageError as error:
             self._invalid.note("act", error)
         except queue.Full:
-            self._invalid.note("act", f"more than {MAX_WAITING} wait")
+            self._invalid.note("act", f"more than {MAX_WAITING} requests are waiting")
 
     def serve(self, timeout_s: float, *, stopping: bool = False) -> None:
         """Wait up to timeout_s for a request; carry it out unless the run is stopping."""

@@ -127,7 +127,7 @@ class Supervisor(ABC, Generic[C]):
 
     def disconnect(self, child: C) -> None:
         """Disconnect a node from its networks; raises BackendError if that is impossible."""
-        raise BackendError(f"{child.name} has no networks of its own: only engine compose can take a node off them")
+        raise BackendError(f"{child.name} cannot be disconnected: only engine compose gives nodes their own networks")
 
     def connect(self, children: Iterable[C]) -> None:
         """Reconnect those of the nodes that have been disconnected."""

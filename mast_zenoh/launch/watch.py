@@ -70,7 +70,7 @@ class Watch:
             self._requests.serve(_POLL_S, stopping=self._stop.requested)
             self._check_file_server()
             self._context.show_refusals()
-            self._interceptions.turn()
+            self._interceptions.advance()
             self.take_reports()
             for child in self._supervisor.newly_ended():
                 self._handle_exit(child)
@@ -120,8 +120,8 @@ class Watch:
         self._supervisor.connect(self._supervisor.running())
         # A disconnected node needs the longer grace period to reconnect.
         grace = _INTERRUPT_GRACE_S if self._interrupts and not self._steps.cut else _LEAVE_GRACE_S
-        busy_at = max(since, self._file_server.last_received_s if self._file_server else since)
-        return time.monotonic() - busy_at > grace
+        last_activity = max(since, self._file_server.last_received_s if self._file_server else since)
+        return time.monotonic() - last_activity > grace
 
     def _check_file_server(self) -> None:
         """End the run if the file server has died: nodes elsewhere depend on it."""

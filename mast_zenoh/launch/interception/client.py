@@ -76,7 +76,7 @@ def release(run: Path, *, name: str | None = None, wire: str | None = None) -> d
     Returns as `intercept` does. Raises NotRunning, WiringError (no such node or wire), RunError (nothing was changed).
     """
     if (name is None) == (wire is None):
-        raise ConfigurationError("release: expected a name or a wire, one of them")
+        raise ConfigurationError("release: expected either a name or a wire")
     return _ask(run, _running(run), {"do": "release", "name": name, "wire": wire})
 
 
@@ -108,7 +108,7 @@ def plan(
     if name is None:
         name = next(free for i in count(1) if (free := f"{path.stem}_{i}") not in resolved.nodes)
     elif name in resolved.nodes:
-        raise ConfigurationError(f"there is a node {name!r} already: give another --name")
+        raise ConfigurationError(f"node {name!r} already exists: give another --name")
     if "agent" in signature(cls).parameters and target.subject in resolved.nodes:
         config.setdefault("agent", target.subject)
     spec = replace(node_spec(path, name, cls.role, config | {"file": str(path)}), on_exit="continue")

@@ -54,7 +54,7 @@ def unseal(payload: bytes, secret: bytes) -> dict[str, Any]:
     body, digest = control.sealed_parts(payload)
     if hmac.compare_digest(digest, hmac.digest(secret, body, hashlib.sha256)):
         return fields.mapping(fields.unpack(body, "intercept"), "intercept")
-    raise MessageError("a request that was not made with this run's secret")
+    raise MessageError("a request that was not sealed with this run's secret")
 
 
 class Interceptions:
@@ -66,16 +66,16 @@ class Interceptions:
         self._supervisor = supervisor
         self._base = prefix(context.run_id)
         self._secret = secrets.token_bytes(32)
-        self._file = context.folder / SECRET_FILE
-        self._file.touch(mode=0o600)
-        self._file.write_bytes(self._secret)
+        self._secret_file = context.folder / SECRET_FILE
+        self._secret_file.touch(mode=0o600)
+        self._secret_file.write_bytes(self._secret)
         self._requests: queue.Queue[tuple[zenoh.Query, str, control.Intercept | control.Release]]
         self._requests = queue.Queue(MAX_WAITING)
-        self._served: set[str] = set()
+        self._served_ids: set[str] = set()
         self._work: Generator[None] | None = None
         self._inserted: set[str] = set()
         self._alive: set[str] = set()
-        self._done: list[dict[str, Any]] = context.record.setdefault("interceptions", [])
+        self._changes: list[dict[str, Any]] = context.record.setdefault("interceptions", [])
         on_query: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         presence: Any = zenoh.handlers.Callback(self._note_presence, indirect=False)
         self._declared: list[Any] = [
@@ -83,7 +83,7 @@ class Interceptions:
             session.liveliness().declare_subscriber(f"{self._base}/alive/*", presence, history=True),
         ]
 
-    def turn(self) -> None:
+    def advance(self) -> None:
         """Do the next step of the current request, or of healing a wire, if any."""
         if self._work is None:
             self._work = self._next()
@@ -96,19 +96,20 @@ class Interceptions:
     def close(self) -> None:
         """End the service: refuse the requests that have not been served."""
         while self._work is not None or not self._requests.empty():
-            self.turn()
+            self.advance()
         for entity in self._declared:
             entity.undeclare()
-        self._file.unlink(missing_ok=True)
+        self._secret_file.unlink(missing_ok=True)
 
     def _on_query(self, query: zenoh.Query) -> None:
         """Queue a request, in Zenoh's thread; refuse a malformed one."""
         try:
             request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
-            number, action = fields.text(request.get("number"), "intercept: number", 64), control.request_of(request)
-            self._requests.put_nowait((query, number, action))
+            request_id = fields.text(request.get("number"), "intercept: number", 64)
+            action = control.request_of(request)
+            self._requests.put_nowait((query, request_id, action))
         except queue.Full:
-            self._refuse(query, MessageError(f"more than {MAX_WAITING} requests wait"))
+            self._refuse(query, MessageError(f"more than {MAX_WAITING} requests are waiting"))
         except MessageError as error:
             self._refuse(query, error)
 
@@ -120,6 +121,7 @@ class Interceptions:
         query.drop()
 
     def _note_presence(self, token: zenoh.Sample) -> None:
+        """Note in Zenoh's thread which nodes are on the mesh."""
         name = str(token.key_expr).rpartition("/")[2]
         (self._alive.add if token.kind == zenoh.SampleKind.PUT else self._alive.discard)(name)
 
@@ -130,11 +132,13 @@ class Interceptions:
                 return self._heal(child)
         return None if self._requests.empty() else self._serve(*self._requests.get())
 
-    def _serve(self, query: zenoh.Query, number: str, action: control.Intercept | control.Release) -> Generator[None]:
+    def _serve(
+        self, query: zenoh.Query, request_id: str, action: control.Intercept | control.Release
+    ) -> Generator[None]:
         try:
-            if number in self._served:
-                raise MessageError("a request that was made before")
-            self._served.add(number)
+            if request_id in self._served_ids:
+                raise MessageError("a request that was sent before")
+            self._served_ids.add(request_id)
             self._check_running()
             if isinstance(action, control.Intercept):
                 answer = yield from self._intercept(*action)
@@ -150,7 +154,7 @@ class Interceptions:
         """Start a node, and put it on its wire once it has joined the mesh."""
         before = self._context.resolved
         if name in before.nodes or any(child.name == name for child in self._supervisor.running()):
-            raise ConfigurationError(f"there is a node {name!r} already: give another --name")
+            raise ConfigurationError(f"node {name!r} already exists: give another --name")
         after = insertion.insert(Wiring.from_json(before.wiring), name, place)
         yield from self._until(lambda: self._context.frame >= 0)
         self._adopt(replace(before, nodes={**before.nodes, name: spec}, wiring=after.to_json()))
@@ -193,7 +197,7 @@ class Interceptions:
         self._supervisor.dispose(child)
         wires = answer.pop("wires")
         self._record("heal", child.name, wires, answer)
-        self._context.show(f"[yellow]{', '.join(wires)} healed without {child.name}: what was in it is lost")
+        self._context.show(f"[yellow]{', '.join(wires)} healed without {child.name}: the messages in it are lost")
 
     def _take_off(self, name: str) -> Work:
         before = self._context.resolved
@@ -252,7 +256,7 @@ class Interceptions:
             if condition():
                 return
             if time.monotonic() > deadline:
-                raise StartError(f"not within {seconds:.0f} s")
+                raise StartError(f"timed out after {seconds:.0f} s")
             yield
 
     def _check_running(self) -> None:
@@ -268,7 +272,7 @@ class Interceptions:
     def _record(self, action: str, name: str, wires: list[str], answer: dict[str, Any]) -> dict[str, Any]:
         """Record a change in run.json, and return it."""
         change = {"action": action, "node": name, "wires": wires, **answer}
-        self._done.append(change)
+        self._changes.append(change)
         self._context.record["nodes"] = self._supervisor.to_json({})
         run_folder.write_json(self._context.folder / "run.json", self._context.record)
         return change

@@ -132,9 +132,9 @@ class Hosts:
         self._player.start()
 
     def _namespace(self, name: str) -> Namespace:
-        made = Namespace.make(name)
-        self._resources.callback(made.remove)
-        return made
+        namespace = Namespace.make(name)
+        self._resources.callback(namespace.remove)
+        return namespace
 
     def _process(self, name: str, module: str, arguments: Sequence[str], inside: Sequence[str] = ()) -> _Process:
         command = [*inside, sys.executable, "-P", "-m", f"mast_zenoh.launch.netns.{module}", *arguments]
