@@ -27,7 +27,7 @@ from typing import Any
 from disturbing import Tried, left_behind, numbers, parser, tell
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch.liveness import seen_now
+from mast_zenoh.launch.liveness import current_record
 from mast_zenoh.messagelog.completeness import first_gap
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.reader import read
@@ -134,7 +134,7 @@ def _judge(plan: Plan, out: Path, undisturbed: Path, code: int, errors: str) -> 
     """How it ended, in words, and what is wrong about that."""
     broken = []
     record = json.loads((out / "run.json").read_text()) if (out / "run.json").is_file() else {}
-    status = seen_now(record).get("status", "")
+    status = current_record(record).get("status", "")
     if code not in CODES.get(status, ()):
         broken.append(f"status {status!r} with exit code {code}")
     if status == "killed" and plan.way != "SIGKILL":

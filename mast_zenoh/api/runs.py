@@ -38,7 +38,7 @@ class Run:
     @property
     def record(self) -> dict[str, Any]:
         """run.json: id, status, seed, versions, timings, how every node ended (docs/endings.md)."""
-        return liveness.seen_now(folder.read_json(self.path / "run.json"))
+        return liveness.current_record(folder.read_json(self.path / "run.json"))
 
     @property
     def id(self) -> str:

@@ -1,9 +1,11 @@
-"""Checks of a finished run's record, which must hold whatever was lost, late, killed or cut off. See docs/faults.md.
+"""Checks of a finished run's record, which must pass whatever the faults.
+
+See docs/faults.md.
 
 base         the outcome of a check
 evidence     the record of a run, read once
 collation    messages delivered in time are in the collation
-convergence  after the last heal the picture equals that of a run without faults;  reference  that picture
+convergence  after the last heal the picture equals that of a run without faults;  reference: that picture
 sequences    every gap and every duplicate is explained
 processes    no process is left running
 user_checks  checks in the files of a scenario
@@ -30,14 +32,14 @@ FILE = "checks.json"
 
 
 def wanted(resolved: Resolved) -> bool:
-    """Whether runs of a scenario are checked: those with links or faults, and those with checks of the user."""
+    """Whether a scenario is checked: if it has links, faults or user-defined checks."""
     return any(entry["kind"] != "attack" for entry in resolved.timeline) or bool(of_scenario(resolved))
 
 
 def run(folder: Path, resolved: Resolved) -> list[Check]:
-    """Check the run in a folder and write checks.json there; without a recording, only its processes are checked.
+    """Check the run in a folder, and write checks.json there.
 
-    Raises RunFolderError if there is no run.
+    Without a recording, only the check of processes and the user's checks run. Raises RunFolderError without a run.
     """
     heals: list[float] = []
     try:
@@ -48,7 +50,7 @@ def run(folder: Path, resolved: Resolved) -> list[Check]:
         checks = [check_collation(evidence), check_convergence(evidence), check_sequences(evidence)]
         heals = evidence.heals_s()
     checks.append(check_processes(folder))
-    checks += [apply(kind, folder) for kind in of_scenario(resolved)]
+    checks += [apply(check, folder) for check in of_scenario(resolved)]
     converged_after_s = next(
         (check.values.get("converged_after_s") for check in checks if check.name == "convergence"), None
     )

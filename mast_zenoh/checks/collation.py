@@ -1,4 +1,4 @@
-"""Checks that every track message that the links delivered in time is in the collation, with all its rows."""
+"""Checks that track messages delivered in time are in the collation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mast_zenoh.checks.evidence import Evidence, Sent
 
 NAME = "collation"
 _SHOWN = 5
-#: The broker rejects tracks beyond such values as not physical; here they are in the agent's own frame, so with margin.
+#: The broker rejects larger values as not physical; with margin, since tracks are in the agent's own frame here.
 _MAX_MAGNITUDE = 1e7
 #: In real time, messages that may reach the broker before it knows of their agent.
 _FIRST_MESSAGES = 5
@@ -20,7 +20,7 @@ _KNOWN_ROLES = ("adversary", "link")
 
 
 def check_collation(evidence: Evidence) -> Check:
-    """Check that every message that reached the broker in time is in its frame's batch, with all its rows.
+    """Check that each message that arrived in time is in the batch, with all its rows.
 
     Exempt are messages whose time was changed, several messages of one frame, late ones (in real time: as many as the
     broker itself counts), and those sent while the agent or the broker was down.
@@ -132,7 +132,7 @@ def _exemption(
 
 
 def _closed(frame: int, broker: str, evidence: Evidence) -> int | None:
-    """The first frame whose clock makes the broker emit a frame's batch; None: there was none."""
+    """The frame whose clock makes the broker emit a frame's batch; None: none did."""
     config = evidence.resolved.nodes[broker].config
     latency_ns, patience = round(float(config.get("latency_s", 0.0)) * 1e9), int(config.get("patience", 0))
     time_ns = evidence.times_ns[frame]
@@ -143,7 +143,7 @@ def _closed(frame: int, broker: str, evidence: Evidence) -> int | None:
 
 
 def _late(evidence: Evidence, broker: str) -> dict[str, int] | None:
-    """Number of late messages of each agent by the broker's own count; None if a process of it gave no count."""
+    """Late messages of each agent, as counted by the broker; None if one is missing."""
     if any(step.node == broker for step in evidence.resolved.steps) or "late" not in evidence.metrics:
         return None
     return {str(agent): int(count) for agent, count in evidence.metrics["late"].items()}

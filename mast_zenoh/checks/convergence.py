@@ -1,4 +1,4 @@
-"""Checks that after the last heal the picture becomes equal to that of a run without faults."""
+"""Checks that the picture converges to that of a run without faults."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mast_zenoh.metrics import Boxes, SetDistance
 
 NAME = "convergence"
 
-#: OSPA with c = 5 m and p = 1: of n objects, one that is missing costs 5 / n m, one that is 1 m astray 1 / n m.
+#: OSPA with c = 5 m and p = 1: of n objects, a missing one costs 5 / n m, one that is 1 m off 1 / n m.
 DISTANCE = SetDistance(c=5.0, p=1.0)
 #: m; pictures closer than this count as the same: at most one object of ten is missing or false.
 THRESHOLD_M = 0.5
@@ -21,11 +21,11 @@ ENOUGH_S = 2.0
 
 
 def check_convergence(evidence: Evidence) -> Check:
-    """Check that the distance to the picture without links and faults is below a threshold at the end.
+    """Check that the picture is close to that without links and faults at the end.
 
-    converged_after_s is the time from the last heal until it stays below. The check is skipped if nothing was healed,
-    if a fault or a link with rules of its own lasts to the end, and if an adversary or a coordinator was restarted,
-    because it then chooses its targets anew.
+    converged_after_s is the time from the last heal until the distance stays below the threshold. The check is skipped
+    if nothing was healed, if a fault or a link with rules of its own lasts to the end, and if an adversary or a
+    coordinator was restarted, because it then chooses its targets anew.
     """
     heals = evidence.heals_s()
     reason = _undefined(evidence)
@@ -38,7 +38,7 @@ def check_convergence(evidence: Evidence) -> Check:
         frames = frames[frames <= max(actual)]  # messages in transit are lost at the end of the run
     if len(frames) == 0:
         return Check.skipped(NAME, "there is no picture to compare")
-    distance = between(expected, actual, frames)
+    distance = distance_between(expected, actual, frames)
     times_s = np.array([evidence.times_ns[int(frame)] for frame in frames]) * 1e-9
     values = {
         "checked": not reason,
@@ -62,8 +62,8 @@ def check_convergence(evidence: Evidence) -> Check:
 
 def _undefined(evidence: Evidence) -> str | None:
     """Why the pictures need not become equal."""
-    if opened := evidence.open_faults():
-        return f"{', '.join(opened)} lasts to the end"
+    if faults := evidence.open_faults():
+        return f"{', '.join(faults)} lasts to the end"
     resolved = evidence.resolved
     for name, spec in resolved.nodes.items():
         rules = [*spec.config.get("rules_up", ()), *spec.config.get("rules_down", ())] if spec.role == "link" else []
@@ -75,14 +75,14 @@ def _undefined(evidence: Evidence) -> str | None:
     return None
 
 
-def between(expected: dict[int, Floats], actual: dict[int, Floats], frames: Ints) -> Floats:
-    """(frames,) m, OSPA between two pictures frame by frame; a missing picture counts as empty."""
+def distance_between(expected: dict[int, Floats], actual: dict[int, Floats], frames: Ints) -> Floats:
+    """(frames,) m, OSPA between two pictures; a missing picture counts as empty."""
     ospa, _ = DISTANCE.of(_boxes(expected, frames), _boxes(actual, frames), len(frames))
     return ospa
 
 
 def converged_after(distance: Floats, times_s: Floats, heal_s: float) -> float | None:
-    """s from the heal until the distance stays below the threshold; None: it does not at the end."""
+    """s from the heal until the distance stays below the threshold; None: never."""
     above = np.flatnonzero(distance >= THRESHOLD_M)
     if len(above) == 0:
         return 0.0

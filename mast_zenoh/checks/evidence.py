@@ -1,4 +1,4 @@
-"""The record of a run, read once: messages by key, reports of links, and down times of nodes."""
+"""The record of a run: messages by key, reports of links, down times of nodes."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.wiring.model import Wiring
 
-#: s of scene time, by which events of a real-time run may be early or late.
+#: s of scene time by which events of a real-time run may be early or late.
 REALTIME_SLACK_S = 1.5
 #: s of scene time after the heal of a network in which delayed messages still arrive or are lost.
 NETWORK_SLACK_S = 5.0
 
 
 class Tracks(NamedTuple):
-    """Summary of an agent's track message: number of tracks, and the greatest absolute value in SI units."""
+    """Summary of a track message: number of tracks, greatest absolute value in SI."""
 
     rows: int
     magnitude: float
@@ -39,7 +39,7 @@ class Sent(NamedTuple):
 
     content: for tracks, Tracks; for a collation, the rows of each agent whose tracks are of its own frame; for a
              picture, (n, 3) m, positions; else None
-    step:    the run's frame when it was sent; -1: unknown
+    step:    the current frame when it was sent; -1: unknown
     """
 
     frame: int
@@ -50,7 +50,7 @@ class Sent(NamedTuple):
 
 
 class Fate(NamedTuple):
-    """What a link reports of a message: one of links.FATES, and its delay."""
+    """A link's report of a message: one of links.FATES, and its delay."""
 
     name: str
     delay_s: float
@@ -83,7 +83,10 @@ class Evidence:
 
     @classmethod
     def read(cls, folder: Path, resolved: Resolved) -> Evidence:
-        """Read the evidence in a run folder; raises RunFolderError if the run or its recording is incomplete."""
+        """Read the evidence in a run folder.
+
+        Raises RunFolderError if the run or its recording is incomplete.
+        """
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
         if run["status"] not in ("ok", "handler_failures"):
             raise RunFolderError(f"the run did not finish: {run['status']}")
@@ -99,7 +102,7 @@ class Evidence:
             if message.message in _SUMMARIES:
                 try:
                     body = codec.decode(message.payload, message.message).body
-                except MessageError:  # its header is valid, its body is not: subscribers refuse it
+                except MessageError:  # valid header, invalid body: subscribers refuse it
                     evidence.malformed[key] += 1
                     continue
                 content = _SUMMARIES[message.message](body)
@@ -122,7 +125,7 @@ class Evidence:
 
     @property
     def lockstep(self) -> bool:
-        """Whether the run was exact."""
+        """Whether the run was in lock-step."""
         return self.resolved.mode == "lockstep"
 
     @cached_property
@@ -166,7 +169,7 @@ class Evidence:
         )
 
     def down(self, node: str, first: int, last: int) -> bool:
-        """Whether a node is stopped, paused or disconnected in any of the frames from `first` to `last`."""
+        """Whether a node is stopped, paused or disconnected in a frame in `first`..`last`."""
         slack = self.slack
         return any(begin - slack <= last and first < end + slack for begin, end in self._absences.get(node, ()))
 
@@ -184,8 +187,8 @@ class Evidence:
             absences.setdefault(node, []).append((begin, self.last + 1))
         return absences
 
-    def by_network(self, frame: int) -> bool:
-        """Whether a fault of the hosts' network may have affected a message of this frame."""
+    def near_network_fault(self, frame: int) -> bool:
+        """Whether a network fault may have affected a message of this frame."""
         at_s = self.times_ns.get(frame, 0) * 1e-9
         return any(
             band["at_s"] - REALTIME_SLACK_S <= at_s
@@ -222,7 +225,7 @@ def _current_rows(body: Body) -> dict[str, int]:
     return {str(name): count for name, age_ns, count in agents if age_ns == 0}
 
 
-#: What is kept of messages whose content a check needs; a whole recording may not fit into memory.
+#: Summary of the content that checks need, by message type; a whole recording may not fit into memory.
 _SUMMARIES: dict[str, Callable[[Body], Any]] = {
     "tracks": _tracks,
     "collated": _current_rows,

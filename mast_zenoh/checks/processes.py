@@ -12,21 +12,21 @@ _PROC = Path("/proc")
 
 
 def check_processes(folder: Path) -> Check:
-    """Check that no process of a run on a mesh is left, by its id and folder on command lines."""
+    """Check that no process has the id and folder of the run on its command line."""
     run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     if run.get("runtime") == "inproc":
         return Check.skipped(NAME, "the run was in one process")
     if not _PROC.is_dir():
         return Check.skipped(NAME, "this system does not show its processes under /proc")
-    left = _running(str(folder), str(run.get("id", "")))
-    if left:
-        processes = ", ".join(f"{name} ({pid})" for pid, name in sorted(left.items()))
-        return Check(NAME, False, f"still running: {processes}", {"checked": True, "left": sorted(left)})
+    remaining = _running(str(folder), str(run.get("id", "")))
+    if remaining:
+        processes = ", ".join(f"{name} ({pid})" for pid, name in sorted(remaining.items()))
+        return Check(NAME, False, f"still running: {processes}", {"checked": True, "left": sorted(remaining)})
     return Check(NAME, True, f"none of {len(run.get('nodes', {}))} nodes is left", {"checked": True, "left": []})
 
 
 def _running(folder: str, run: str) -> dict[int, str]:
-    """Node names by process id, of processes whose command line has the folder and the id of a run."""
+    """Node names by process id, of processes with this folder and run id."""
     nodes = {}
     for entry in _PROC.iterdir():
         if not entry.name.isdigit():

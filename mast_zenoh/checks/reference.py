@@ -23,10 +23,11 @@ PICTURE = "cc/picture"
 _cache: tuple[str, dict[int, Floats]] = ("", {})
 
 
-def unfaulted(resolved: Resolved) -> Resolved:
-    """The same scenario in lock-step, with perfect links, without faults, recorder and evaluator.
+def without_faults(resolved: Resolved) -> Resolved:
+    """The scenario in lock-step, with perfect links and without faults.
 
-    Links before one subscriber are removed; those that a user's map inserts elsewhere forward everything unchanged.
+    Recorders, evaluators and visualizers are removed unless they are on a branch. Links before one subscriber are
+    removed; those that a user's map inserts elsewhere forward everything unchanged.
     """
     wiring = Wiring.from_json(resolved.wiring)
     links = {name for name, spec in resolved.nodes.items() if spec.role == "link"}
@@ -53,7 +54,7 @@ def pictures(resolved: Resolved, folder: Path) -> dict[int, Floats]:
     folder: the run folder, which holds the scene
     """
     global _cache
-    reference = unfaulted(resolved)
+    reference = without_faults(resolved)
     content = json.dumps([reference.to_json(), reference.wiring], sort_keys=True, default=str)
     digest = hashlib.blake2b(content.encode()).hexdigest()
     if _cache[0] != digest:

@@ -1,4 +1,4 @@
-"""Checks sequence numbers on every leg: a rule or a process step must explain every gap and every duplicate."""
+"""Checks that every gap and duplicate in sequence numbers is explained."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mast_zenoh.wiring.model import Leg, Wire
 
 NAME = "sequences"
 _SHOWN = 5
-_COPIES = 10  # of one corrupted message, each of which may look like another message
+_COPIES = 10  # of one corrupted message; each may look like another message
 
 
 @dataclass
@@ -26,7 +26,7 @@ class _Account:
 
 
 def check_sequences(evidence: Evidence) -> Check:
-    """Check that every leg has all messages of its publisher; behind an interposer, all of its input.
+    """Check that every leg has all messages of its publisher or interposer's input.
 
     A missing message is explained if a link reports that it dropped, corrupted or delayed it beyond the end, if its
     interposer was down, if its publisher was disconnected, or if the hosts' network was cut. Links do not report on
@@ -71,7 +71,7 @@ def _check_publisher(wire: Wire, evidence: Evidence, account: _Account) -> None:
     margin = evidence.slack + evidence.broker_lag + 1  # messages of a new process may be about earlier frames
     starts = [frame - margin for frame in evidence.restarts(publisher)]
     unplanned = int(evidence.run.get("nodes", {}).get(publisher, {}).get("restarts") or 0) - len(starts)
-    starts += [0] * unplanned  # it crashed, and was restarted by its policy
+    starts += [0] * unplanned  # restarts after crashes
     expected = [0]  # the next number of every process, the newest last
     for message in messages:
         process = next((i for i in reversed(range(len(expected))) if expected[i] == message.seq), None)
@@ -85,7 +85,7 @@ def _check_publisher(wire: Wire, evidence: Evidence, account: _Account) -> None:
                 account.problems.append(f"{leg.key}: sequence {message.seq} of frame {message.frame} is repeated")
                 continue
             missing = message.seq - expected[process]
-            if evidence.by_network(message.frame):
+            if evidence.near_network_fault(message.frame):
                 account.explained["cut off by the hosts' network"] += missing
             elif evidence.unplugged(publisher, message.frame):
                 account.explained[f"{publisher} was unplugged"] += missing
@@ -148,4 +148,4 @@ def _why_missing(id_: Id, node: str, fates: Iterable[Fate], unreported: int, evi
         return f"{node} was down"
     if frame >= unreported:
         return "in the last frame"
-    return "cut off by the hosts' network" if evidence.by_network(frame) else None
+    return "cut off by the hosts' network" if evidence.near_network_fault(frame) else None

@@ -1,4 +1,4 @@
-"""User-defined checks: found in the files of a scenario, and applied to its finished runs."""
+"""User-defined checks: in the files of a scenario, applied to its finished runs."""
 
 from __future__ import annotations
 
@@ -14,35 +14,40 @@ from mast_zenoh.control.failures import described, location
 
 
 class RunCheck(ABC):
-    """Checks a finished run. A subclass in a scenario's file, or imported by it, is applied to every run of it."""
+    """Checks a finished run.
+
+    A subclass that a scenario's file defines or imports is applied to every run of the scenario.
+    """
 
     @abstractmethod
     def check(self, folder: Path) -> tuple[bool, str]:
-        """Whether it holds, and a sentence on what was found.
+        """Whether the check passes, and a sentence with the findings.
 
         folder: of the run; `mast_zenoh.open(folder)` reads its messages, metrics and tables
 
-        If it raises an exception, it does not hold.
+        If it raises an exception, it fails.
         """
 
 
 def of_scenario(resolved: Resolved) -> list[type[RunCheck]]:
     """The concrete subclasses of RunCheck in the files of a scenario."""
-    return list(dict.fromkeys(_found(resolved)))
+    return list(dict.fromkeys(_subclasses(resolved)))
 
 
-def _found(resolved: Resolved) -> Iterator[type[RunCheck]]:
+def _subclasses(resolved: Resolved) -> Iterator[type[RunCheck]]:
     for file in resolved.modules:
         for value in vars(loading.module(Path(file))).values():
             if isinstance(value, type) and issubclass(value, RunCheck) and not inspect.isabstract(value):
                 yield value
 
 
-def apply(kind: type[RunCheck], folder: Path) -> Check:
+def apply(check_class: type[RunCheck], folder: Path) -> Check:
     """The outcome of a user's check on the run in a folder."""
     try:
-        ok, detail = kind().check(folder)
+        ok, detail = check_class().check(folder)
     except Exception as error:
-        where = location(error, kind.check)
-        return Check(kind.__name__, False, f"the check itself failed: {described(error)} ({where})", {"checked": True})
-    return Check(kind.__name__, bool(ok), str(detail), {"checked": True})
+        where = location(error, check_class.check)
+        return Check(
+            check_class.__name__, False, f"the check itself failed: {described(error)} ({where})", {"checked": True}
+        )
+    return Check(check_class.__name__, bool(ok), str(detail), {"checked": True})

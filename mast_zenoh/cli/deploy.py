@@ -92,7 +92,7 @@ def status(run_folder: RunFolder) -> None:
         table.add_row(row["node"], row["state"], row["where"])
     from mast_zenoh.launch import liveness
 
-    _out.print(f"{record['id']}: {liveness.seen_now(record)['status']}", highlight=False)
+    _out.print(f"{record['id']}: {liveness.current_record(record)['status']}", highlight=False)
     _out.print(table)
 
 

@@ -114,7 +114,7 @@ def reporting(folder: Path, command: str = "report") -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, OSError) as exception:
-        raise ending.explained(exception, hint) from None
+        raise ending.with_hint(exception, hint) from None
     except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as exception:
         description = failures.described(exception)
         raise RunFolderError(f"{folder}: the evaluator's results cannot be reported: {description}") from exception

@@ -166,8 +166,8 @@ def node_class(file: Path, name: str | None = None) -> type[Node]:
     if file == SESSION and known is not None:
         return known
     loaded = module(file)
-    if known is not None and known.__module__ == loaded.__name__ and getattr(loaded, known.__name__, None) is known:
-        return _nodes[str(file), name]
+    if known is not None and _defines(loaded, known):
+        return known
     classes = {
         key: value
         for key, value in vars(loaded).items()
@@ -180,6 +180,11 @@ def node_class(file: Path, name: str | None = None) -> type[Node]:
     cls = classes[name] if name else next(iter(classes.values()))
     _nodes[str(file), name] = _sound(cls, file)
     return cls
+
+
+def _defines(loaded: ModuleType, cls: type) -> bool:
+    """Whether a module, as it is loaded now, defines a class."""
+    return cls.__module__ == loaded.__name__ and getattr(loaded, cls.__name__, None) is cls
 
 
 def _sound(cls: type[Node], file: Path) -> type[Node]:

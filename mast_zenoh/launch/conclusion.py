@@ -1,4 +1,4 @@
-"""What is written of a run that is over, wherever its nodes lived: results of the nodes, and notices."""
+"""Writes the results and notices of a run that is over."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def write(
     handed_in: Mapping[str, Mapping[str, Any]],
     measured: Mapping[str, Any],
 ) -> None:
-    """Write the results of all nodes into the run folder, and note in `record` what deserves attention.
+    """Write the results of all nodes into the run folder, and add notices to `record`.
 
     record:    run.json, with its nodes and timings
     handed_in: what each node returned from `finish`

@@ -1,4 +1,4 @@
-"""A run on a mesh as engines, interceptions and observers see it: what it is, how far it is, and how to end it."""
+"""State of a run on a mesh, shared by the launcher, engines and observers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Mesh(NamedTuple):
     """A mesh that the launcher has joined.
 
     session: the launcher's; supervisor: starts, watches and ends the nodes
-    deployment: the credentials of this run; None where there are none to make
+    deployment: the credentials of this run; None without security
     """
 
     session: zenoh.Session
@@ -36,8 +36,9 @@ class Mesh(NamedTuple):
 
 
 class Stop:
-    """Whether a run is to stop, since when (monotonic clock, s), why, and what went wrong.
+    """Request to stop a run, with its time, reason and error.
 
+    since:   time of the request, s on the monotonic clock; None: not requested
     problem: the first error; the run ends with it
     """
 
@@ -57,7 +58,7 @@ class Stop:
             self.since, self.reason = time.monotonic(), reason
 
     def note(self, problem: RunError) -> None:
-        """Note an error with which the run ends, whenever it does; only the first counts."""
+        """Note the error with which the run will end; only the first counts."""
         self.problem = self.problem or problem
 
     def fail(self, problem: RunError, reason: str) -> None:
@@ -68,22 +69,22 @@ class Stop:
 
 @dataclass
 class RunContext:
-    """What the parts of the launcher share of one run on a mesh.
+    """State of one run on a mesh that the parts of the launcher share.
 
-    resolved: the scenario as it is run now; an interception replaces it
-    record:   run.json, as far as it is known; an engine sets `endpoint` and `deployment` in it
-    show:     prints a line that stays, with the markup of rich
+    resolved: the current scenario; an interception replaces it
+    record:   run.json so far; an engine sets `endpoint` and `deployment` in it
+    show:     prints a permanent line, with the markup of rich
     secure:   one of `security.levels.LEVELS`
-    signals:  stop signals that have come so far
-    detours:  endpoints of nodes that reach the router another way; to be set before the run starts
+    signals:  stop signals received so far
+    detours:  by node, another endpoint under which it reaches the router; set these before the run starts
 
-    The launcher sets these as the run goes on:
+    The launcher sets these during the run:
 
     frame:    the newest frame that has begun; -1 before the first
     mesh:     None before it is joined
-    signatures: of control messages; with the run's keys once the mesh is joined
+    signatures: signs control messages; with the run's keys once the mesh is joined
     invalid:  counts the control messages that the launcher has refused
-    stop:     whether the run is to stop, and what went wrong
+    stop:     the request to stop, and the error
     """
 
     resolved: Resolved
@@ -110,9 +111,9 @@ class RunContext:
         return str(self.record["id"])
 
     def make_deployment(self, hosts: Iterable[str], folder: Path | None = None) -> Deployment:
-        """The credentials of all nodes of the run.
+        """Create the credentials of all nodes of the run.
 
-        hosts: names and addresses under which the router is reached; folder: see Deployment
+        hosts: names and addresses of the router; folder: see Deployment
         """
         nodes = self.resolved.nodes
         return Deployment(
@@ -126,16 +127,16 @@ class RunContext:
             folder=folder,
         )
 
-    def joined(self, mesh: Mesh) -> None:
-        """The launcher has joined the mesh: control messages are signed from now on, if the run has keys."""
+    def attach(self, mesh: Mesh) -> None:
+        """Set the mesh that the launcher has joined; sign control messages from now on."""
         self.mesh = mesh
         self.signatures = Signatures(self.run_id, mesh.deployment.control if mesh.deployment else None)
 
     def interrupt(self) -> None:
-        """Have the run end, from any thread, as if somebody had pressed Ctrl-C."""
+        """End the run as Ctrl-C does; may be called from any thread."""
         self.signals.append(signal.SIGINT)
 
     def show_refusals(self) -> None:
-        """Show what has been refused since the last call; for the main thread."""
+        """Show refusals since the last call; only for the main thread."""
         while not self._refusals.empty():
             self.show(f"[yellow]{escape(self._refusals.get())}")

@@ -1,4 +1,4 @@
-"""What the launcher shows while a run goes on: a live panel on a terminal, plain lines elsewhere."""
+"""Shows the progress of a run: a live panel on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rich.table import Table
 
 
 class Display:
-    """A context manager; `update` it as often as you like, `say` what must be read later."""
+    """Context manager that shows progress (`update`) and permanent lines (`say`)."""
 
     def __init__(self, console: Console, title: str, frames: int) -> None:
         self.console = console
@@ -29,7 +29,7 @@ class Display:
         self._task = self._bar.add_task(title, total=frames, rate="")
         self._live: Live | None = None
         self._begun = 0.0
-        self._told = 0
+        self._printed_frame = 0
         self._first_frame_at: float | None = None
 
     def __enter__(self) -> Display:
@@ -46,16 +46,16 @@ class Display:
             self._live.__exit__(kind, error, trace)
 
     def say(self, line: str) -> None:
-        """A line that stays."""
+        """Print a permanent line."""
         self.console.print(line, highlight=False)
 
     def update(self, frame: int, states: Mapping[str, str]) -> None:
-        """How far the run is, and the state of every node."""
+        """Show the newest frame and the state of every node."""
         now = time.monotonic()
         if frame > 0 and self._first_frame_at is None:
             self._first_frame_at = now
-        since = now - self._first_frame_at if self._first_frame_at else 0.0
-        rate = f"{frame / since:.0f}/s" if since > 0.2 else ""
+        elapsed_s = now - self._first_frame_at if self._first_frame_at else 0.0
+        rate = f"{frame / elapsed_s:.0f}/s" if elapsed_s > 0.2 else ""
         if self._live:
             self._bar.update(self._task, completed=frame, rate=rate)
             table = Table.grid(padding=(0, 2))
@@ -66,8 +66,8 @@ class Display:
             grid.add_row(self._bar)
             grid.add_row(table)
             self._live.update(grid)
-        elif self._told + max(1, self._frames // 4) <= frame <= self._frames:
-            self._told = frame
+        elif self._printed_frame + max(1, self._frames // 4) <= frame <= self._frames:
+            self._printed_frame = frame
             self.say(f"{self._title}: frame {frame} of {self._frames} {rate}")
 
 

@@ -1,4 +1,4 @@
-"""How an ending becomes an error, a status in run.json and an exit code: the one place that decides.
+"""Maps every ending to an error, a status in run.json and an exit code.
 
 docs/endings.md has the tables of all endings, and its tests read them.
 """
@@ -24,7 +24,7 @@ from mast_zenoh.errors import (
 from mast_zenoh.launch import stop_signals
 
 RUNNING, KILLED, OK = "running", "killed", "ok"
-_NAMES = {"": "Ctrl-C", "SIGINT": "Ctrl-C", "SIGHUP": "SIGHUP: its terminal is gone"}
+_SIGNAL_NAMES = {"": "Ctrl-C", "SIGINT": "Ctrl-C", "SIGHUP": "SIGHUP: its terminal is gone"}
 _STATUS: dict[type[MastError], str] = {
     Interrupted: "interrupted",
     HandlerFailed: "handler_failures",
@@ -37,32 +37,32 @@ def status(error: MastError | None) -> str:
     return OK if error is None else _STATUS.get(type(error), "failed")
 
 
-def from_exception(caught: BaseException, doing: str = "") -> MastError | None:
-    """The error that stands for what was caught; None for an exception that only a defect explains.
+def from_exception(caught: BaseException, activity: str = "") -> MastError | None:
+    """The error for a caught exception; None if only a defect explains it.
 
-    doing: what was being done, for the text of an error of the operating system
+    activity: what was being done, for the text of an error of the operating system
     """
-    if (full := _no_room(caught)) is not None and not isinstance(caught, DiskFull):
-        return DiskFull(_sentence(full, doing))
+    if (disk_full := _disk_full_error(caught)) is not None and not isinstance(caught, DiskFull):
+        return DiskFull(_sentence(disk_full, activity))
     if isinstance(caught, MastError):
         return caught
-    if isinstance(caught.__cause__, KeyboardInterrupt):  # Python 3.11: of one in a class body that is executed
+    if isinstance(caught.__cause__, KeyboardInterrupt):  # Python 3.11: raised in the body of a class
         caught = caught.__cause__
     if isinstance(caught, KeyboardInterrupt):
-        return Interrupted(f"stopped by {_NAMES.get(str(caught), caught)}")
+        return Interrupted(f"stopped by {_SIGNAL_NAMES.get(str(caught), caught)}")
     if isinstance(caught, OSError):
-        return RunError(_sentence(caught, doing))
+        return RunError(_sentence(caught, activity))
     return None
 
 
 def from_signals(received: list[int]) -> Interrupted:
     """The error of a run that was stopped by signals."""
     name = signal.Signals(received[0]).name
-    return Interrupted(f"stopped by {_NAMES.get(name, name)}")
+    return Interrupted(f"stopped by {_SIGNAL_NAMES.get(name, name)}")
 
 
 def from_recording(record: Mapping[str, Any]) -> MastError | None:
-    """The error of a run that was played to its end, but whose recording could not be written."""
+    """The error of a finished run whose recording could not be written; else None."""
     recorded = record.get("recorded") or {}
     if not recorded.get("problem"):
         return None
@@ -72,7 +72,7 @@ def from_recording(record: Mapping[str, Any]) -> MastError | None:
 
 
 def of_run(caught: BaseException | None, record: Mapping[str, Any], folder: str) -> MastError | None:
-    """The error of a run in a folder: of what was caught, if anything was, and of its recording."""
+    """The error of a run: from the caught exception, if any, and its recording."""
     recording = from_recording(record)
     if caught is None:
         return recording
@@ -80,29 +80,29 @@ def of_run(caught: BaseException | None, record: Mapping[str, Any], folder: str)
     return DiskFull(f"{recording}; {error}") if recording and isinstance(error, DiskFull) else error
 
 
-def explained(caught: KeyboardInterrupt | OSError, hint: str) -> MastError:
-    """The error that stands for what was caught, with a hint of what to do."""
+def with_hint(caught: KeyboardInterrupt | OSError, hint: str) -> MastError:
+    """The error for a caught exception, with a hint of what to do."""
     error = from_exception(caught)
     assert error is not None
     return type(error)(f"{error}; {hint}")
 
 
 @contextmanager
-def written(note: Callable[[str], None]) -> Iterator[None]:
-    """Note the status `running`, carry out the block, and note how it ended, whatever ends it.
+def status_written(write: Callable[[str], None]) -> Iterator[None]:
+    """Write the status `running`, run the block, and write how it ended.
 
-    Stop signals that come while the end is written are too late to matter.
+    Stop signals that come while the final status is written are ignored.
     """
-    note(RUNNING)
+    write(RUNNING)
     caught: BaseException | None = None
     try:
         yield
     except BaseException as raised:
         caught = raised
-    with stop_signals.noted():
+    with stop_signals.collected():
         error = None if caught is None else from_exception(caught) or RunError(str(caught))
         try:
-            note(status(error))
+            write(status(error))
         except OSError:
             if caught is None:
                 raise
@@ -111,25 +111,31 @@ def written(note: Callable[[str], None]) -> Iterator[None]:
 
 
 def from_failed_start(line: str, exception: str) -> RunError:
-    """The error of a run one of whose nodes failed in `start`, with an exception as `failures.described` has it."""
+    """The error of a run in which a node failed in `start`.
+
+    line: what to report;  exception: as `failures.described` gives it
+    """
     return DiskFull(line) if exception.startswith(f"{DiskFull.__name__}:") else StartError(line)
 
 
 def of_stall(error: StallError, notices: Sequence[Mapping[str, Any]]) -> StallError:
-    """The same error with the messages that nodes refused: a flood can keep nodes from the messages they owe."""
+    """The same error with the messages that nodes refused.
+
+    A flood can keep nodes from receiving the messages that they wait for.
+    """
     refused = [notice["text"] for notice in notices if notice["kind"] == "rejected"]
     return StallError(f"{error}; refused: {refused[0]}") if refused else error
 
 
-def _no_room(error: BaseException | None) -> BaseException | None:
-    """The error itself, or the first of those that it was raised from, that says that there is no room."""
+def _disk_full_error(error: BaseException | None) -> BaseException | None:
+    """The first error in a chain of causes that reports a full disk; else None."""
     while error is not None and not is_disk_full(error):
         error = error.__cause__
     return error
 
 
-def _sentence(error: BaseException, doing: str) -> str:
+def _sentence(error: BaseException, activity: str) -> str:
     assert isinstance(error, OSError)
     reason = error.strerror or str(error)
     reason = f"{error.filename}: {reason}" if error.filename else reason
-    return f"{doing}: {reason}" if doing else reason
+    return f"{activity}: {reason}" if activity else reason

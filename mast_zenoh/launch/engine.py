@@ -1,4 +1,7 @@
-"""The base class of deployment engines, which start nodes elsewhere; mast_zenoh.deploy has ours."""
+"""The base class of deployment engines, which start nodes elsewhere.
+
+mast_zenoh.deploy has the engines that come with this package.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,10 @@ from mast_zenoh.launch.context import Mesh, RunContext
 
 
 class Engine(ABC):
-    """Creates the mesh of a run and its nodes somewhere, and removes all of it again.
+    """Creates the mesh and the nodes of a run, and removes them afterwards.
 
-    name: as `--engine` has it; without one, the file and the name of the class
-    unplugs: whether nodes can be taken off their networks
+    name: for `--engine`; default: file and name of the class
+    unplugs: whether nodes can be disconnected from their networks
 
     Parameters of `__init__` come from the command line: `--option KEY=VALUE`.
     """
@@ -32,14 +35,14 @@ class Engine(ABC):
 
     @abstractmethod
     def check(self, resolved: Resolved, secure: str) -> None:
-        """Raise EngineError for what makes the run impossible. Called before anything is started or written."""
+        """Raise EngineError if the run is impossible; called before anything is started."""
 
     @abstractmethod
     def join(self, context: RunContext, stack: ExitStack) -> Mesh:
-        """Start the router and prepare the nodes; the launcher's session, the nodes' supervisor and their credentials.
+        """Start the router and prepare the nodes; return session, supervisor, credentials.
 
-        Callbacks on the stack remove whatever is made, however the run ends. Signals are only noted in
-        context.signals meanwhile: check it in every wait. Set context.record["endpoint"] and ["deployment"], the
+        Callbacks on the stack remove everything, however the run ends. Signals are only collected in
+        context.signals: check it in every wait. Set context.record["endpoint"] and ["deployment"], the
         latter to {"engine": name, …}: all that `status`, `logs` and `down` need.
 
         Raises EngineError, Interrupted.
@@ -48,14 +51,14 @@ class Engine(ABC):
     @classmethod
     @abstractmethod
     def status(cls, folder: Path, record: dict[str, Any]) -> list[dict[str, str]]:
-        """What there is of a run, from its folder and run.json alone: node, state, where."""
+        """State of each node (node, state, where), from run folder and run.json alone."""
 
     @classmethod
     @abstractmethod
     def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """What one node or all have said, on standard output."""
+        """Print the logs of one node or all to standard output."""
 
     @classmethod
     @abstractmethod
     def down(cls, folder: Path, record: dict[str, Any]) -> None:
-        """Take away all that is there of a run, credentials too; nothing happens where nothing is."""
+        """Remove everything of a run that still exists, including credentials."""

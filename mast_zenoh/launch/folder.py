@@ -1,4 +1,4 @@
-"""The run folder: what a run leaves behind, and in which files."""
+"""The run folder: creates it, and writes and reads its files."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messagelog.completeness import first_gap, first_missing
 
-#: Takes up room until the final run.json is written: a run that filled the disk can still say so.
+#: Reserves room for the final run.json, so a run that filled the disk can still write it.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
-_MOST_WORDS = 300  # characters of what a node says of a problem
+_MAX_PROBLEM_CHARS = 300  # of a problem as a node describes it
 MAX_TABLES = 100  #: that one node may write
 MAX_COLUMNS = 1000  #: of one table
 _EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
 
 
 def create(out: Path | None, name: str) -> Path:
-    """A new, empty run folder: `out`, or one under runs/ named after the scenario and the time.
+    """Create an empty run folder: `out`, or runs/<scenario>-<time>.
 
-    Raises RunFolderError when it holds something already, or cannot be made, and DiskFull.
+    Raises RunFolderError if it is not empty or cannot be created, and DiskFull.
     """
-    wanted = out or Path("runs") / f"{name}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}"
-    occupied = RunFolderError(f"{wanted}: is not empty; name a new folder with --out, or remove what is there")
+    requested = out or Path("runs") / f"{name}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}"
+    occupied = RunFolderError(f"{requested}: is not empty; name a new folder with --out, or remove what is there")
     try:
         if out is None:
-            out = _unused(wanted)
+            out = _unused(requested)
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise occupied
@@ -53,20 +53,20 @@ def create(out: Path | None, name: str) -> Path:
             (out / part).mkdir()
     except OSError as error:
         if out is not None and (out / "logs").is_dir():
-            raise occupied from None  # by a run that began at the same moment
-        what = f"{wanted}: cannot be made a run folder: {error.strerror or error}"
-        raise DiskFull(what) if is_disk_full(error) else RunFolderError(what) from None
+            raise occupied from None  # by a run that started at the same moment
+        message = f"{requested}: cannot be created as a run folder: {error.strerror or error}"
+        raise DiskFull(message) if is_disk_full(error) else RunFolderError(message) from None
     return out.resolve()
 
 
 @contextmanager
-def begun(folder: Path) -> Iterator[None]:
-    """Reserve room in a new run folder for its final run.json; where the block raises, the folder is emptied again.
+def reserved(folder: Path) -> Iterator[None]:
+    """Reserve room for the final run.json; empty the folder again if the block raises.
 
-    Raises DiskFull, with place and what is free, where the block finds no room.
+    Raises DiskFull, with the folder and the free space, if the block fills the disk.
     """
     try:
-        (folder / _RESERVE).write_bytes(os.urandom(_RESERVE_BYTES))  # no file system can store it in less
+        (folder / _RESERVE).write_bytes(os.urandom(_RESERVE_BYTES))  # random bytes cannot be compressed
         yield
     except BaseException as error:
         for path in folder.iterdir():
@@ -78,24 +78,24 @@ def begun(folder: Path) -> Iterator[None]:
 
 
 def finish(folder: Path, record: Mapping[str, Any]) -> None:
-    """Write the final run.json; on a full disk, in the room that was reserved for it."""
+    """Write the final run.json, on a full disk in the reserved room."""
     (folder / _RESERVE).unlink(missing_ok=True)
     write_json(folder / "run.json", record)
 
 
 def _unused(path: Path) -> Path:
-    """A folder of this name, or of this name and a number, that was not there before; two runs never get the same."""
+    """Create a new folder of this name, with a number if it exists; safe between runs."""
     for candidate in (path, *(path.with_name(f"{path.name}-{i}") for i in range(2, 1000))):
         try:
             candidate.mkdir(parents=True)
         except FileExistsError:
             continue
         return candidate
-    raise FileExistsError(f"{path}-2 to {path}-999 are all there")
+    raise FileExistsError(f"{path}-2 to {path}-999 all exist")
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file atomically: a reader finds the old file or the new one."""
+    """Write a JSON file atomically: a reader sees the old file or the new one."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
@@ -109,7 +109,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file of a run folder; raises RunFolderError when it is missing or broken."""
+    """Read a JSON file of a run folder; raises RunFolderError if missing or broken."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -119,7 +119,7 @@ def read_json(path: Path) -> Any:
 
 
 def json_or_empty(path: Path) -> dict[str, Any]:
-    """The object in a JSON file; {} if there is none that can be read."""
+    """Read the object in a JSON file; {} if that fails."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -128,47 +128,47 @@ def json_or_empty(path: Path) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """What the run ran on."""
+    """Versions of Python, platform, kernels and packages."""
     packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
-    here = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
-    return here | {package: version(package) for package in packages}
+    host = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
+    return host | {package: version(package) for package in packages}
 
 
 def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> list[str]:
-    """Write what nodes returned from `finish`; returns a sentence for each part that was refused.
+    """Write what nodes returned from `finish`; return a sentence per refused part.
 
     The evaluator's `metrics`, and those of its `tables` that are in `results.TABLES`, become metrics.json and Parquet
     files at the top of the run folder. Everything else goes to results/<node>/: `tables` as <table>.parquet, the rest
     as results.json.
 
-    measured: what goes into metrics.json beside the evaluator's metrics, or, being of the wall clock, in their place
+    measured: entries of metrics.json beside the evaluator's metrics; wall-clock values replace those of the evaluator
     """
     refused: list[str] = []
     for node, result in results.items():
-        own, rest = folder / "results" / node, dict(result)
-        tables = rest.pop("tables", {})
+        node_folder, other_parts = folder / "results" / node, dict(result)
+        tables = other_parts.pop("tables", {})
         if not _NAME.fullmatch(node):
             refused.append(f"{node!r:.80}: {_EXPECTED_NAME}")
             continue
-        if node == EVALUATOR and isinstance(rest.get("metrics"), Mapping):
-            write_json(folder / "metrics.json", finite({**rest.pop("metrics"), **measured}))
+        if node == EVALUATOR and isinstance(other_parts.get("metrics"), Mapping):
+            write_json(folder / "metrics.json", finite({**other_parts.pop("metrics"), **measured}))
         if not isinstance(tables, Mapping):
             refused.append(f"{node}: tables: found a {type(tables).__name__}, expected a dict of tables")
             tables = {}
         if len(tables) > MAX_TABLES:
             refused.append(f"{node}: tables: found {len(tables)}, expected at most {MAX_TABLES}; the first are written")
         for name, table in islice(tables.items(), MAX_TABLES):
-            place = folder if node == EVALUATOR and name in TABLES else own
-            if problem := _write_named(place, name, table):
+            target = folder if node == EVALUATOR and name in TABLES else node_folder
+            if problem := _write_named(target, name, table):
                 refused.append(f"{node}: table {name!r:.80}: {problem}")
-        if rest:
-            own.mkdir(parents=True, exist_ok=True)
-            write_json(own / "results.json", finite(rest))
+        if other_parts:
+            node_folder.mkdir(parents=True, exist_ok=True)
+            write_json(node_folder / "results.json", finite(other_parts))
     return refused
 
 
 def _write_named(folder: Path, name: object, table: object) -> str:
-    """Write a node's table; returns why it is refused, or nothing."""
+    """Write a node's table; return why it is refused, or an empty string."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         return _EXPECTED_NAME
     if not isinstance(table, Mapping):
@@ -184,7 +184,7 @@ def _write_named(folder: Path, name: object, table: object) -> str:
         write_table(folder / f"{name}.parquet", table)
     except OSError:
         raise
-    except Exception as error:  # Arrow has many, and a table may come from anywhere
+    except Exception as error:  # Arrow has many error classes, and users write tables
         return " ".join(str(error).split())[:200]
     return ""
 
@@ -205,44 +205,44 @@ def finite(value: Any) -> Any:
 def note_recording(
     folder: Path, record: dict[str, Any], handed_in: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]
 ) -> None:
-    """How many messages were recorded goes to run.json, and whether they are all; a note if some could not be.
+    """Note in run.json how many messages were recorded, and whether some are missing.
 
-    Recorders alone tell how many. From which frame on some are missing is measured from the recording in `folder`: in
-    real time always, because the router drops messages for a recorder that does not read; in lock-step everyone waits.
+    Only recorders know the number. The first frame with missing messages is measured from the recording in `folder`:
+    in real time always, because the router drops messages for a recorder that does not read; in lock-step nodes wait.
     """
     recorder = next((name for name, spec in nodes.items() if spec.role == "recorder"), None)
     if recorder is not None:
-        missed = churn.first_frames(record.get("churn", ()), recorder)
+        gaps = churn.first_frames(record.get("churn", ()), recorder)
         lost = counts_of(handed_in.get(recorder, {}).get("recorded")).get("lost")
         if record.get("mode") == "realtime" and (gap := _gap(folder, nodes)) is not None:
-            missed.append(gap)
-        complete = recorder in handed_in and not lost and not missed
-        more = {} if complete else {"from_frame": min([first_gap(folder), *missed])}
-        record["recording"] = {"complete": complete} | more
+            gaps.append(gap)
+        complete = recorder in handed_in and not lost and not gaps
+        from_frame = {} if complete else {"from_frame": min([first_gap(folder), *gaps])}
+        record["recording"] = {"complete": complete} | from_frame
     for node, outcome in handed_in.items():
         if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
-            record["recorded"] = recorded | _trouble(outcome["recorded"])
+            record["recorded"] = recorded | _failure(outcome["recorded"])
             if lost := recorded.get("lost", 0):
-                said = [record["message"]] if record["message"] else []
-                record["message"] = "; ".join([*said, f"{lost} messages could not be recorded"])
+                messages = [record["message"]] if record["message"] else []
+                record["message"] = "; ".join([*messages, f"{lost} messages could not be recorded"])
 
 
 def _gap(folder: Path, nodes: Mapping[str, NodeSpec]) -> int | None:
-    """The first frame of which a message of the node that drives the scene was not recorded."""
+    """The first frame of which the recording lacks a message of the driver; else None."""
     driver = driver_of(nodes)
     return first_missing(folder, driver) if driver else None
 
 
-def _trouble(recorded: Mapping[str, Any]) -> dict[str, Any]:
-    """Why a recorder could not go on, if it could not, and whether that was for want of room."""
+def _failure(recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Why a recorder stopped, if it did, and whether the disk was full."""
     problem = recorded.get("problem")
     if not isinstance(problem, str) or not problem:
         return {}
-    return {"problem": problem[:_MOST_WORDS], "disk_full": recorded.get("disk_full") is True}
+    return {"problem": problem[:_MAX_PROBLEM_CHARS], "disk_full": recorded.get("disk_full") is True}
 
 
 def rates(frames: int, wall_s: float) -> dict[str, Any]:
-    """How fast a run went, for its `timings`."""
+    """Duration and speed of a run, for its `timings`."""
     return {
         "frames": frames,
         "run_s": round(wall_s, 4),

@@ -1,4 +1,7 @@
-"""Whether the launcher that a run.json names still lives: its process id, told apart from a later process with it."""
+"""Whether the launcher named in a run.json is still alive.
+
+A later process with the same process id is recognised by its start time, machine and boot.
+"""
 
 from __future__ import annotations
 
@@ -13,25 +16,25 @@ from mast_zenoh.launch.ending import KILLED, RUNNING
 
 
 def identity() -> dict[str, Any]:
-    """This process, for run.json: its id, when it began (clock ticks since boot), and on which machine and boot."""
+    """This process for run.json: id, start (clock ticks since boot), machine and boot."""
     return {"pid": os.getpid(), "began": _began(os.getpid()), **_here()}
 
 
 def lives(launcher: Mapping[str, Any]) -> bool | None:
-    """Whether the launcher of a run lives; None where that cannot be told from here."""
+    """Whether the launcher of a run is alive; None if that cannot be known from here."""
     here = _here()
     if launcher.get("machine") != here["machine"] or not isinstance(launcher.get("pid"), int):
         return None
     if launcher.get("boot") != here["boot"]:
-        return False  # the machine has been started again since
+        return False  # the machine has been rebooted since
     if launcher.get("pid_namespace") != here["pid_namespace"]:
-        return None  # in a container, say
+        return None  # in a container, for example
     began = _began(launcher["pid"])
     return began is not None and began == launcher.get("began")
 
 
-def seen_now(record: Mapping[str, Any]) -> dict[str, Any]:
-    """run.json as it is to be read now: a run that its launcher did not live to finish is `killed`, not `running`."""
+def current_record(record: Mapping[str, Any]) -> dict[str, Any]:
+    """run.json as of now: a `running` run whose launcher is dead is `killed`."""
     launcher = record.get("launcher")
     if record.get("status") == RUNNING and isinstance(launcher, Mapping) and lives(launcher) is False:
         message = "its launcher was killed: what was recorded up to then is kept"
@@ -40,17 +43,17 @@ def seen_now(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _began(pid: int) -> str | None:
-    """When a process began; None if there is none, or it has ended and only waits to be collected."""
+    """When a process began; None if there is none, or it is a zombie."""
     try:
-        # The name, in parentheses, may itself hold spaces and parentheses.
+        # The name, in parentheses, may itself contain spaces and parentheses.
         fields = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
     except OSError:
-        return None if Path("/proc/self/stat").exists() or not _signalled(pid) else "unknown"
+        return None if Path("/proc/self/stat").exists() or not _exists(pid) else "unknown"
     return None if fields[0] in "ZX" else fields[19]
 
 
-def _signalled(pid: int) -> bool:
-    """Whether there is a process, on systems without /proc."""
+def _exists(pid: int) -> bool:
+    """Whether a process exists, on systems without /proc."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

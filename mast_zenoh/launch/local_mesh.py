@@ -1,4 +1,7 @@
-"""Joins the mesh of a run whose nodes are processes of this machine; the router is here, yours, or among its hosts."""
+"""Joins the mesh of a run whose nodes are processes of this machine.
+
+The router is in this process, an existing one, or in the network namespaces of the run.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,11 @@ from mast_zenoh.security import levels
 
 
 def join(context: RunContext, stack: ExitStack, endpoint: str | None, listen: str) -> tuple[Mesh, Hosts | None]:
-    """The mesh, and the network namespaces of its nodes if the scenario has hosts; the stack closes all of it.
+    """Join the mesh; create network namespaces if the scenario has hosts.
 
-    endpoint: of a router that is there already; None: one in this process, listening at `listen`
-    Raises BackendError for a combination that is not possible.
+    stack: closes all of it
+    endpoint: of an existing router; None: start one in this process, listening at `listen`
+    Raises BackendError for an impossible combination.
     """
     network = context.resolved.network
     if context.secure != "open" and (endpoint or network):
@@ -24,13 +28,13 @@ def join(context: RunContext, stack: ExitStack, endpoint: str | None, listen: st
         raise BackendError(f"security level {context.secure}: expected a router in this process, found {where}")
     if network:
         if endpoint:
-            raise BackendError(f"hosts have a router of their own: they cannot be on the mesh of {endpoint}")
+            raise BackendError(f"hosts need their own router: they cannot join the mesh of {endpoint}")
         return _join_hosts(context, stack)
     return (_join_router(context, stack, endpoint) if endpoint else _open_router(context, stack, listen)), None
 
 
 def _join_hosts(context: RunContext, stack: ExitStack) -> tuple[Mesh, Hosts]:
-    """Nodes in network namespaces, and the router in one of its own."""
+    """Join a mesh of nodes in network namespaces, with the router in one of its own."""
     hosts = stack.enter_context(Hosts(context.resolved.network, context.resolved.rate, context.folder / "logs"))
     context.record["endpoint"] = hosts.endpoint
     session = stack.enter_context(open_client(hosts.endpoint))
@@ -38,22 +42,22 @@ def _join_hosts(context: RunContext, stack: ExitStack) -> tuple[Mesh, Hosts]:
 
 
 def _join_router(context: RunContext, stack: ExitStack, endpoint: str) -> Mesh:
-    """A router that is there already."""
+    """Join an existing router."""
     context.record["endpoint"] = endpoint
     session = stack.enter_context(open_client(endpoint, patient=context.resolved.patient))
     return Mesh(session, Processes(context.folder, context.run_id, endpoint))
 
 
 def _open_router(context: RunContext, stack: ExitStack, listen: str) -> Mesh:
-    """A router in this process, with credentials for all nodes above the level "open"."""
+    """Open a router in this process, with credentials for nodes above level "open"."""
     resolved, run = context.resolved, context.run_id
     listen = levels.endpoint(context.secure, listen)
     deployment = stack.enter_context(context.make_deployment(levels.hosts([listen])))
 
     def extra_arguments(name: str) -> list[str]:
-        """Where its credentials are, and its own way to the router if it has one."""
-        own = deployment.arguments(name)
-        return [*own, "--endpoint", context.detours[name]] if name in context.detours else own
+        """Arguments for a node's credentials, and for its detour to the router if any."""
+        arguments = deployment.arguments(name)
+        return [*arguments, "--endpoint", context.detours[name]] if name in context.detours else arguments
 
     session, endpoint = open_router(listen, security=deployment.router, patient=resolved.patient)
     context.record["endpoint"] = endpoint

@@ -1,4 +1,7 @@
-"""Measures a run once more from its recording: with a later version, or where it was killed before it had results."""
+"""Measures a run again from its recording.
+
+Useful with a later version, or for a run that was killed before it had results.
+"""
 
 from __future__ import annotations
 
@@ -18,49 +21,49 @@ from mast_zenoh.runtime.replaying import replay
 
 METRICS = "metrics.json"
 
-#: What metrics.json holds of the wall clock and of the broker's counts: no recording tells it.
+#: Entries of metrics.json from the wall clock and the broker's counters, which no recording has.
 _NOT_RECORDED = ("late", "latency_ms", "frames_per_second")
 
 
 def can_fill_in(folder: Path) -> bool:
-    """Whether a run folder lacks metrics and holds what they can be measured from."""
+    """Whether a run folder lacks metrics but has the recording to measure them from."""
     return not (folder / METRICS).exists() and (folder / FILE).is_file()
 
 
 def measure(folder: Path) -> list[str]:
-    """Write metrics.json and the evaluator's tables anew, from the recording in a run folder.
+    """Recompute metrics.json and the evaluator's tables from a run's recording.
 
-    The times on the wall clock are kept as they were measured in the run. Where the recording ends before the run did,
-    `recording` in metrics.json says how far it goes. Returns a sentence for each table that was refused, and one if the
-    recorder was lost in the run. Raises RunFolderError where something is missing or damaged, or where metrics of more
-    frames would be replaced, and HandlerFailed where the evaluator fails.
+    Wall-clock times are kept as measured in the run. If the recording ends before the run did, `recording` in
+    metrics.json gives its extent. Returns a sentence for each refused table, and one if the recorder was lost in the
+    run. Raises RunFolderError if something is missing or damaged, or if metrics of more frames would be replaced, and
+    HandlerFailed if the evaluator fails.
     """
     try:
         resolved = Resolved.read(folder)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RunFolderError(f"{folder}: scenario.json and wiring.json cannot be read: {error!r}") from None
     if EVALUATOR not in resolved.nodes:
-        raise RunFolderError(f"{folder / 'scenario.json'}: nodes: found no {EVALUATOR!r}, by which a run is measured")
+        raise RunFolderError(f"{folder / 'scenario.json'}: nodes: found no {EVALUATOR!r}, which measures a run")
     for module in resolved.modules:
         loading.module(Path(module))
-    evaluator = _found_here(resolved.nodes[EVALUATOR], folder)
-    before = run_folder.json_or_empty(folder / METRICS)
+    evaluator = _with_local_file(resolved.nodes[EVALUATOR], folder)
+    previous = run_folder.json_or_empty(folder / METRICS)
     incomplete = _incomplete(folder)
-    if incomplete and before:
-        _refuse_worse(folder, before, incomplete)
+    if incomplete and previous:
+        _refuse_worse(folder, previous, incomplete)
     results = replay(replace(resolved, nodes={**resolved.nodes, EVALUATOR: evaluator}), EVALUATOR, folder)
-    kept: dict[str, Any] = {name: before[name] for name in _NOT_RECORDED if name in before}
+    kept: dict[str, Any] = {name: previous[name] for name in _NOT_RECORDED if name in previous}
     if incomplete:
         kept["recording"] = incomplete._asdict()
-    lost = notices.of_recording(run_folder.json_or_empty(folder / "run.json"))
-    return [*run_folder.write_results(folder, {EVALUATOR: results}, kept), *lost]
+    recorder_notices = notices.of_recording(run_folder.json_or_empty(folder / "run.json"))
+    return [*run_folder.write_results(folder, {EVALUATOR: results}, kept), *recorder_notices]
 
 
 class _Incomplete(NamedTuple):
-    """How far a recording goes that ends before its run did.
+    """Extent of a recording that ends before its run did.
 
-    frames:        of which it holds the truth, counted from the run's first
-    played_frames: of the run; of a run that was killed, those that it was to play
+    frames:        number of frames that it covers, from the run's first
+    played_frames: number of frames of the run; of a run that was killed, the planned number
     """
 
     frames: int
@@ -72,22 +75,24 @@ class _Incomplete(NamedTuple):
 
 
 def _incomplete(folder: Path) -> _Incomplete | None:
-    """How far the recording in a run folder goes; None: to the end of the run."""
+    """Extent of the recording in a run folder; None: it covers the whole run."""
     extent = reader.extent(folder)
     run = run_folder.json_or_empty(folder / "run.json")
     nodes = run.get("nodes") or {}
-    last = {node.get("role"): node["last_frame"] for node in nodes.values() if isinstance(node.get("last_frame"), int)}
-    # What the recorder never heard, such as the last frame of a run that was stopped, the recording does not lack.
-    if extent.whole and extent.last_frame >= last.get("recorder", -1):
+    last_frames = {
+        node.get("role"): node["last_frame"] for node in nodes.values() if isinstance(node.get("last_frame"), int)
+    }
+    # Messages that never reached the recorder, as in the last frame of a stopped run, are not missing.
+    if extent.whole and extent.last_frame >= last_frames.get("recorder", -1):
         return None
-    played = max(last.values()) + 1 if last else int(run.get("frames") or 0)
+    played = max(last_frames.values()) + 1 if last_frames else int(run.get("frames") or 0)
     return _Incomplete(extent.last_frame + 1, max(played, extent.last_frame + 1))
 
 
 def _refuse_worse(folder: Path, metrics: dict[str, Any], incomplete: _Incomplete) -> None:
-    """Raise RunFolderError if metrics that are there are of more frames than a recording that was cut off."""
-    of = metrics.get("recording")
-    if isinstance(of, dict) and isinstance(of.get("frames"), int) and of["frames"] <= incomplete.frames:
+    """Raise RunFolderError if existing metrics cover more frames than the recording."""
+    covered = metrics.get("recording")
+    if isinstance(covered, dict) and isinstance(covered.get("frames"), int) and covered["frames"] <= incomplete.frames:
         return
     raise RunFolderError(
         f"{folder / FILE}: {incomplete}, expected all that was played; {METRICS} is kept as it is: restore the "
@@ -95,9 +100,9 @@ def _refuse_worse(folder: Path, metrics: dict[str, Any], incomplete: _Incomplete
     )
 
 
-def _found_here(spec: NodeSpec, folder: Path) -> NodeSpec:
-    """The node's spec with a file that is on this machine: that of the run, else ours of the same name."""
+def _with_local_file(spec: NodeSpec, folder: Path) -> NodeSpec:
+    """The node's spec with an existing file: the run's, or the shipped one."""
     if Path(spec.file).is_file():
         return spec
-    found = bundle.find("nodes", Path(spec.file).name, folder)
-    return spec if found is None else replace(spec, file=str(found))
+    file = bundle.find("nodes", Path(spec.file).name, folder)
+    return spec if file is None else replace(spec, file=str(file))

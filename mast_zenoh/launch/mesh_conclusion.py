@@ -1,4 +1,4 @@
-"""Concludes a run on a mesh: completes its record from what the nodes handed in, and raises what went wrong."""
+"""Concludes a run on a mesh: completes its record, and raises its error."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mast_zenoh.wiring.model import Wiring
 
 
 def conclude(context: RunContext, supervisor: Supervisor[Any], reports: Reports, begun: float) -> None:
-    """Write the results into the run folder, and raise the problem of the run if it has one.
+    """Write the results into the run folder, and raise the run's error if it has one.
 
     begun: when the run began, s on the monotonic clock
     """
@@ -38,7 +38,7 @@ def conclude(context: RunContext, supervisor: Supervisor[Any], reports: Reports,
     handed_in = {name: outcome["results"] for name, outcome in outcomes.items()}
     measured: dict[str, Any] = {}
     if context.resolved.mode == "realtime":
-        measured["latency_ms"] = latency.measured(Wiring.from_json(context.resolved.wiring), outcomes)
+        measured["latency_ms"] = latency.latency_ms(Wiring.from_json(context.resolved.wiring), outcomes)
         measured["frames_per_second"] = record["timings"].get("frames_per_second")
     conclusion.write(context.resolved, context.folder, record, handed_in, measured)
     if isinstance(stop.problem, StallError):

@@ -1,4 +1,4 @@
-"""One run on a mesh, from the first process to the last, whichever supervisor starts its nodes."""
+"""One run on a mesh, whichever supervisor starts its nodes."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from mast_zenoh.launch.watch import Watch
 from mast_zenoh.runtime.lockstep.timetable import Timetable
 from mast_zenoh.runtime.mesh.stamp import stamp_of
 
-_END_GRACE_S = 1.0  # between closing inputs, SIGTERM and SIGKILL
+_END_GRACE_S = 1.0  # after closing inputs, and after SIGTERM
 
 
 def run(context: RunContext, display: Display, endpoint: str | None, listen: str, engine: Engine | None) -> None:
     """Join the mesh, start the nodes, watch them to the end, write the results.
 
-    endpoint: of a router that is there already; None: one in this process, listening at `listen`
+    endpoint: of an existing router; None: start one in this process, listening at `listen`
     engine:   where the nodes live, if not here as processes
     Raises RunError for a run that failed.
     """
@@ -38,7 +38,7 @@ def run(context: RunContext, display: Display, endpoint: str | None, listen: str
     lockstep = context.resolved.mode == "lockstep"
     with ExitStack() as stack:
         mesh, hosts = _join(context, stack, endpoint, listen, engine)
-        context.joined(mesh)
+        context.attach(mesh)
         session, supervisor = mesh.session, mesh.supervisor
         control = control_prefix(context.run_id)
 
@@ -93,17 +93,17 @@ def _join(
         return local_mesh.join(context, stack, endpoint, listen)
     if endpoint or context.resolved.network:
         where = f"the router at {endpoint}" if endpoint else "hosts in network namespaces"
-        raise BackendError(f"engine {engine.name} has a router of its own: found {where}")
+        raise BackendError(f"engine {engine.name} starts its own router: found {where}")
     return engine.join(context, stack), None
 
 
 def _declare(context: RunContext, session: zenoh.Session, requests: StepRequests, hosts: Hosts | None) -> list[Any]:
-    """Subscribe to the clock, for the progress of the run, and to the driver's requests for process steps."""
+    """Subscribe to the clock and to the driver's requests for process steps."""
     base = prefix(context.run_id)
 
     def on_clock(sample: zenoh.Sample) -> None:
         _, frame = stamp_of(sample.attachment.to_bytes() if sample.attachment else None)
-        timespan = context.resolved.timespan  # None: of another simulator than ours, which may play on for longer
+        timespan = context.resolved.timespan  # None: a user's simulator, which may play longer
         if frame < 0 or (timespan is not None and frame >= max(1, timespan.frames)):
             return
         context.frame = frame

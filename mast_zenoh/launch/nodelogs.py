@@ -1,4 +1,4 @@
-"""The logs of nodes that live in the launcher's process, as files like those of nodes that are processes."""
+"""Log files of nodes that run in the launcher's process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ _FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 
 class NodeLogs(logging.Handler):
-    """A context: appends what the logger `mast.<node>` gets to <node>.log in a folder, made at the first record.
+    """Context manager that appends records of logger `mast.<node>` to <node>.log.
+
+    A file is created at the first record.
 
     failure: why the logs are incomplete; None if nothing was lost
     """

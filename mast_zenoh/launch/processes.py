@@ -19,7 +19,7 @@ ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 
 
 class Process(Child):
-    """A node's process; see Child."""
+    """A node as a process of this machine."""
 
     def __init__(self, name: str, spec: NodeSpec, log: IO[bytes], process: subprocess.Popen[bytes]) -> None:
         super().__init__(name, spec)
@@ -28,18 +28,16 @@ class Process(Child):
 
     @property
     def exit(self) -> int | None:
-        """See Child."""
         return self.process.poll()
 
     def where(self) -> dict[str, Any]:
-        """See Child."""
         return {"pid": self.process.pid}
 
 
 class Processes(Supervisor[Process]):
-    """Starts each node as a process of its own, in a session of its own (Ctrl-C is ours, not theirs).
+    """Starts each node as a process in its own session, which Ctrl-C does not reach.
 
-    Each child's standard input is a pipe that we hold: when we end, however that may be, it closes, and they leave.
+    The launcher holds a pipe to each node's standard input: it closes when the launcher ends, and the node leaves.
 
     inside: what to put before the command of a node; it must become that command, in the same process
     extra_arguments: further arguments of a node's command
@@ -61,14 +59,13 @@ class Processes(Supervisor[Process]):
         self.extra_arguments = extra_arguments
 
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
-        """See Supervisor."""
         self.without[name] = sorted(without)
         log = (self.folder / "logs" / f"{name}.log").open("ab", buffering=0)
         self.children[name] = Process(name, spec, log, self._spawn(self.command(name, spec), log))
 
     def command(self, name: str, spec: NodeSpec) -> list[str]:
-        """What starts a node now."""
-        module = ["-P", "-m", "mast_zenoh.runtime", spec.file]  # without what lies in the working directory
+        """The command that starts a node."""
+        module = ["-P", "-m", "mast_zenoh.runtime", spec.file]  # -P: nothing from the working directory
         command = [*self.inside(name), sys.executable, *module, "--run-folder", str(self.folder), "--name", name]
         command += ["--endpoint", self.endpoint, "--run", self.run, *self.extra_arguments(name)]
         without = ",".join(self.without[name])
@@ -80,7 +77,6 @@ class Processes(Supervisor[Process]):
         child.process = self._spawn(self.command(child.name, child.spec), child.log)
 
     def end_now(self, child: Process) -> None:
-        """See Supervisor."""
         child.process.kill()
         child.process.wait()
 
@@ -92,7 +88,6 @@ class Processes(Supervisor[Process]):
             child.process.send_signal(signal.SIGCONT)
 
     def wait(self, child: Process, seconds: float) -> bool:
-        """See Supervisor."""
         try:
             child.process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -100,12 +95,11 @@ class Processes(Supervisor[Process]):
         return True
 
     def dispose(self, child: Process) -> None:
-        """See Supervisor."""
         _close(child.process)
         child.log.close()
 
     def end(self, grace_s: float) -> None:
-        """End all: those that stand still go on, then close their inputs, wait, SIGTERM, SIGKILL."""
+        """End all nodes: resume them, close their inputs, wait, SIGTERM, SIGKILL."""
         self.resume(self.running())
         for child in self.running():
             _close(child.process)

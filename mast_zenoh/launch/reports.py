@@ -1,4 +1,4 @@
-"""What the nodes of a run report to the launcher: failures of handlers as they happen, and their results at the end."""
+"""Reports of nodes to the launcher: failures of handlers, and results at the end."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.supervisor import Child
 
-#: Reports of one node that may wait to be looked at; a node of ours sends results one at a time.
+#: Reports of one node in the queue; an honest node sends results one at a time.
 MAX_WAITING = {"result": 2, "failed": 1000}
 
-#: Processes that may have been one node, one after the other, and have reported failures.
+#: Processes of one node, one after the other, that may report failures.
 MAX_PROCESSES = 64
 
 
 class Report(NamedTuple):
-    """Something a node has reported: the first failure of a handler in its process, or, without one, its results."""
+    """A node's report: the first failure of a handler in its process, or its results."""
 
     node: str
     failure: Entry | None = None
 
 
 class Reports:
-    """Collects the reports of all nodes, from when it is made until it is closed.
+    """Collects the reports of all nodes until it is closed.
 
-    control:  where the control keys of the run begin
-    children: the nodes of the run by name; reports in other names are strangers', and refused
-    invalid:  counts what is refused: malformed, too long, too many, of strangers, results given twice
-    outcomes: what each node has handed in last
+    control:  prefix of the run's control keys
+    children: the nodes of the run by name; reports under other names are refused
+    invalid:  counts refused reports: malformed, too long, too many, of unknown nodes, results handed in twice
+    outcomes: what each node handed in last
     """
 
     def __init__(
@@ -49,8 +49,8 @@ class Reports:
         self._children = children
         self._invalid = invalid
         self._failures: dict[str, dict[str, dict[str, Entry]]] = {}  # by node, process and handler
-        self._taken: dict[str, bytes] = {}  # by node the digest of what it has handed in
-        self._came: queue.SimpleQueue[tuple[str, str, Any]] = queue.SimpleQueue()
+        self._digests: dict[str, bytes] = {}  # by node, the digest of what it handed in last
+        self._queue: queue.SimpleQueue[tuple[str, str, Any]] = queue.SimpleQueue()
         self._waiting: Counter[tuple[str, str]] = Counter()
         self._lock = threading.Lock()
         direct = zenoh.handlers.Callback
@@ -62,30 +62,30 @@ class Reports:
         ]
 
     def close(self) -> None:
-        """Collect no more."""
+        """Stop collecting."""
         for entity in self._declared:
             entity.undeclare()
 
     def take(self) -> Iterator[Report]:
-        """The reports that have come since the last call, in their order."""
-        while not self._came.empty():
-            what, node, report = self._came.get()
+        """The reports since the last call, in order of arrival."""
+        while not self._queue.empty():
+            kind, node, report = self._queue.get()
             with self._lock:
-                self._waiting[what, node] -= 1
+                self._waiting[kind, node] -= 1
             try:
-                yield from (self._take_failure if what == "failed" else self._take_result)(node, *report)
+                yield from (self._take_failure if kind == "failed" else self._take_result)(node, *report)
             except MessageError as error:
-                self._invalid.note(f"{what}/{node}", error)
+                self._invalid.note(f"{kind}/{node}", error)
 
     def by_node(self) -> dict[str, dict[str, Any]]:
-        """What each node has handed in last, with the failures in all processes that have been this node."""
+        """What each node handed in last, with the failures of all its processes."""
         return {
             node: self.outcomes.get(node, {})
             | {"failures": merged(list(entries.values()) for entries in self._failures.get(node, {}).values())}
             for node in self._children
         }
 
-    # Reports are decoded in Zenoh's threads, where they come: what is none takes nobody's room.
+    # Reports are decoded on arrival, in Zenoh's threads: malformed ones never enter the queue.
 
     def _on_result(self, query: zenoh.Query) -> None:
         with query:
@@ -109,45 +109,48 @@ class Reports:
         except MessageError as error:
             self._refuse("failed", node, error)
 
-    def _child(self, what: str, node: str) -> Child:
+    def _child(self, kind: str, node: str) -> Child:
         if node not in self._children:
-            raise MessageError(f"{what}: there is no node {node!r:.80} in this run")
+            raise MessageError(f"{kind}: there is no node {node!r:.80} in this run")
         return self._children[node]
 
-    def _put(self, what: str, node: str, report: tuple[Any, ...]) -> None:
-        """Keep a report until the launcher's loop takes it."""
+    def _put(self, kind: str, node: str, report: tuple[Any, ...]) -> None:
+        """Queue a report for the launcher's loop."""
         with self._lock:
-            if self._waiting[what, node] >= MAX_WAITING[what]:
-                raise MessageError(f"{what}: more than {MAX_WAITING[what]} wait to be looked at")
-            self._waiting[what, node] += 1
-        self._came.put((what, node, report))
+            if self._waiting[kind, node] >= MAX_WAITING[kind]:
+                raise MessageError(f"{kind}: more than {MAX_WAITING[kind]} reports are waiting")
+            self._waiting[kind, node] += 1
+        self._queue.put((kind, node, report))
 
-    def _refuse(self, what: str, node: str, error: MessageError) -> None:
-        self._invalid.note(f"{what}/{node if node in self._children else '*'}", error)
+    def _refuse(self, kind: str, node: str, error: MessageError) -> None:
+        self._invalid.note(f"{kind}/{node if node in self._children else '*'}", error)
 
     def _take_failure(self, node: str, process: str, entry: Entry) -> Iterator[Report]:
-        of_process = self._of_process(node, process)
-        first = entry["handler"] not in of_process
-        if first and len(of_process) >= control.MAX_HANDLERS:
+        by_handler = self._entries_of(node, process)
+        first = entry["handler"] not in by_handler
+        if first and len(by_handler) >= control.MAX_HANDLERS:
             raise MessageError(f"failed: more than {control.MAX_HANDLERS} handlers of one process")
-        of_process[entry["handler"]] = entry
+        by_handler[entry["handler"]] = entry
         if first:
             yield Report(node, entry)
 
     def _take_result(self, node: str, outcome: dict[str, Any], digest: bytes) -> Iterator[Report]:
-        """The results of a node: one per life of it. The same again is a question whose answer got lost."""
+        """Take a node's results, once per process.
+
+        The same results again are ignored: the node repeats them if the reply got lost.
+        """
         child = self._children[node]
         if child.handed_in:
-            if self._taken.get(node) != digest:
+            if self._digests.get(node) != digest:
                 raise MessageError("result: it has handed in its results before")
             return
-        self._of_process(node, outcome["process"]).update({entry["handler"]: entry for entry in outcome["failures"]})
-        self.outcomes[node], self._taken[node] = outcome, digest
+        self._entries_of(node, outcome["process"]).update({entry["handler"]: entry for entry in outcome["failures"]})
+        self.outcomes[node], self._digests[node] = outcome, digest
         child.handed_in = True
         yield Report(node)
 
-    def _of_process(self, node: str, process: str) -> dict[str, Entry]:
-        """The failures in one of the processes that have been a node, by handler."""
+    def _entries_of(self, node: str, process: str) -> dict[str, Entry]:
+        """The failures in one of a node's processes, by handler."""
         processes = self._failures.setdefault(node, {})
         if process not in processes and len(processes) >= MAX_PROCESSES:
             raise MessageError(f"failed: more than {MAX_PROCESSES} processes of one node")

@@ -1,4 +1,4 @@
-"""Runs a resolved scenario on this machine: as processes on a mesh of its own, or in this process."""
+"""Runs a resolved scenario: as processes on a mesh, or in this process."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Run:
 
     @property
     def failures(self) -> dict[str, list[failures.Entry]]:
-        """The failures of handlers by node, also those that were allowed."""
+        """The failures of handlers by node, including those that were allowed."""
         nodes = self.record["nodes"]
         return {name: node["failures"] for name, node in nodes.items() if node.get("failures")}
 
@@ -63,13 +63,13 @@ def run(
     console: Console | None = None,
     command: Sequence[str] | str | None = None,
 ) -> Run:
-    """Run a scenario and write its run folder; what goes wrong is in the result and in run.json.
+    """Run a scenario and write its run folder; the result and run.json hold any error.
 
-    endpoint: of a router that is there already; None: one in this process, listening at `listen`
-    secure:   one of `security.levels.LEVELS`; above "open", who takes part gets certificates for this run alone
-    engine:   where the nodes live, if not here as processes: it brings its own router
-    allow_failures: whether a run in which a handler failed is "ok" all the same; otherwise its error is HandlerFailed
-    allow_churn: whether a lock-step run in which a node was lost is "ok" all the same; otherwise its error is NodeLost
+    endpoint: of an existing router; None: start one in this process, listening at `listen`
+    secure:   one of `security.levels.LEVELS`; above "open", every participant gets certificates for this run alone
+    engine:   where the nodes live, if not here as processes; it has its own router
+    allow_failures: whether a run in which a handler failed is still "ok"; otherwise its error is HandlerFailed
+    allow_churn: whether a lock-step run in which a node was lost is still "ok"; otherwise its error is NodeLost
     prepare:  called with the context of a run on a mesh before it starts: to set detours, and to observe the run
     command:  what started the run, for run.json; None: this process's command line
     Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
@@ -79,7 +79,7 @@ def run(
     steps.check(resolved, where, unplugs=engine is not None and engine.unplugs)
     if engine is not None:
         engine.check(resolved, secure)
-    with stop_signals.noted() as received:
+    with stop_signals.collected() as received:
         folder = run_folder.create(out, resolved.name)
         record: dict[str, Any] = {
             "id": f"{resolved.name}-{secrets.token_hex(4)}",
@@ -100,7 +100,7 @@ def run(
             "nodes": {},
             "churn": [],
         }
-        with run_folder.begun(folder):
+        with run_folder.reserved(folder):
             run_folder.write_json(folder / "run.json", record)
             resolved.write(folder)
         begun, caught = time.monotonic(), None
@@ -130,14 +130,14 @@ def run(
         if checks.wanted(resolved):
             checks.run(folder, resolved)
     if received and not ended.error:
-        stop_signals.pass_on(received)  # it came when nothing of the run was left to stop
+        stop_signals.raise_again(received)  # it came when nothing of the run was left to stop
     return ended
 
 
 def _run_inproc(
     resolved: Resolved, folder: Path, record: dict[str, Any], display: Display, received: list[int]
 ) -> None:
-    """All nodes in this process."""
+    """Run all nodes in this process."""
     if resolved.network.get("faults"):
         raise BackendError("host faults need hosts: one process has no network between its nodes; use runtime 'mesh'")
     states = dict.fromkeys(resolved.nodes, "running")

@@ -15,30 +15,30 @@ from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import BackendError, MessageError
 from mast_zenoh.launch.supervisor import Child, Supervisor
 
-MAX_WAITING = 1000  #: requests of the driver that are not done yet
+MAX_WAITING = 1000  #: requests of the driver in the queue
 _LEAVE_GRACE_S = 5.0  # for a node that was asked to leave, before it is started again
 
 
 def check(resolved: Resolved, where: str, *, unplugs: bool) -> None:
-    """Raise BackendError for what cannot be done to the nodes of a run where they live; before anything is started.
+    """Raise BackendError for steps that are impossible where the nodes live.
 
-    where: in words; unplugs: whether nodes have networks there that they can be taken off
+    where: in words; unplugs: whether nodes can be disconnected from their networks there
     """
     for step in resolved.steps:
         if step.action == "disconnect" and not unplugs:
             raise BackendError(
                 f"Unplug of {step.node!r} (before frame {step.frame}): only the containers of engine compose can be "
-                f"taken off their networks (mast deploy up --engine compose), found {where}; use Partition, or on this "
-                "machine `hosts` with HostPartition"
+                f"disconnected from their networks (mast deploy up --engine compose), found {where}; use Partition, or "
+                "on this machine `hosts` with HostPartition"
             )
 
 
 class Steps:
-    """Carries out process steps. A running node is not started, and a stopped one is not killed.
+    """Carries out process steps; never starts a running node or kills a stopped one.
 
     planned: the steps of the scenario: nothing else is carried out, and each only once
-    leave: asks a node to leave; done: what has been done so far: frame, action, node;
-    cut: whether a node has been taken off its networks
+    leave: asks a node to leave; done: the steps so far: frame, action, node
+    cut: whether a node has been disconnected from its networks
     """
 
     def __init__(
@@ -58,33 +58,33 @@ class Steps:
         self.cut = False
 
     def start_all(self) -> None:
-        """Start the nodes that are there from the beginning."""
-        there = {name: spec for name, spec in self._nodes.items() if name not in self._absent}
-        self._supervisor.start_all(there, self._absent)
+        """Start the nodes that are present from the beginning."""
+        present = {name: spec for name, spec in self._nodes.items() if name not in self._absent}
+        self._supervisor.start_all(present, self._absent)
 
     def carry_out(self, frame: int, group: Sequence[tuple[str, str]]) -> None:
-        """Carry out what the driver requests before a frame: (action, node) of each step.
+        """Carry out the driver's request before a frame: (action, node) of each step.
 
-        Raises MessageError for what the scenario does not say.
+        Raises MessageError for steps that the scenario does not contain.
         """
-        wanted = Counter((frame, action, node) for action, node in group)
-        if beyond := wanted - self._planned:
-            _, action, node = min(beyond)
-            raise MessageError(f"act: {action} {node} before frame {frame}: the scenario does not say so (again)")
-        self._planned -= wanted
-        coming = {node for action, node in group if action == "start"}
+        requested = Counter((frame, action, node) for action, node in group)
+        if unplanned := requested - self._planned:
+            _, action, node = min(unplanned)
+            raise MessageError(f"act: {action} {node} before frame {frame}: the scenario has no such step left")
+        self._planned -= requested
+        starting = {node for action, node in group if action == "start"}
         for action, node in group:
-            if self._do(action, node, coming):
+            if self._do(action, node, starting):
                 self.done.append({"frame": frame, "action": action, "node": node})
 
     def restart(self, child: Child) -> bool:
-        """Start a node again that has ended by itself; False when that has been done too often."""
+        """Restart a node that has ended by itself; False if it was restarted too often."""
         return self._supervisor.restart(child, self._down({child.name}))
 
-    def _do(self, action: str, node: str, coming: set[str]) -> bool:
+    def _do(self, action: str, node: str, starting: set[str]) -> bool:
         child = self._supervisor.children.get(node)
         if action == "start":
-            return self._start(node, child, coming)
+            return self._start(node, child, starting)
         if child is None or child.exit is not None:
             return False
         if action == "kill":
@@ -105,42 +105,42 @@ class Steps:
             self._supervisor.connect([child])
         return True
 
-    def _start(self, node: str, child: Child | None, coming: set[str]) -> bool:
+    def _start(self, node: str, child: Child | None, starting: set[str]) -> bool:
         if child is None:
-            self._supervisor.start(node, self._nodes[node], self._down(coming))
+            self._supervisor.start(node, self._nodes[node], self._down(starting))
             return True
         if child.exit is None and not child.exit_expected:
             return False
         if not self._supervisor.wait(child, _LEAVE_GRACE_S):
             self._supervisor.kill(child)
-        child.exit_expected = True  # that it comes again is the scenario's doing, however it went
-        return self._supervisor.restart(child, self._down(coming))
+        child.exit_expected = True  # the scenario restarts it, however it ended
+        return self._supervisor.restart(child, self._down(starting))
 
-    def _down(self, coming: Sequence[str] | set[str]) -> set[str]:
-        return self._nodes.keys() - {child.name for child in self._supervisor.running()} - set(coming)
+    def _down(self, starting: Sequence[str] | set[str]) -> set[str]:
+        return self._nodes.keys() - {child.name for child in self._supervisor.running()} - set(starting)
 
 
 class StepRequests:
-    """The driver's requests for process steps, from when they come until they are done; decoded where they come."""
+    """Queue of the driver's requests for process steps, decoded on arrival."""
 
     def __init__(self, steps: Steps, signatures: Signatures, invalid: InvalidMessages) -> None:
         self._steps = steps
         self._signatures = signatures
         self._invalid = invalid
-        # Not a SimpleQueue: its `get` never returns if a signal is still being handled when the timeout is over.
+        # Not a SimpleQueue: its `get` never returns if a signal is still being handled when the timeout expires.
         self._waiting: queue.Queue[flow.Act] = queue.Queue(MAX_WAITING)
 
     def take(self, payload: bytes) -> None:
-        """Take up a request, in Zenoh's thread; one that is malformed or not signed takes no room."""
+        """Queue a request, in Zenoh's thread; refuse a malformed or unsigned one."""
         try:
             self._waiting.put_nowait(self._signatures.open("act", payload, flow.decode_act))
         except MessageError as error:
             self._invalid.note("act", error)
         except queue.Full:
-            self._invalid.note("act", f"more than {MAX_WAITING} wait")
+            self._invalid.note("act", f"more than {MAX_WAITING} requests are waiting")
 
     def serve(self, timeout_s: float, *, stopping: bool = False) -> None:
-        """Wait up to so many seconds for a request, and carry it out unless the run is to stop."""
+        """Wait up to timeout_s for a request; carry it out unless the run is stopping."""
         try:
             request = self._waiting.get(timeout=timeout_s)
         except queue.Empty:

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP: they interrupt a command, except while a run is brought to its end in good order.
+"""Ctrl-C, SIGTERM and SIGHUP: interrupt a command, or end a run in good order.
 
 Imports nothing that takes time: the command line handles signals from its first moment.
 """
@@ -15,14 +15,14 @@ from types import FrameType
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-EXIT_CODE = 130  #: mast_zenoh.errors.Interrupted's; that module is not loaded yet when a signal may come
+EXIT_CODE = 130  #: of mast_zenoh.errors.Interrupted; a signal may come before that module is loaded
 
 
 @contextmanager
 def interrupting() -> Iterator[None]:
-    """Have every stop signal raise KeyboardInterrupt in the main thread while the block lasts.
+    """Raise KeyboardInterrupt in the main thread on every stop signal in the block.
 
-    Where Python would print a KeyboardInterrupt that nothing can catch, in a finaliser say, the process ends instead.
+    Where nothing can catch it, in a finaliser for example, the process ends instead of printing it.
     """
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -31,20 +31,20 @@ def interrupting() -> Iterator[None]:
     def unraisable(error: Any) -> None:
         if isinstance(error.exc_value, KeyboardInterrupt):
             os._exit(EXIT_CODE)
-        before(error)
+        default_hook(error)
 
-    before = sys.unraisablehook
+    default_hook = sys.unraisablehook
     sys.unraisablehook = unraisable
     try:
         with _handled_by(interrupt):
             yield
     finally:
-        sys.unraisablehook = before
+        sys.unraisablehook = default_hook
 
 
 @contextmanager
-def noted() -> Iterator[list[int]]:
-    """The stop signals that come while the block lasts, instead of what they would do."""
+def collected() -> Iterator[list[int]]:
+    """Collect the stop signals that come during the block; they have no other effect."""
     received: list[int] = []
     with _handled_by(lambda number, frame: received.append(number)):
         yield received
@@ -52,19 +52,19 @@ def noted() -> Iterator[list[int]]:
 
 @contextmanager
 def second_interrupts(received: list[int]) -> Iterator[None]:
-    """Note the first stop signal in `received`, and have any other raise KeyboardInterrupt, while the block lasts."""
+    """Append stop signals to `received`; from the second on, raise KeyboardInterrupt."""
 
-    def note(number: int, frame: FrameType | None) -> None:
+    def collect(number: int, frame: FrameType | None) -> None:
         received.append(number)
         if len(received) > 1:
             raise KeyboardInterrupt(signal.Signals(number).name)
 
-    with _handled_by(note):
+    with _handled_by(collect):
         yield
 
 
-def pass_on(received: list[int]) -> None:
-    """Have the first of the noted signals do what it does outside the block in which it was noted."""
+def raise_again(received: list[int]) -> None:
+    """Raise the first of the collected signals again, now outside the block."""
     if threading.current_thread() is threading.main_thread():
         signal.raise_signal(received[0])
 
@@ -74,11 +74,11 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    # A command under nohup goes on without its terminal. SIGINT is ours also where a shell has it ignored (`mast … &`).
+    # A command under nohup outlives its terminal. SIGINT is handled also where a shell ignores it (`mast … &`).
     numbers = [n for n in SIGNALS if n != signal.SIGHUP or signal.getsignal(n) != signal.SIG_IGN]
-    before = {number: signal.signal(number, handler) for number in numbers}
+    previous_handlers = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, previous in before.items():
+        for number, previous in previous_handlers.items():
             signal.signal(number, previous)

@@ -1,4 +1,4 @@
-"""Starts, watches, restarts and ends the nodes of a run, wherever they live. Ends only what it has started."""
+"""Starts, watches, restarts and ends the nodes of a run, wherever they live."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MAX_RESTARTS = 5
 
 
 class Child(ABC):
-    """A node's process and what became of it."""
+    """A node's process and its state."""
 
     def __init__(self, name: str, spec: NodeSpec) -> None:
         self.name = name
@@ -24,7 +24,7 @@ class Child(ABC):
         self.exit_expected = False  # whether the scenario or an interception ends it
         self.handed_in = False  # whether it has given its results to the launcher
         self.paused = False
-        self.cut_off = False  # whether it has been taken off its networks
+        self.cut_off = False  # whether it is disconnected from its networks
         self.notes: list[str] = []
 
     @property
@@ -34,13 +34,14 @@ class Child(ABC):
 
     @abstractmethod
     def where(self) -> dict[str, Any]:
-        """What run.json says of where it runs, such as its process id."""
+        """Its location for run.json, such as its process id."""
 
     @property
     def ended(self) -> str:
         """How it ended, in words: "ok" only if it has handed in its results."""
-        silent = self.exit == 0 and not self.handed_in
-        return "; ".join([*self.notes, "exit code 0, but it handed in no results" if silent else how_ended(self.exit)])
+        no_results = self.exit == 0 and not self.handed_in
+        ending = "exit code 0, but it handed in no results" if no_results else how_ended(self.exit)
+        return "; ".join([*self.notes, ending])
 
 
 def how_ended(code: int | None) -> str:
@@ -52,14 +53,16 @@ def how_ended(code: int | None) -> str:
     return f"killed by signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
 
 
-#: What a supervisor makes of a node.
+#: The class of a supervisor's processes.
 C = TypeVar("C", bound=Child)
 
 
 class Supervisor(ABC, Generic[C]):
-    """The nodes of a run, by name. A subclass knows how to reach them: as processes, in containers, on other hosts.
+    """The nodes of a run, by name; ends only nodes that it has started.
 
-    without: by node, the nodes that were not up when it was last started, so that it need not wait for them
+    A subclass knows how to reach them: as processes, in containers, on other hosts.
+
+    without: by node, the nodes that were not up when it was last started, so it does not wait for them
     """
 
     def __init__(self) -> None:
@@ -68,7 +71,7 @@ class Supervisor(ABC, Generic[C]):
 
     @abstractmethod
     def start(self, name: str, spec: NodeSpec, without: Iterable[str] = ()) -> None:
-        """Start a node; `without` are the nodes that are not up, and so need not be waited for."""
+        """Start a node; `without`: the nodes that are not up, for which it does not wait."""
 
     def start_all(self, specs: Mapping[str, NodeSpec], without: Iterable[str] = ()) -> None:
         """Start several nodes."""
@@ -76,9 +79,9 @@ class Supervisor(ABC, Generic[C]):
             self.start(name, spec, without)
 
     def restart(self, child: C, without: Iterable[str] = ()) -> bool:
-        """Start a node again after it has ended; False when it has been restarted too often.
+        """Restart a node that has ended; False if it has been restarted too often.
 
-        How often the scenario starts it again is the scenario's affair.
+        The limit does not apply to restarts by the scenario.
         """
         if child.restarts >= MAX_RESTARTS and not child.exit_expected:
             return False
@@ -94,22 +97,22 @@ class Supervisor(ABC, Generic[C]):
 
     @abstractmethod
     def end_now(self, child: C) -> None:
-        """End a node at once, and wait until it has ended."""
+        """Kill a node, and wait until it has ended."""
 
     def kill(self, child: C) -> None:
-        """End a node at once, because the scenario says so."""
+        """Kill a node on behalf of the scenario."""
         child.exit_expected = True
         child.notes.append("killed by the scenario")
         self.end_now(child)
 
     def pause(self, child: C) -> None:
         """Suspend a node until it is resumed."""
-        child.paused = True  # also if it is not known whether that worked
+        child.paused = True  # set first: suspending may fail halfway
         self._suspend(child)
 
     @abstractmethod
     def _suspend(self, child: C) -> None:
-        """Suspend a node that runs."""
+        """Suspend a running node."""
 
     def resume(self, children: Iterable[C]) -> None:
         """Resume those of the nodes that are paused."""
@@ -120,27 +123,30 @@ class Supervisor(ABC, Generic[C]):
 
     @abstractmethod
     def _resume(self, children: Iterable[C]) -> None:
-        """Resume nodes that have been paused, unless they have ended since."""
+        """Resume paused nodes, unless they have ended since."""
 
     def disconnect(self, child: C) -> None:
-        """Take a node off its networks until it is connected again; raises BackendError where that cannot be done."""
-        raise BackendError(f"{child.name} has no networks of its own: only engine compose can take a node off them")
+        """Disconnect a node from its networks; raises BackendError if that is impossible."""
+        raise BackendError(f"{child.name} cannot be disconnected: only engine compose gives nodes their own networks")
 
     def connect(self, children: Iterable[C]) -> None:
-        """Put those back on their networks that have been taken off them."""
+        """Reconnect those of the nodes that have been disconnected."""
         assert not any(child.cut_off for child in children)
 
     @abstractmethod
     def wait(self, child: C, seconds: float) -> bool:
-        """Wait until a node has ended; False when it has not within so many seconds."""
+        """Wait until a node has ended; False after `seconds`."""
 
     @abstractmethod
     def dispose(self, child: C) -> None:
-        """Release what belongs to a node that has ended for good; its name may be used again."""
+        """Release the resources of a node that has ended for good; frees its name."""
 
     @abstractmethod
     def end(self, grace_s: float) -> None:
-        """End all nodes: resume and reconnect them; then ask, terminate and kill them, with a grace before each."""
+        """End all nodes: resume and reconnect, then ask, terminate and kill them.
+
+        grace_s: s to wait after each of these
+        """
 
     def newly_ended(self) -> list[C]:
         """Nodes that have ended since the last call."""
@@ -150,12 +156,12 @@ class Supervisor(ABC, Generic[C]):
         return ended
 
     def running(self) -> list[C]:
-        """Nodes that run."""
+        """Nodes that are running."""
         return [child for child in self.children.values() if child.exit is None]
 
     def to_json(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-        """The `nodes` part of run.json; `reports` are what the nodes themselves handed in."""
-        reported = ("last_frame", "cpu_s", "rejected", "first_rejected", "foreign", "failures")
+        """The `nodes` part of run.json; `reports`: what the nodes have handed in."""
+        reported_keys = ("last_frame", "cpu_s", "rejected", "first_rejected", "foreign", "failures")
         return {
             name: {
                 "role": child.spec.role,
@@ -164,7 +170,7 @@ class Supervisor(ABC, Generic[C]):
                 "ended": child.ended,
                 "restarts": child.restarts,
                 "log": f"logs/{name}.log",
-                **{key: reports.get(name, {}).get(key) for key in reported},
+                **{key: reports.get(name, {}).get(key) for key in reported_keys},
                 "invalid_control": reports.get(name, {}).get("invalid"),
                 "unsigned_control": reports.get(name, {}).get("unsigned"),
                 **{key: reports[name][key] for key in ("clock", "versions") if key in reports.get(name, {})},

@@ -17,15 +17,15 @@ from mast_zenoh.errors import RunFolderError
 
 
 class _NoPandas(MetaPathFinder):
-    """Finds no pandas, as if it were not installed."""
+    """Hides pandas, as if it were not installed."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> None:
         if fullname == "pandas":
             raise ModuleNotFoundError("pandas is not needed here", name=fullname)
 
 
-def _spare_pandas() -> None:
-    """Keep pyarrow from loading pandas, which takes 0.3 s where it is installed and is not needed here.
+def _hide_pandas() -> None:
+    """Keep pyarrow from loading pandas, which takes 0.3 s and is not needed here.
 
     pyarrow looks for pandas at its first conversion, and again when it is really needed.
     """
@@ -38,7 +38,7 @@ def _spare_pandas() -> None:
             sys.meta_path.remove(finder)
 
 
-_spare_pandas()
+_hide_pandas()
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
@@ -46,12 +46,12 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
     try:
         parquet.write_table(to_arrow(columns), path)
     except BaseException:
-        path.unlink(missing_ok=True)  # one that is cut off cannot be read
+        path.unlink(missing_ok=True)  # a truncated file cannot be read
         raise
 
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:
-    """The columns of a table that `write_table` wrote; raises RunFolderError when it is missing or broken."""
+    """Read a table as columns; raises RunFolderError if it is missing or broken."""
     try:
         return from_arrow(read_arrow(path))
     except (OSError, pyarrow.ArrowException) as error:
@@ -59,7 +59,10 @@ def read_table(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def read_arrow(path: Path) -> Any:
-    """A Parquet file as an Arrow table; raises OSError or ArrowException when it is missing or broken."""
+    """Read a Parquet file as an Arrow table.
+
+    Raises OSError or ArrowException if it is missing or broken.
+    """
     with parquet.ParquetFile(path) as file:
         return file.read()
 
@@ -68,7 +71,7 @@ def to_arrow(columns: Mapping[str, Any]) -> Any:
     """Columns as an Arrow table: text as a dictionary, a NaN as a missing value."""
 
     def arrow(values: Any) -> Any:
-        # One long text would make all of an array of text as wide.
+        # As a NumPy array of text, every item would be as wide as the longest.
         texts = isinstance(values, (list, tuple)) and any(isinstance(value, str) for value in values)
         array = np.fromiter(values, object, len(values)) if texts else np.asarray(values)
         if array.dtype.kind == "U":
@@ -76,7 +79,7 @@ def to_arrow(columns: Mapping[str, Any]) -> Any:
         if array.dtype.kind == "O":
             try:
                 column = pyarrow.array(array, pyarrow.string())
-            except (pyarrow.ArrowException, TypeError):  # not all of it is text
+            except (pyarrow.ArrowException, TypeError):  # some items are not text
                 column = pyarrow.array([str(value) for value in array], pyarrow.string())
             return column.dictionary_encode()
         return pyarrow.array(array, from_pandas=True)
@@ -85,7 +88,10 @@ def to_arrow(columns: Mapping[str, Any]) -> Any:
 
 
 def from_arrow(table: Any, rows: NDArray[Any] | slice = slice(None)) -> dict[str, NDArray[Any]]:
-    """The columns that `to_arrow` made a table of: text as arrays of str, a missing number as NaN; of these rows."""
+    """The inverse of `to_arrow`, for some rows.
+
+    Text becomes arrays of str, a missing number NaN.
+    """
     columns: dict[str, NDArray[Any]] = {}
     for name in table.column_names:
         column = table.column(name).unify_dictionaries().combine_chunks()

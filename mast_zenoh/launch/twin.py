@@ -1,4 +1,4 @@
-"""The unattacked twin of a run: the same scenario and seed without its adversaries, played in this process."""
+"""The unattacked twin of a run: same scenario and seed, without adversaries."""
 
 from __future__ import annotations
 
@@ -22,42 +22,42 @@ from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.model import Wiring
 
-#: Where it lies in the folder of its run, and what it is called.
+#: Its folder in the run folder, and its scenario's name.
 FOLDER, NAME = "twin", "unattacked"
-#: In the folder of a twin: the versions and the files of nodes and algorithms that its results depend on.
+#: In the folder of a twin: the versions and source files on which its results depend.
 SOURCES = "sources.json"
 _ATTACKERS = ("adversary", "coordinator")
 
 
 def unattacked(resolved: Resolved) -> Resolved:
-    """The scenario without adversaries, without what directs them, and without other interposers that are no links.
+    """The scenario without adversaries, coordinators and interposers other than links.
 
-    It is played in lock-step, and not recorded. Links and faults stay.
+    It plays in lock-step, without a recorder. Links and faults stay.
     """
     wiring = Wiring.from_json(resolved.wiring)
-    sitting = {name for wire in wiring.wires for name in wire.interposers}
-    gone = {
+    interposers = {name for wire in wiring.wires for name in wire.interposers}
+    removed = {
         name
         for name, spec in resolved.nodes.items()
-        if spec.role in (*_ATTACKERS, "recorder") or (name in sitting and spec.role != "link")
+        if spec.role in (*_ATTACKERS, "recorder") or (name in interposers and spec.role != "link")
     }
-    nodes = {name: spec for name, spec in resolved.nodes.items() if name not in gone}
+    nodes = {name: spec for name, spec in resolved.nodes.items() if name not in removed}
     return replace(
         resolved,
         name=NAME,
         mode="lockstep",
         nodes=nodes,
-        wiring=insertion.never_inserted(wiring, gone).to_json(),
-        timeline=tuple(each for each in resolved.timeline if each["kind"] != "attack"),
-        steps=tuple(step for step in resolved.steps if step.node not in gone),
+        wiring=insertion.never_inserted(wiring, removed).to_json(),
+        timeline=tuple(event for event in resolved.timeline if event["kind"] != "attack"),
+        steps=tuple(step for step in resolved.steps if step.node not in removed),
     )
 
 
 def of(run_folder: Path, console: Console | None = None) -> Path:
-    """The folder of the unattacked twin of a run, which is played unless it is there and up to date.
+    """The folder of the unattacked twin of a run; plays it unless it is up to date.
 
-    A twin whose handlers failed is not refused: its run.json says so.
-    Raises NotComparable when the run's scenario cannot be read, or cannot be played in one process.
+    A twin whose handlers failed is accepted: its run.json says so.
+    Raises NotComparable if the run's scenario cannot be read, or cannot be played in one process.
     """
     twin = _read(run_folder)
     sources = {"versions": version.versions(), "files": _digests(twin)}
@@ -84,7 +84,7 @@ def of(run_folder: Path, console: Console | None = None) -> Path:
 
 
 def _read(run_folder: Path) -> Resolved:
-    """The twin of the scenario of a run, with its scene where the nodes know it by name."""
+    """The twin of a run's scenario, with its scene loaded from the run folder."""
     try:
         resolved = Resolved.read(run_folder)
         recording = Recording.load(run_folder / RECORDING)
@@ -114,18 +114,18 @@ def _is_played(folder: Path, twin: Resolved) -> bool:
 
 
 def _is_up_to_date(folder: Path, sources: dict[str, Any]) -> bool:
-    """Whether a twin was played by these versions and files; files that are not here do not count."""
-    played = json_or_empty(folder / SOURCES)
-    files = played.get("files")
+    """Whether a twin was played by these versions and files, of those that exist here."""
+    played_sources = json_or_empty(folder / SOURCES)
+    files = played_sources.get("files")
     return (
-        played.get("versions") == sources["versions"]
+        played_sources.get("versions") == sources["versions"]
         and isinstance(files, dict)
-        and sources["files"].items() <= (files.items())
+        and sources["files"].items() <= files.items()
     )
 
 
 def _digests(twin: Resolved) -> dict[str, str]:
-    """By path, a digest of each file of a node or an algorithm, and of the files beside it that it may import."""
-    named = {Path(path) for path in (*(spec.file for spec in twin.nodes.values()), *twin.modules)}
-    files = {file for path in named for file in (path, *path.parent.glob("*.py")) if file.is_file()}
+    """By path, digests of the files of nodes and algorithms, and of files beside them."""
+    paths = {Path(path) for path in (*(spec.file for spec in twin.nodes.values()), *twin.modules)}
+    files = {file for path in paths for file in (path, *path.parent.glob("*.py")) if file.is_file()}
     return {str(file): hashlib.blake2b(file.read_bytes(), digest_size=20).hexdigest() for file in sorted(files)}

@@ -1,4 +1,4 @@
-"""Watches the nodes of a run on a mesh to its end: takes what they report, handles exits, has them stop."""
+"""Watches the nodes of a run on a mesh: takes reports, handles exits, stops nodes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _INTERRUPT_GRACE_S = 5.0
 class Watch:
     """The launcher's loop while nodes run.
 
-    file_server: of nodes that live elsewhere; hosts: network namespaces of nodes; None where there are none
+    file_server: for nodes that live elsewhere, else None; hosts: network namespaces of nodes, if any
     """
 
     def __init__(
@@ -65,12 +65,12 @@ class Watch:
         self._interrupts = 0  # stop signals that have been handled
 
     def run(self) -> None:
-        """Watch until every process has ended, or the grace of a run that is to stop is over."""
+        """Watch until every process has ended, or the grace period of a stop is over."""
         while self._supervisor.running():
             self._requests.serve(_POLL_S, stopping=self._stop.requested)
             self._check_file_server()
             self._context.show_refusals()
-            self._interceptions.turn()
+            self._interceptions.advance()
             self.take_reports()
             for child in self._supervisor.newly_ended():
                 self._handle_exit(child)
@@ -84,7 +84,7 @@ class Watch:
             self._display.update(self._context.frame + 1, self._states())
 
     def take_reports(self) -> None:
-        """Take what the nodes have reported: results, and failures of handlers, which are shown at once."""
+        """Take the nodes' reports: results, and failures of handlers, which are shown."""
         for report in self._reports.take():
             if report.failure is not None:
                 self._show_failure(report)
@@ -96,7 +96,7 @@ class Watch:
                     self._stop.note(problem)
 
     def _problem(self, node: str, text: str) -> RunError | None:
-        """The error that the driver's reason to stop stands for; None for the end of the scene."""
+        """The error for the driver's reason to stop; None for the end of the scene."""
         reason = decode_reason(text)
         if reason.kind is StopKind.END:
             return None
@@ -106,62 +106,62 @@ class Watch:
             return StartError(text)
         if reason.kind is StopKind.IMPLAUSIBLE:
             return ImplausibleCounts(reason.detail)
-        # If the launcher has told it to stop, there is a problem already, and this one is not noted.
+        # If the launcher asked it to stop, there is a problem already, and this one is ignored.
         return RunError(f"{node} was told to stop at frame {self._context.frame}, not by the launcher: {text!r:.80}")
 
     def _ask_to_stop(self, since: float) -> bool:
-        """Ask all nodes to stop; whether to wait no longer."""
-        # Every time, because a node that is still starting, or was cut off, has not got it before.
+        """Ask all nodes to stop; return whether the grace period is over."""
+        # Every time: a node that is still starting, or was cut off, has not received it yet.
         stop = self._context.signatures.sign("stop", self._stop.reason.encode())
         self._session.put(f"{control_prefix(self._context.run_id)}/stop", stop)
         if self._interrupts > 1:
             return True
-        self._supervisor.resume(self._supervisor.running())  # a suspended node gets no message
+        self._supervisor.resume(self._supervisor.running())  # a suspended node receives no message
         self._supervisor.connect(self._supervisor.running())
-        # A node that was taken off its networks needs the longer grace to reconnect.
+        # A disconnected node needs the longer grace period to reconnect.
         grace = _INTERRUPT_GRACE_S if self._interrupts and not self._steps.cut else _LEAVE_GRACE_S
-        busy_at = max(since, self._file_server.taken_at if self._file_server else since)
-        return time.monotonic() - busy_at > grace
+        last_activity = max(since, self._file_server.last_received_s if self._file_server else since)
+        return time.monotonic() - last_activity > grace
 
     def _check_file_server(self) -> None:
-        """End the run when the file server has died: nodes elsewhere could get nothing and hand in nothing."""
+        """End the run if the file server has died: nodes elsewhere depend on it."""
         server = self._file_server
         if server is not None and server.died and not self._stop.requested:
             self._stop.fail(
-                ServiceDied(f"the depot, which serves the nodes' files, has ended: {server.death}"),
+                ServiceDied(f"the launcher's file server has ended: {server.fatal_error}"),
                 "a service has ended",
             )
 
     def _check_network(self) -> None:
-        """End the run when its network has failed; heal the network when nodes are to stop and hand in results."""
+        """End the run if its network has failed; heal the network when nodes are to stop."""
         if self._hosts is None:
             return
-        if (what := self._hosts.problem()) and self._stop.problem is None:
-            self._stop.fail(BackendError(f"hosts: {what}"), "the network has failed")
+        if (problem := self._hosts.problem()) and self._stop.problem is None:
+            self._stop.fail(BackendError(f"hosts: {problem}"), "the network has failed")
         if self._stop.requested:
             self._hosts.heal()
 
     def _handle_exit(self, child: Child) -> None:
-        """A process has ended: as expected, or else as its node's `on_exit` says."""
+        """Handle the end of a process; if it is unexpected, as the node's `on_exit` says."""
         self.take_reports()
         if child.exit_expected or (child.exit == 0 and (child.handed_in or self._stop.requested)):
             return
-        what = f"{child.name} {child.ended} at frame {self._context.frame}"
+        event = f"{child.name} {child.ended} at frame {self._context.frame}"
         if self._context.frame < 0:
-            text = f"{child.name} ended before the first frame: {child.ended}{self._last_words(child)}"
+            text = f"{child.name} ended before the first frame: {child.ended}{self._last_log_line(child)}"
             self._stop.fail(StartError(text), "a node did not start")
         elif child.spec.on_exit == "continue":
-            self._context.show(f"[yellow]{what}; going on without it")
+            self._context.show(f"[yellow]{event}; going on without it")
         elif child.spec.on_exit == "restart" and not self._stop.requested:
-            again = self._steps.restart(child)
+            restarted = self._steps.restart(child)
             self._context.show(
-                f"[yellow]{what}; {'restarted' if again else 'restarted too often, going on without it'}"
+                f"[yellow]{event}; {'restarted' if restarted else 'restarted too often, going on without it'}"
             )
         elif self._stop.problem is None:
-            text = f"{what}; see logs/{child.name}.log{self._last_words(child)}"
+            text = f"{event}; see logs/{child.name}.log{self._last_log_line(child)}"
             self._stop.fail(NodeDied(text), "a node died")
 
-    def _last_words(self, child: Child) -> str:
+    def _last_log_line(self, child: Child) -> str:
         """The last line of a node's log."""
         log = self._context.folder / "logs" / f"{child.name}.log"
         lines = log.read_text(errors="replace").strip().splitlines()

@@ -72,7 +72,7 @@ class RunFolder:
         reader = Reader(path)
         read = reader.read
         run = read("run.json", files.json_object, "how the run and its nodes ended is not known", {})
-        run = liveness.seen_now(run)
+        run = liveness.current_record(run)
         scenario = read("scenario.json", files.json_object, "no configuration", {})
         wiring = read("wiring.json", files.json_object, "the nodes on each wire are not known", {})
         metrics = read("metrics.json", files.json_object, "no table of means", {})

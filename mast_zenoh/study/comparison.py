@@ -63,7 +63,7 @@ def run(
     def write_status(status: str) -> None:
         run_folder.write_json(folder / "study.json", {"name": study.name, "status": status, "runs": list(runs)})
 
-    with ending.written(write_status):
+    with ending.status_written(write_status):
         for label, configuration_run in resolved.items():
             finished = launcher.run(
                 configuration_run,

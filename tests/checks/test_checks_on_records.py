@@ -115,7 +115,7 @@ def test_a_copy_of_a_record_passes_all_checks(run: Run, tmp_path: Path) -> None:
     assert problems(run, tmp_path, lost()) == {}
 
 
-def test_an_agent_that_is_left_out_of_a_collation_is_found(run: Run, tmp_path: Path) -> None:
+def test_an_agent_missing_from_a_collation_is_detected(run: Run, tmp_path: Path) -> None:
     def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
         return without_agent(body, "infra_2") if frame == 30 else None
 
@@ -124,19 +124,19 @@ def test_an_agent_that_is_left_out_of_a_collation_is_found(run: Run, tmp_path: P
     assert found["collation"].startswith("frame 30: infra_2 delivered")
 
 
-def test_a_track_that_is_left_out_of_a_collation_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_track_missing_from_a_collation_is_detected(run: Run, tmp_path: Path) -> None:
     found = problems(run, tmp_path, changed("cc/collated", lambda f, body: without_row(body) if f == 30 else None))
     assert found.keys() == {"collation"}
 
 
-def test_an_agent_that_is_in_a_collation_with_old_tracks_is_found(run: Run, tmp_path: Path) -> None:
+def test_old_tracks_of_an_agent_in_a_collation_are_detected(run: Run, tmp_path: Path) -> None:
     def change(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
         return body | {"age_ns": body["age_ns"] + 100_000_000} if frame == 30 else None
 
     assert problems(run, tmp_path, changed("cc/collated", change)).keys() == {"collation"}
 
 
-def test_a_missing_batch_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_missing_batch_is_detected(run: Run, tmp_path: Path) -> None:
     found = problems(run, tmp_path, lost(("cc/collated", 30)))
     assert found.keys() == {"collation", "sequences"}
     assert "no batch" in found["collation"]
@@ -149,13 +149,13 @@ def test_a_missing_batch_is_found(run: Run, tmp_path: Path) -> None:
         *("agent/infra_1/tracks", "agent/infra_2/tracks"),
     ],
 )
-def test_a_gap_in_a_publishers_messages_is_found(run: Run, tmp_path: Path, key: str) -> None:
+def test_a_gap_in_a_publishers_messages_is_detected(run: Run, tmp_path: Path, key: str) -> None:
     found = problems(run, tmp_path, lost((key, 30)))
     assert f"{key}: 1 missing before sequence" in found["sequences"]
 
 
 @pytest.mark.parametrize("key", ["agent/infra_1/tracks/@tap/broker/0", "cc/picture/@tap/ego/0"])
-def test_a_message_lost_in_a_link_is_found(run: Run, tmp_path: Path, key: str) -> None:
+def test_a_message_lost_in_a_link_is_detected(run: Run, tmp_path: Path, key: str) -> None:
     found = problems(run, tmp_path, lost((key, 30)))
     assert found.keys() == {"sequences"}
     assert "did not forward sequence" in found["sequences"]
@@ -163,11 +163,11 @@ def test_a_message_lost_in_a_link_is_found(run: Run, tmp_path: Path, key: str) -
 
 
 @pytest.mark.parametrize("key", ["agent/infra_1/tracks/@tap/broker/0", "agent/ego/pose", "cc/picture"])
-def test_a_duplicate_message_is_found(run: Run, tmp_path: Path, key: str) -> None:
+def test_a_duplicate_message_is_detected(run: Run, tmp_path: Path, key: str) -> None:
     assert "sequences" in problems(run, tmp_path, doubled((key, 30)))
 
 
-def test_a_loss_without_a_link_report_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_loss_without_a_link_report_is_detected(run: Run, tmp_path: Path) -> None:
     """Without the reports of links, nothing explains the partition."""
     found = problems(run, tmp_path, lambda message: [] if message.message == "link_report" else [None])
     assert "link_infra_1 did not forward sequence 5 of frame 5" in found["sequences"]
@@ -181,7 +181,7 @@ def test_the_collation_check_does_not_rely_on_link_reports(run: Run, tmp_path: P
     assert checked(silent, resolved)["collation"] == checked(folder, resolved)["collation"]
 
 
-def test_a_sequence_that_restarts_without_a_restart_of_the_node_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_sequence_that_restarts_without_a_restart_of_the_node_is_detected(run: Run, tmp_path: Path) -> None:
     folder, resolved = run
     copy = rewritten(folder, resolved, tmp_path / "copy", lost())
     record = json.loads((copy / "run.json").read_text())
@@ -197,18 +197,18 @@ def astray(frame: int, body: dict[str, Any]) -> dict[str, Any] | None:
     return body | {"position": body["position"] + 3.0} if frame >= 25 else None
 
 
-def test_a_picture_that_stays_wrong_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_picture_that_stays_wrong_is_detected(run: Run, tmp_path: Path) -> None:
     found = problems(run, tmp_path, changed("cc/picture", astray))
     assert "the picture has not converged: the distance is" in found["convergence"]
     assert "2.9 s after the last heal, expected less than 0.5 m" in found["convergence"]
 
 
-def test_a_missing_picture_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_missing_picture_is_detected(run: Run, tmp_path: Path) -> None:
     found = problems(run, tmp_path, lambda m: [] if m.key == "cc/picture" and m.frame >= 40 else [None])
     assert "the distance is 5.00 m" in found["convergence"]
 
 
-def test_a_process_left_running_is_found(run: Run, tmp_path: Path) -> None:
+def test_a_process_left_running_is_detected(run: Run, tmp_path: Path) -> None:
     folder, resolved = run
     copy = rewritten(folder, resolved, tmp_path / "copy", lost())
     record = json.loads((copy / "run.json").read_text()) | {"runtime": "mesh"}
@@ -285,12 +285,12 @@ def test_the_reference_is_the_picture_of_the_run_without_links_and_faults(run: R
 def test_the_reference_has_no_links_and_those_of_a_users_map_have_no_rules() -> None:
     resolved = resolve(*scenario(faults=FAULTS), frames=20, record=True)
     assert {spec.role for spec in resolved.nodes.values()} >= {"link", "recorder", "evaluator"}
-    found = reference.unfaulted(resolved)
+    found = reference.without_faults(resolved)
     assert not {spec.role for spec in found.nodes.values()} & {"link", "recorder", "evaluator"}
     assert (found.steps, found.timeline) == ((), ())
     rewrite = dict(insert=[dict(wire="cc/picture", role="link", input="picture", output="picture_out")])
     bad = dict(role="link", rules_down=[dict(type="Loss", probability=0.5)])
-    own = reference.unfaulted(
+    own = reference.without_faults(
         resolve(*scenario(nodes=dict(bad=bad), keyexpr=dict(rewrites=[rewrite])), frames=3, record=True)
     )
     assert own.nodes["bad"].config["rules_down"] == []
@@ -320,5 +320,5 @@ def test_the_distance_counts_missing_and_displaced_objects() -> None:
     grid = np.array([[10.0 * i, 0.0, 0.0] for i in range(10)])
     pictures = {0: grid, 1: grid[1:], 2: grid + np.array([1.0, 0.0, 0.0]), 3: np.zeros((0, 3))}
     expected = dict.fromkeys(range(5), grid)
-    found = convergence.between(expected, pictures, np.arange(5))
+    found = convergence.distance_between(expected, pictures, np.arange(5))
     assert found == pytest.approx([0.0, 0.5, 1.0, 5.0, 5.0])

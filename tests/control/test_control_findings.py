@@ -389,7 +389,7 @@ def file_server(tmp_path: Path, context: RunContext) -> Any:
     made = FileServer(
         MagicMock(), "x", tmp_path, lambda: RESOLVED, lambda node: [], lambda error: None, context.invalid
     )
-    made._kept["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
+    made._contents["ego"] = {"mine": b"content", "file": tmp_path / "scenario.json"}
     yield made
     made.close()
 
@@ -433,7 +433,7 @@ def test_an_unexpected_error_costs_one_query(
     def fail(*_: object) -> None:
         raise OverflowError("no such number")
 
-    monkeypatch.setattr(file_server, "_give", fail)
+    monkeypatch.setattr(file_server, "_answer", fail)
     kind, (_, said) = answered(file_server, "fetch", "ego", encode({"do": "clock"}))
     assert (kind, said) == ("error", "OverflowError: no such number")
     assert context.invalid.counts == {"fetch/ego": 1}
@@ -454,11 +454,11 @@ def test_a_file_server_that_has_died_ends_the_run_and_is_named(
     watch._check_file_server()
     assert context.stop.problem is None
     monkeypatch.setattr(file_server, "_refuse", MagicMock(side_effect=SystemExit))
-    file_server._asked.put((MagicMock(key_expr="mast/x/@control/file/ego"), None, 0))
+    file_server._requests.put((MagicMock(key_expr="mast/x/@control/file/ego"), None, 0))
     file_server._thread.join(10.0)
     watch._check_file_server()
     assert isinstance(context.stop.problem, ServiceDied)
-    assert "the depot, which serves the nodes' files, has ended: SystemExit" in str(context.stop.problem)
+    assert "the launcher's file server has ended: SystemExit" in str(context.stop.problem)
     assert context.stop.requested
 
 
@@ -517,7 +517,7 @@ def test_what_is_too_long_for_its_kind_does_not_wait_at_the_file_server(
     file_server: FileServer, context: RunContext, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits = MagicMock()
-    monkeypatch.setattr(file_server, "_asked", MagicMock(put=waits))
+    monkeypatch.setattr(file_server, "_requests", MagicMock(put=waits))
     query = Query(f"{what}/ego", bytes(CONTROLS[what].max_bytes + 1))
     file_server._on_query(query)  # type: ignore[arg-type]
     assert query.dropped
@@ -536,4 +536,4 @@ def test_an_oversized_failure_is_not_queued_at_the_launcher(context: RunContext)
     reports = Reports(MagicMock(), "mast/x/@control", {"ego": MagicMock()}, context.invalid)
     reports._on_failed(sample("failed/ego", bytes(CONTROLS["failed"].max_bytes + 1)))
     assert context.invalid.counts == {"failed/ego": 1}
-    assert reports._came.empty()
+    assert reports._queue.empty()

@@ -45,8 +45,8 @@ def test_malformed_requests_take_no_room_from_valid_ones(context: RunContext) ->
 def test_malformed_queries_take_no_room_from_valid_ones(
     file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    go_on, give = threading.Event(), file_server._give
-    monkeypatch.setattr(file_server, "_give", lambda *asked: go_on.wait(10.0) and give(*asked))
+    go_on, give = threading.Event(), file_server._answer
+    monkeypatch.setattr(file_server, "_answer", lambda *asked: go_on.wait(10.0) and give(*asked))
     clock = encode({"do": "clock"})
     asked = [Query(f"{what}/ego", payload) for what in ("fetch", "file") for payload in [clock, *RUBBISH * 4]]
     for query in [*asked, last := Query("fetch/ego", clock)]:

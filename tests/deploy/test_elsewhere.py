@@ -133,6 +133,6 @@ def test_arrivals_on_a_clock_that_is_ahead_count_from_the_launchers() -> None:
         "evaluator": {"arrived_ns": {"cc/picture": {0: 9_000_000}}, "clock": {"offset_ms": -2.5, "round_trip_ms": 0.1}},
         "ego": {"arrived_ns": {"clock": {0: 5}}},
     }
-    sent, arrived = latency.by_one_clock(outcomes)
+    sent, arrived = latency.on_launcher_clock(outcomes)
     assert sent == {0: 0}
     assert arrived == {"simulator": {}, "evaluator": {"cc/picture": {0: 11_500_000}}, "ego": {"clock": {0: 5}}}

@@ -20,7 +20,7 @@ from mast_zenoh.deploy.compose import document
 from mast_zenoh.deploy.compose.containers import connected_as
 from mast_zenoh.errors import BackendError, ConfigurationError, DiskFull, EngineError, RunError
 from mast_zenoh.launch import run
-from mast_zenoh.launch.file_server import files_for_node, with_neighbours
+from mast_zenoh.launch.file_server import files_for_node, with_local_imports
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.runtime.file_client import _below, written_by
 
@@ -211,7 +211,7 @@ def test_a_node_gets_its_own_file_with_what_it_imports_and_nobody_elses(tmp_path
     (tmp_path / "package").mkdir()
     for name in ("__init__", "inside"):
         (tmp_path / "package" / f"{name}.py").write_text("")
-    names = {path.relative_to(tmp_path).as_posix() for path in with_neighbours(tmp_path / "mine.py")}
+    names = {path.relative_to(tmp_path).as_posix() for path in with_local_imports(tmp_path / "mine.py")}
     assert names == {"mine.py", "near.py", "further.py", "package/__init__.py", "package/inside.py"}
 
 

@@ -38,7 +38,7 @@ def test_a_run_that_equals_the_undisturbed_one_is_sound(runs: list[Path]) -> Non
     assert stopped._judge(runs[1], runs[0], 0, "") == ("ok, exit code 0: equal", [])
 
 
-def test_a_run_that_differs_must_say_so(runs: list[Path]) -> None:
+def test_a_run_that_differs_must_report_it(runs: list[Path]) -> None:
     how, broken = stopped._judge(runs[2], runs[0], 0, "")
     assert how == "ok, exit code 0: not equal"
     assert "first difference" in broken[0] or "frame 0" in broken[0]
@@ -55,14 +55,14 @@ def test_a_run_that_is_ok_has_no_churn_and_no_traceback(runs: list[Path]) -> Non
     assert stopped._judge(runs[1], runs[0], 0, "")[1]
 
 
-def test_a_plan_follows_from_its_number_and_every_scenario_has_its_turn() -> None:
+def test_a_plan_follows_from_its_number_and_covers_every_scenario() -> None:
     plans = [stopped.Plan.draw(0, number) for number in range(12)]
     assert plans == [stopped.Plan.draw(0, number) for number in range(12)]
     assert {plan.scenario for plan in plans} == stopped.SCENARIOS.keys()
     assert all(0.5 <= stop.for_s <= 10.0 for plan in plans for stop in plan.stops)
 
 
-def test_what_is_said_of_a_recording_must_be_so(runs: list[Path]) -> None:
+def test_claims_about_a_recording_must_be_true(runs: list[Path]) -> None:
     def judged(run: Path, status: str, **said: object) -> list[str]:
         record = json.loads((run / "run.json").read_text())
         return endings._wrongly_told({**record, **said}, status, run, runs[0])

@@ -73,7 +73,7 @@ def test_a_signal_before_the_run_folder_exists_leaves_nothing(out: Path) -> None
     assert not out.exists()
 
 
-def test_a_signal_while_the_command_line_is_imported_is_answered_in_one_line(out: Path) -> None:
+def test_a_signal_during_import_of_the_command_line_prints_one_line(out: Path) -> None:
     script = (
         "import sys, signal\n"
         "from mast_zenoh import __main__ as process\n"
@@ -102,7 +102,7 @@ with mock.patch("mast_zenoh.scenario.resolve", make) if when == "resolving" else
 
 
 @pytest.mark.parametrize("when", ["mast_zenoh.launch.stop_signals", "mast_zenoh.cli.app", "resolving"])
-def test_a_signal_while_a_class_is_made_is_answered_in_one_line(out: Path, when: str) -> None:
+def test_a_signal_while_a_class_is_created_prints_one_line(out: Path, when: str) -> None:
     """Python 3.11 turns an exception in `__set_name__` into a RuntimeError."""
     ended = Ended(out, (sys.executable, "-c", INTERRUPTED_CLASS, when, *RUN))
     ended.is_as(ending("signal before the run folder exists"))
@@ -126,13 +126,13 @@ def test_a_second_signal_while_the_scene_is_played(out: Path, names: tuple[str, 
 
 
 @pytest.mark.parametrize("names", [("SIGTERM",), ("SIGINT", "SIGTERM")])
-def test_a_signal_while_results_are_collected_costs_the_report(out: Path, names: tuple[str, ...]) -> None:
+def test_a_signal_while_results_are_collected_skips_the_report(out: Path, names: tuple[str, ...]) -> None:
     Ended(out, at("collecting", *names, run=with_report())).is_as(ending("signal while results are collected"))
     assert (out / "metrics.parquet").is_file()
     assert not (out / "report.html").exists()
 
 
-def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path) -> None:
+def test_a_signal_while_the_report_is_drawn_skips_the_report(out: Path) -> None:
     ended = Ended(out, at("reporting", "SIGINT", run=with_report()))
     ended.is_as(ending("signal while the report is drawn"))
     assert f"mast report {out}" in ended.text.replace("\n", "")
@@ -150,7 +150,7 @@ def test_a_signal_while_the_report_is_drawn_costs_the_report(out: Path) -> None:
         ("reporting", "launcher killed while the report is drawn"),
     ],
 )
-def test_a_launcher_killed_at_any_stage_leaves_what_can_be_read(out: Path, stage: str, what: str) -> None:
+def test_a_launcher_killed_at_any_stage_leaves_a_readable_run_folder(out: Path, stage: str, what: str) -> None:
     Ended(out, at(stage, "SIGKILL", run=with_report())).is_as(ending(what))
     assert out.exists() == (stage != "loading")
     if stage in ("playing", "collecting", "reporting"):
@@ -168,7 +168,7 @@ def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:
     ("stream", "what"),
     [("stdout", "reader of standard output gone (`head -0`)"), ("stderr", "reader of standard error gone")],
 )
-def test_a_reader_that_is_gone_costs_no_run(out: Path, stream: str, what: str) -> None:
+def test_a_closed_pipe_does_not_fail_the_run(out: Path, stream: str, what: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:
@@ -179,7 +179,9 @@ def test_a_reader_that_is_gone_costs_no_run(out: Path, stream: str, what: str) -
 
 
 @pytest.mark.parametrize("descriptors", [(1,), (2,), (0, 1, 2)])
-def test_a_closed_stream_costs_no_run_and_its_number_is_given_to_no_file(out: Path, descriptors: tuple[int]) -> None:
+def test_a_closed_stream_does_not_fail_the_run_and_its_descriptor_is_not_reused(
+    out: Path, descriptors: tuple[int]
+) -> None:
     ended = Ended(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
     ended.is_as(ending("standard output or error closed (`>&-`)"))
 
@@ -191,14 +193,14 @@ def test_standard_output_on_a_full_disk_is_an_error_but_the_run_is_kept(out: Pat
     assert "standard output: No space left on device" in ended.text
 
 
-def test_a_disk_that_is_full_from_the_beginning_leaves_no_run_folder(out: Path) -> None:
+def test_a_disk_that_is_full_from_the_start_leaves_no_run_folder(out: Path) -> None:
     ended = Ended(out, (*MAST, *RUN), preexec_fn=no_larger_than(1 << 17))
     ended.is_as(ending("disk full while the run folder is made"))
     assert f"error: DiskFull: {out}: File too large: a run cannot begin there" in " ".join(ended.text.split())
     assert not any(out.iterdir())
 
 
-def test_a_recording_that_outgrows_the_disk_fails_the_run_and_keeps_its_results(out: Path) -> None:
+def test_a_recording_that_fills_the_disk_fails_the_run_but_keeps_its_results(out: Path) -> None:
     command = [word if word != "30" else "120" for word in (*MAST, *RUN)]
     ended = Ended(out, command, preexec_fn=no_larger_than(2_200_000))
     ended.is_as(ending("disk full while the scene is played"))
@@ -216,7 +218,7 @@ def test_a_recording_that_outgrows_the_disk_fails_the_run_and_keeps_its_results(
         ("reporting", "disk full while the report is drawn"),
     ],
 )
-def test_a_disk_without_a_byte_left(tiny_disk: Path, stage: str, what: str) -> None:
+def test_a_run_on_a_completely_full_disk(tiny_disk: Path, stage: str, what: str) -> None:
     out = tiny_disk / "run"
     ended = Ended(out, at(stage, str(tiny_disk / "others.bin"), run=with_report()))
     ended.is_as(ending(what))
@@ -225,7 +227,7 @@ def test_a_disk_without_a_byte_left(tiny_disk: Path, stage: str, what: str) -> N
     assert not whole, "a table is there whole or not at all"
 
 
-def test_a_run_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_a_run_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("a file")
     done = subprocess.run([*MAST, *RUN[:-1]], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == ending("run folder cannot be made").code
@@ -234,7 +236,7 @@ def test_a_run_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../evil", "a/b", "/tmp/evil", "..", "", "a*b", 7])
-def test_a_scenario_s_name_does_not_leave_runs(tmp_path: Path, name: object) -> None:
+def test_a_scenario_name_cannot_lead_outside_runs(tmp_path: Path, name: object) -> None:
     (tmp_path / "named.py").write_text(
         "from mast_zenoh.config import loading\n"
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
@@ -247,7 +249,7 @@ def test_a_scenario_s_name_does_not_leave_runs(tmp_path: Path, name: object) -> 
     assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"named.py"}
 
 
-def test_a_defect_is_shown_with_its_traceback_and_the_run_says_that_it_failed(out: Path) -> None:
+def test_a_defect_is_shown_with_its_traceback_and_the_run_is_failed(out: Path) -> None:
     script = (
         "from mast_zenoh.launch import conclusion\n"
         "conclusion.write = lambda *_: 1 / 0\n"
@@ -267,7 +269,7 @@ def test_a_report_needs_no_screen_and_no_valid_mplbackend(out: Path, backend: st
 
 
 @pytest.mark.parametrize("utf8", ["0", "1"])
-def test_a_path_that_the_locale_has_no_letters_for(tmp_path: Path, utf8: str) -> None:
+def test_a_path_that_the_locale_cannot_encode(tmp_path: Path, utf8: str) -> None:
     file = tmp_path / "Kreuzung_größer.py"
     file.write_text(
         "from mast_zenoh.config import loading\n_, scenario = loading.function('scenarios', 'baseline', 'scenario')\n"
@@ -278,7 +280,7 @@ def test_a_path_that_the_locale_has_no_letters_for(tmp_path: Path, utf8: str) ->
     assert (ended.out / "report.html").is_file()
 
 
-def test_runs_that_end_at_random_keep_the_promises_of_the_table() -> None:
+def test_runs_that_end_at_random_times_match_the_table() -> None:
     tool = Path(__file__).parents[2] / "tools" / "endings.py"
     command = [sys.executable, str(tool), "--runs", "4", "--seed", "12", "--runtime", "inproc"]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -292,7 +294,7 @@ def test_every_row_of_the_table_has_a_test() -> None:
     assert not [what for what in rows if f'"{what}"' not in tests]
 
 
-def test_a_study_that_is_stopped_says_so(tmp_path: Path) -> None:
+def test_a_stopped_study_is_marked_as_interrupted(tmp_path: Path) -> None:
     command = (*STAGED, "collecting", "SIGTERM", "--", "study", "case_study", "--runtime", "inproc", "--frames", "4")
     ended = Ended(tmp_path / "study", (*command, "--out"))
     assert ended.code == 130, ended.text

@@ -78,7 +78,7 @@ def concluded(node: str, payload: bytes, out: Path, secure: str = "open") -> dic
     return record
 
 
-def test_above_the_level_open_no_node_can_claim_to_have_obeyed_what_was_not_signed(tmp_path: Path) -> None:
+def test_above_level_open_reports_of_obeyed_unsigned_messages_are_ignored(tmp_path: Path) -> None:
     (claim,) = (outcome for outcome in false_results(at("infra_1")) if outcome["unsigned"] > 10**6)
     claimed, secured = (concluded("infra_1", results.pack(claim), tmp_path / at, at) for at in ("open", "acl"))
     assert claimed["unsigned_control"] == claimed["nodes"]["infra_1"]["unsigned_control"] == claim["unsigned"]
@@ -86,7 +86,7 @@ def test_above_the_level_open_no_node_can_claim_to_have_obeyed_what_was_not_sign
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_the_launcher_concludes_a_run_whatever_one_node_hands_in(tmp_path: Path, node: str) -> None:
+def test_the_launcher_concludes_a_run_whatever_results_one_node_returns(tmp_path: Path, node: str) -> None:
     payloads = [results.pack(outcome) for outcome in false_results(at(node))]
     payloads += [forgery.payload for forgery in forgeries("result", at(node), 90) if forgery.sender == node]
     taken = [payload for payload in payloads if not refused("result", node, payload)]
@@ -103,7 +103,7 @@ def test_the_launcher_concludes_a_run_whatever_one_node_hands_in(tmp_path: Path,
             path.unlink()
 
 
-def test_a_report_is_written_of_whatever_the_evaluator_hands_in_or_says_why_it_is_not(tmp_path: Path) -> None:
+def test_a_report_is_written_for_any_evaluator_results_or_its_error_is_explained(tmp_path: Path) -> None:
     written, refusals, console = 0, 0, Console(file=StringIO())
     for number, outcome in enumerate(false_results(at("evaluator"))):
         payload = results.pack(outcome)

@@ -61,13 +61,13 @@ def test_the_error_and_run_json_name_node_handler_frames_exception_and_line(
     assert not any(each["failures"] for other, each in record["nodes"].items() if other != node)
 
 
-def test_results_are_written_all_the_same(tmp_path: Path) -> None:
+def test_results_are_written_despite_a_handler_failure(tmp_path: Path) -> None:
     ended = played("attack", tmp_path)
     assert json.loads((ended.folder / "metrics.json").read_text())["frames"] == 12
     assert (ended.folder / "messages.mcap").is_file()
 
 
-def test_allowed_failures_are_kept_but_end_nothing(tmp_path: Path) -> None:
+def test_allowed_failures_are_recorded_but_do_not_fail_the_run(tmp_path: Path) -> None:
     ended = played("attack", tmp_path, allow_failures=True)
     assert ended.error is None
     record = json.loads((ended.folder / "run.json").read_text())
@@ -75,7 +75,7 @@ def test_allowed_failures_are_kept_but_end_nothing(tmp_path: Path) -> None:
     assert record["nodes"]["eve"]["failures"][0]["count"] == 7
 
 
-def test_another_error_is_named_first_and_the_failures_are_kept(
+def test_another_error_takes_precedence_and_the_failures_are_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     world = resolved("attack", tmp_path)
@@ -95,7 +95,7 @@ def test_another_error_is_named_first_and_the_failures_are_kept(
 
 
 @pytest.mark.parametrize("allowed", [False, True])
-def test_the_report_has_a_banner_red_or_if_allowed_amber(tmp_path: Path, allowed: bool) -> None:
+def test_the_report_has_a_red_banner_or_an_amber_one_for_allowed_failures(tmp_path: Path, allowed: bool) -> None:
     page = write_report(played("attack", tmp_path, allow_failures=allowed).folder).read_text()
     kind = "note mild" if allowed else "note"
     banner = page.partition(f'<div class="{kind}" role="alert">')[2].partition("</div>")[0]
@@ -113,7 +113,7 @@ def test_the_page_of_a_study_has_the_banner_on_top(tmp_path: Path) -> None:
     assert page.index('role="alert"') < page.index('id="scores"')
 
 
-def test_a_run_without_failures_has_none_of_this(tmp_path: Path) -> None:
+def test_a_run_without_failures_has_no_banner_and_no_error(tmp_path: Path) -> None:
     ended = played("second", tmp_path)
     assert ended.error is None
     assert ended.record["status"] == "ok"
@@ -132,7 +132,7 @@ def test_a_run_with_links_is_checked_although_handlers_failed(tmp_path: Path) ->
     assert found["sequences"]["values"].get("checked", True), "the run came to its end, so its record is complete"
 
 
-def test_a_metric_that_fails_is_named_with_its_line_and_costs_no_other_number(tmp_path: Path) -> None:
+def test_a_failing_metric_is_named_with_its_line_and_leaves_the_others_unchanged(tmp_path: Path) -> None:
     ended = played("metric", tmp_path)
     assert isinstance(ended.error, HandlerFailed)
     record = json.loads((ended.folder / "run.json").read_text())

@@ -61,7 +61,7 @@ def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], rol
     return str(path)
 
 
-def test_our_adversary_gets_the_wire_the_clock_and_its_agents_pose_and_a_key_to_report_on(resolved: Resolved) -> None:
+def test_an_adversary_gets_the_wire_the_clock_its_agents_pose_and_a_report_key(resolved: Resolved) -> None:
     name, spec, place = plan(resolved, TRACKS, "adversary.py", settings=ATTACK)
     assert (name, spec.role, spec.on_exit) == ("adversary_1", "adversary", "continue")
     assert resolved.recording is not None
@@ -77,7 +77,7 @@ def test_our_adversary_gets_the_wire_the_clock_and_its_agents_pose_and_a_key_to_
     assert place_of(json.loads(json.dumps(place_json(place)))) == place
 
 
-def test_our_adversary_on_the_picture_hears_the_pose_of_the_agent_that_it_is_told_to_deceive(
+def test_an_adversary_on_the_picture_hears_the_pose_of_its_target_agent(
     resolved: Resolved,
 ) -> None:
     settings = ("attack.type=PassThrough", "agent=ego")
@@ -86,7 +86,7 @@ def test_our_adversary_on_the_picture_hears_the_pose_of_the_agent_that_it_is_tol
     assert place.hears == {"clock": "clock", "agent/ego/pose": "pose"}
 
 
-def test_ports_are_named_where_several_fit(resolved: Resolved, tmp_path: Path) -> None:
+def test_a_port_must_be_named_if_several_match(resolved: Resolved, tmp_path: Path) -> None:
     two = node_file(tmp_path, {"a": "tracks", "b": "tracks"}, {"out": "tracks"})
     with pytest.raises(NodeFileError, match="the inputs a, b: say which by --input"):
         plan(resolved, TRACKS, two)
@@ -103,7 +103,7 @@ def test_ports_are_named_where_several_fit(resolved: Resolved, tmp_path: Path) -
         (dict(wire="agent/infra_1/trcks"), WiringError, "did you mean 'agent/infra_1/tracks'"),
         (dict(file="adversry.py"), NodeFileError, "did you mean 'adversary.py'"),
         (dict(file="recorder.py"), MastError, "log"),
-        (dict(name="broker"), ConfigurationError, "there is a node 'broker' already"),
+        (dict(name="broker"), ConfigurationError, "node 'broker' already exists"),
         (dict(name="a/b"), WiringError, "one chunk of a key expression"),
         (dict(settings=()), ConfigurationError, "attack"),
         (dict(settings=(*ATTACK, "attack.start=1")), ConfigurationError, "did you mean 'start_s'"),
@@ -111,7 +111,7 @@ def test_ports_are_named_where_several_fit(resolved: Resolved, tmp_path: Path) -
         (dict(settings=("attack=1", "attack.type=x")), ConfigurationError, "attack is 1, not a dict"),
     ],
 )
-def test_what_is_wrong_is_refused_with_the_nearest_choice(
+def test_an_invalid_request_is_refused_with_the_nearest_valid_choice(
     resolved: Resolved, arguments: dict[str, Any], error: type[MastError], what: str
 ) -> None:
     with pytest.raises(error, match=what):
@@ -127,7 +127,7 @@ def test_settings_reach_into_dicts_and_are_typed() -> None:
     }
 
 
-def test_only_a_request_made_with_the_secret_is_taken_and_no_two_are_the_same() -> None:
+def test_only_requests_sealed_with_the_secret_are_accepted_and_each_is_unique() -> None:
     request = {"do": "release", "name": "m"}
     sealed = seal(request, b"secret")
     assert unseal(sealed, b"secret").items() >= request.items()
@@ -142,7 +142,7 @@ def test_only_a_request_made_with_the_secret_is_taken_and_no_two_are_the_same() 
 @given(
     st.binary(max_size=200) | st.recursive(st.none() | st.integers(0, 2**63) | st.text(), st.lists).map(msgpack.packb)
 )
-def test_bytes_of_strangers_are_no_request(payload: bytes) -> None:
+def test_arbitrary_bytes_are_refused_as_a_request(payload: bytes) -> None:
     with pytest.raises(MessageError):
         unseal(payload, b"secret")
 
@@ -153,7 +153,7 @@ def test_bytes_of_strangers_are_no_request(payload: bytes) -> None:
         (dict(status="ok", runtime="mesh"), "the run is over: ok"),
         (dict(status="running", runtime="inproc"), "plays in one process"),
         (dict(status="running", runtime="mesh", security="mtls", endpoint="tcp/127.0.0.1:1"), "security level mtls"),
-        (dict(status="running", runtime="mesh"), "not on its way yet"),
+        (dict(status="running", runtime="mesh"), "has not started its nodes yet"),
     ],
 )
 def test_a_run_that_cannot_be_changed_says_why(tmp_path: Path, record: dict[str, str], what: str) -> None:

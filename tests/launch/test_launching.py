@@ -10,9 +10,9 @@ from mast_zenoh.launch.steps import StepRequests
 from mast_zenoh.launch.watch import _POLL_S
 
 
-def test_a_signal_that_is_noted_slowly_does_not_hold_up_the_launcher() -> None:
+def test_a_slow_signal_handler_does_not_block_the_launcher() -> None:
     requests = StepRequests(MagicMock(), MagicMock(), MagicMock())
-    with stop_signals.noted() as received:
+    with stop_signals.collected() as received:
 
         def note(number: int, _: object) -> None:
             threading.Event().wait(2 * _POLL_S)

@@ -34,7 +34,7 @@ def other() -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
         process.kill()
 
 
-def test_a_process_lives_until_it_is_killed_also_if_nobody_has_collected_it(other) -> None:
+def test_a_zombie_process_counts_as_dead(other) -> None:
     process, identity = other
     assert liveness.lives(identity)
     process.kill()
@@ -42,7 +42,7 @@ def test_a_process_lives_until_it_is_killed_also_if_nobody_has_collected_it(othe
     assert liveness.lives(identity) is False
 
 
-def test_a_later_process_of_the_same_number_is_another(other) -> None:
+def test_a_later_process_with_the_same_id_is_told_apart(other) -> None:
     _, identity = other
     assert liveness.lives(identity | {"began": "1"}) is False
 
@@ -51,22 +51,22 @@ def test_a_later_process_of_the_same_number_is_another(other) -> None:
     ("elsewhere", "lives"),
     [({"machine": "another"}, None), ({"pid_namespace": "pid:[1]"}, None), ({"boot": "yesterday"}, False)],
 )
-def test_what_lives_elsewhere_cannot_be_told_but_nothing_outlives_its_machine(elsewhere, lives) -> None:
+def test_liveness_on_another_machine_is_unknown_but_a_reboot_ends_every_process(elsewhere, lives) -> None:
     assert liveness.lives(liveness.identity()) is True
     assert liveness.lives(liveness.identity() | elsewhere) is lives
 
 
 @pytest.mark.parametrize("launcher", [None, {}, {"pid": "x"}, "someone", [1]])
-def test_a_record_that_does_not_say_who_launched_it_is_taken_at_its_word(launcher: object) -> None:
-    assert liveness.seen_now({"status": "running", "launcher": launcher})["status"] == "running"
+def test_a_record_without_a_launcher_keeps_its_status(launcher: object) -> None:
+    assert liveness.current_record({"status": "running", "launcher": launcher})["status"] == "running"
 
 
-def test_a_run_that_has_ended_is_not_killed_when_its_launcher_has_gone() -> None:
+def test_a_finished_run_is_not_reported_as_killed() -> None:
     dead = liveness.identity() | {"began": "1"}
-    assert liveness.seen_now({"status": "ok", "launcher": dead})["status"] == "ok"
+    assert liveness.current_record({"status": "ok", "launcher": dead})["status"] == "ok"
 
 
-def test_every_tool_that_reads_the_folder_says_that_the_run_was_killed(tmp_path: Path) -> None:
+def test_every_tool_that_reads_the_folder_reports_a_killed_run(tmp_path: Path) -> None:
     record = {"id": "a-1", "status": "running", "runtime": "mesh", "launcher": liveness.identity()}
     folder.write_json(tmp_path / "run.json", record)
     assert RunFolder.load(tmp_path).run["status"] == "running"

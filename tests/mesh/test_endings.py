@@ -18,7 +18,7 @@ from endings_table import ending
 from held_back import allow
 from launched import MAST, Launched, Observer, alive, eventually
 
-from mast_zenoh.launch.liveness import seen_now
+from mast_zenoh.launch.liveness import current_record
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 
@@ -210,7 +210,7 @@ def test_a_launcher_killed_at_any_stage_takes_its_nodes_with_it(
         return [p for p in processes if p.info["status"] != ended and str(run.out) in (p.info["cmdline"] or ())]
 
     eventually(lambda: not left(), "all nodes have left", seconds=20.0)
-    assert stage == "starting" or seen_now(run.record())["status"] == "killed"
+    assert stage == "starting" or current_record(run.record())["status"] == "killed"
     if (run.out / "messages.mcap").is_file():
         list(read(run.out))
 

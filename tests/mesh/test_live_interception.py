@@ -219,7 +219,7 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(going, tmp_path: Pat
         client.intercept(run.out, "cc/picture", RELAY)
     with pytest.raises(ConfigurationError, match=r"keep.*did you mean 'keeps'"):
         client.intercept(run.out, TRACKS, RELAY, settings=("keep=True",))
-    with pytest.raises(ConfigurationError, match="there is a node 'broker' already"):
+    with pytest.raises(ConfigurationError, match="node 'broker' already exists"):
         client.intercept(run.out, TRACKS, RELAY, name="broker")
     with pytest.raises(StartError, match=r"exit code 1.*logs/stillborn_1\.log"):
         client.intercept(run.out, TRACKS, str(tmp_path / "stillborn.py"))
@@ -227,7 +227,7 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(going, tmp_path: Pat
         client.release(run.out, name="mallory")
     secret = (run.out / "control.key").read_bytes()
     (run.out / "control.key").write_bytes(b"guessed")
-    with pytest.raises(Exception, match="not made with this run's secret"):
+    with pytest.raises(Exception, match="not sealed with this run's secret"):
         client.intercept(run.out, TRACKS, RELAY)
     (run.out / "control.key").write_bytes(secret)
     assert (run.out / "wiring.json").read_text() == wiring

@@ -77,12 +77,12 @@ def arrived(far: socket.socket) -> list[bytes]:
 def test_a_packet_leaves_when_its_delay_is_over_and_not_before(path) -> None:
     near, direction, far = path
     near.send(b"one")
-    direction.take(0.02, 0.0)
+    direction.receive(0.02, 0.0)
     path_time[0] = 0.0199
-    direction.pass_on()
+    direction.forward()
     assert arrived(far) == []
     path_time[0] = 0.0201
-    direction.pass_on()
+    direction.forward()
     assert arrived(far) == [b"one"]
 
 
@@ -93,14 +93,14 @@ def test_packets_do_not_overtake_each_other_whatever_the_jitter(path) -> None:
         path_time[0] = number * 0.001
         sent.append(b"%d" % number)
         near.send(sent[-1])
-        direction.take(0.005, 0.005)
+        direction.receive(0.005, 0.005)
     waits = [due - number * 0.001 for number, (due, _) in enumerate(direction.waiting)]
     assert len(set(waits)) > 1, "there is jitter"
     assert max(waits) <= 0.0101
     got = []
     while direction.waiting:
         path_time[0] += 0.001
-        direction.pass_on()
+        direction.forward()
         got += arrived(far)
     assert got == sent
 
@@ -109,19 +109,19 @@ def test_a_delay_that_shrinks_does_not_let_the_later_packet_go_first(path) -> No
     near, direction, far = path
     for packet, delay_s in ((b"slow", 1.0), (b"quick", 0.0)):
         near.send(packet)
-        direction.take(delay_s, 0.0)
-    direction.pass_on()
+        direction.receive(delay_s, 0.0)
+    direction.forward()
     assert arrived(far) == []
     path_time[0] = 1.0
-    direction.pass_on()
+    direction.forward()
     assert arrived(far) == [b"slow", b"quick"]
 
 
 def test_more_than_fits_under_way_is_dropped(path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(relay, "_UNDER_WAY", 3)
+    monkeypatch.setattr(relay, "_MAX_QUEUED", 3)
     near, direction, far = path
     for number in range(5):
         near.send(b"%d" % number)
-    direction.take(0.0, 0.0)
-    direction.pass_on()
+    direction.receive(0.0, 0.0)
+    direction.forward()
     assert arrived(far) == [b"0", b"1", b"2"]

@@ -25,9 +25,9 @@ def came(key: str, *ms: float) -> dict[str, dict[int, int]]:
 
 
 def test_percentiles_are_of_the_frames_that_were_sent_and_came() -> None:
-    found = latency.between(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
+    found = latency.percentiles(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
     assert found == {"p50": 6.0, "p95": pytest.approx(6.9), "p99": pytest.approx(6.98), "n": 2}
-    assert latency.between(SENT, {}) == {}
+    assert latency.percentiles(SENT, {}) == {}
 
 
 def test_of_a_wires_subscribers_the_first_that_says_something_counts() -> None:

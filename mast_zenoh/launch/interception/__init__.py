@@ -1,1 +1,1 @@
-"""Inserting nodes into wires of a running run: the client asks, the launcher (server) does it."""
+"""Inserts nodes into wires of a running run: a client and the launcher's server."""

@@ -1,7 +1,7 @@
-"""Asks a running run to insert a node into a wire or to remove it: `mast intercept` and `mast release`.
+"""Requests to insert a node into a wire of a running run, or to remove it.
 
-The client checks the request against the run folder and builds the node once. So the launcher executes no file of a
-user: it only starts the node's process.
+Implements `mast intercept` and `mast release`. The client checks the request against the run folder and builds the
+node once. So the launcher executes no file of a user: it only starts the node's process.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from mast_zenoh.wiring.insertion import Place, insert
 from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring
 
 _TIMEOUT_S = 180.0
-_REACH_S = 2.0
+_CONNECT_TIMEOUT_S = 2.0
 
 
 def intercept(
@@ -46,30 +46,37 @@ def intercept(
     output: str | None = None,
     settings: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Put the node in `file` on a wire of the run in a folder, and say what was done: node, wires, frame, took_ms.
+    """Put the node in `file` on a wire of a run; return node, wires, frame, took_ms.
 
-    name:  of the new node; None: of its file, with a number
+    run:   the run folder
+    name:  of the new node; None: the file's name with a number
     input, output: its ports on the wire; None: those that carry the wire's messages
-    settings: its parameters, `key=value`; a dotted key reaches into a dict
+    settings: its parameters, `key=value`; a dotted key sets an item of a dict
 
-    Raises NotRunning, and what is wrong with the request: WiringError (the wire), NodeFileError (the node's file or
-    ports), ConfigurationError (its parameters or name), StartError (it did not come up), RunError (nobody changed).
+    Raises NotRunning, WiringError (the wire), NodeFileError (the node's file or ports), ConfigurationError (its
+    parameters or name), StartError (it did not start), RunError (nothing was changed).
     """
     record = _running(run)
     resolved = Resolved.read(run)
     node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
     inform({node: spec}, Recording.load(run / RECORDING))
-    told = {"file": spec.file, "type": spec.type, "role": spec.role, "config": spec.config, "on_exit": spec.on_exit}
-    return _ask(run, record, {"do": "intercept", "name": node, "spec": told, "place": place_json(place)})
+    fields = {
+        "file": spec.file,
+        "type": spec.type,
+        "role": spec.role,
+        "config": spec.config,
+        "on_exit": spec.on_exit,
+    }
+    return _ask(run, record, {"do": "intercept", "name": node, "spec": fields, "place": place_json(place)})
 
 
 def release(run: Path, *, name: str | None = None, wire: str | None = None) -> dict[str, Any]:
-    """Take a node off its wires: the one of this name, or the only one on this wire; say what was done.
+    """Take a node off its wires: the named one, or the only one on a wire.
 
-    Raises NotRunning, WiringError (no such node or wire), RunError (nobody changed).
+    Returns as `intercept` does. Raises NotRunning, WiringError (no such node or wire), RunError (nothing was changed).
     """
     if (name is None) == (wire is None):
-        raise ConfigurationError("release: expected a name or a wire, one of them")
+        raise ConfigurationError("release: expected either a name or a wire")
     return _ask(run, _running(run), {"do": "release", "name": name, "wire": wire})
 
 
@@ -83,9 +90,12 @@ def plan(
     output: str | None = None,
     settings: Sequence[str] = (),
 ) -> tuple[str, NodeSpec, Place]:
-    """(name, spec, place) of a node that is to be put on a wire of a run; checked, and built once. See `intercept`."""
+    """(name, spec, place) of a node to put on a wire; checked, and built once.
+
+    For parameters and errors see `intercept`.
+    """
     wiring = Wiring.from_json(resolved.wiring)
-    wires = {found.key: found for found in wiring.wires}
+    wires = {candidate.key: candidate for candidate in wiring.wires}
     if wire not in wires:
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
     for module in resolved.modules:
@@ -98,7 +108,7 @@ def plan(
     if name is None:
         name = next(free for i in count(1) if (free := f"{path.stem}_{i}") not in resolved.nodes)
     elif name in resolved.nodes:
-        raise ConfigurationError(f"there is a node {name!r} already: give another --name")
+        raise ConfigurationError(f"node {name!r} already exists: give another --name")
     if "agent" in signature(cls).parameters and target.subject in resolved.nodes:
         config.setdefault("agent", target.subject)
     spec = replace(node_spec(path, name, cls.role, config | {"file": str(path)}), on_exit="continue")
@@ -120,46 +130,53 @@ def _place(
     input: str | None,
     output: str | None,
 ) -> Place:
-    """Its ports on the wire, what else it hears, and what it says of its own.
+    """Its ports on the wire, its other inputs, and the wires that it publishes itself.
 
-    It hears the one other wire of a message type that it takes, if that is nobody's or of its subject (the clock, its
-    agent's pose), and speaks on the wires that the testbed's map has for its role (an adversary's report).
+    An input port is connected to the only other wire of its message type that has no subject or the node's subject
+    (the clock, its agent's pose). The node publishes the wires that the testbed's map has for its role (an adversary's
+    report).
     """
-    into = _port(cls.inputs, target, input, f"{path}: {cls.__name__}", "input")
-    out = _port(cls.outputs, target, output, f"{path}: {cls.__name__}", "output")
+    input_port = _port(cls.inputs, target, input, f"{path}: {cls.__name__}", "input")
+    output_port = _port(cls.outputs, target, output, f"{path}: {cls.__name__}", "output")
     hears: dict[str, str] = {}
     for port, message in cls.inputs.items():
-        if port == into or message in cls.outputs.values():
+        if port == input_port or message in cls.outputs.values():
             continue
-        found = [w.key for w in wiring.wires if w.message == message and w.subject in ("", subject)]
-        if len(found) == 1 and found[0] != target.key:
-            hears[found[0]] = port
-    taken = {wire.key for wire in wiring.wires}
+        keys = [w.key for w in wiring.wires if w.message == message and w.subject in ("", subject)]
+        if len(keys) == 1 and keys[0] != target.key:
+            hears[keys[0]] = port
+    existing = {wire.key for wire in wiring.wires}
     says = tuple(
-        wire for wire in _own_wires(cls, name, resolved) if wire.key not in taken and wire.legs[0].publisher.port != out
+        wire
+        for wire in _own_wires(cls, name, resolved)
+        if wire.key not in existing and wire.legs[0].publisher.port != output_port
     )
-    return Place(target.key, into, out, hears, says)
+    return Place(target.key, input_port, output_port, hears, says)
 
 
-def _port(ports: Mapping[str, str], target: Wire, named: str | None, place: str, side: str) -> str:
+def _port(ports: Mapping[str, str], target: Wire, requested: str | None, place: str, side: str) -> str:
     if ANY in ports.values():
         raise NodeFileError(f"{place} hears every key: it cannot be put on a wire")
-    fitting = [port for port, message in ports.items() if message == target.message]
-    if named is not None:
-        if named not in ports:
-            raise NodeFileError(f"{place}: no {side} port {named!r}{nearest(named, ports)}")
-        if named not in fitting:
-            raise NodeFileError(f"{place}: {side} {named!r} carries {ports[named]!r} messages, not {target.message!r}")
-        return named
-    if len(fitting) != 1:
-        found = f"the {side}s {', '.join(fitting)}: say which by --{side}" if fitting else f"no {side}"
-        raise NodeFileError(f"{place}: {found} for {target.message!r} messages, which the wire {target.key!r} carries")
-    return fitting[0]
+    matching = [port for port, message in ports.items() if message == target.message]
+    if requested is not None:
+        if requested not in ports:
+            raise NodeFileError(f"{place}: no {side} port {requested!r}{nearest(requested, ports)}")
+        if requested not in matching:
+            raise NodeFileError(
+                f"{place}: {side} {requested!r} carries {ports[requested]!r} messages, not {target.message!r}"
+            )
+        return requested
+    if len(matching) != 1:
+        candidates = f"the {side}s {', '.join(matching)}: say which by --{side}" if matching else f"no {side}"
+        raise NodeFileError(
+            f"{place}: {candidates} for {target.message!r} messages, which the wire {target.key!r} carries"
+        )
+    return matching[0]
 
 
 def _own_wires(cls: type[Node], name: str, resolved: Resolved) -> list[Wire]:
-    """The wires on which a node of this role speaks in the testbed's map, to those of the run that take them."""
-    found = []
+    """The wires that the testbed's map has for a node of this role."""
+    wires = []
     for entry in maps.load(bundle.ROOT / "keyexpr_maps" / "testbed.toml")["wire"]:
         role, _, port = str(entry["from"]).partition(".")
         if role != cls.role or cls.outputs.get(port) != entry["message"] or f"{{{role}}}" not in entry["key"]:
@@ -171,13 +188,13 @@ def _own_wires(cls: type[Node], name: str, resolved: Resolved) -> list[Wire]:
                 if spec.role == to_role and to_port in loading.node_class(Path(spec.file), spec.type).inputs:
                     ends.append(Endpoint(other, to_port))
         key = entry["key"].replace(f"{{{role}}}", name)
-        found.append(Wire(key, name, entry["message"], (Leg(key, Endpoint(name, port), tuple(ends)),)))
-    return found
+        wires.append(Wire(key, name, entry["message"], (Leg(key, Endpoint(name, port), tuple(ends)),)))
+    return wires
 
 
 def _running(run: Path) -> dict[str, Any]:
-    """run.json of a run on a mesh that goes on."""
-    record: dict[str, Any] = liveness.seen_now(run_folder.read_json(run / "run.json"))
+    """Read run.json of a run; raises NotRunning unless it is running on a mesh."""
+    record: dict[str, Any] = liveness.current_record(run_folder.read_json(run / "run.json"))
     if record.get("status") != "running":
         raise NotRunning(f"{run}: the run is over: {record.get('status')}")
     if record.get("runtime") != "mesh":
@@ -189,16 +206,16 @@ def _running(run: Path) -> dict[str, Any]:
             "name the node in the scenario, or start the run without --secure"
         )
     if not record.get("endpoint") or not (run / SECRET_FILE).is_file():
-        raise NotRunning(f"{run}: the run is not on its way yet, or has ended without a word")
+        raise NotRunning(f"{run}: the run has not started its nodes yet, or was killed")
     return record
 
 
 def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[str, Any]:
-    """What the launcher answers; raises the error that it tells of, and NotRunning where nobody answers."""
+    """Send a request, return the answer; raises the launcher's error, and NotRunning."""
     sealed = seal(request, (run / SECRET_FILE).read_bytes())
     endpoint = record["endpoint"]
     if not _reachable(endpoint):
-        raise NotRunning(f"{run}: nobody answers at {endpoint}: the run has ended without a word")
+        raise NotRunning(f"{run}: nothing answers at {endpoint}: the run was killed")
     with open_client(endpoint) as session:
         replies = session.get(f"{control_prefix(record['id'])}/intercept", payload=sealed, timeout=_TIMEOUT_S)
         for reply in replies:
@@ -211,13 +228,13 @@ def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[
 
 
 def _reachable(endpoint: str) -> bool:
-    """Whether somebody listens: a client of Zenoh would try for ever."""
+    """Whether a TCP endpoint accepts connections; a Zenoh client would retry for ever."""
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
     if protocol != "tcp" or not port.isdigit():
         return True
     try:
-        socket.create_connection((host.strip("[]"), int(port)), _REACH_S).close()
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECT_TIMEOUT_S).close()
     except OSError:
         return False
     return True

@@ -1,9 +1,9 @@
-"""The hosts of a run as network namespaces of this machine, and what happens to the links between them.
+"""The hosts of a run as linked network namespaces of this machine.
 
-hosts        from the first namespace to the last: set up, faults in time, torn down
-namespaces   namespaces and their links; those that a killed launcher has left
+hosts        sets up the namespaces, plays faults, and removes everything
+namespaces   network namespaces; removes those of killed launchers
 shaping      a link's state as nftables rules and queueing disciplines
-machine      what this machine can do
-relay        a process between two TUN devices that lets packets wait
+machine      which of these this machine supports
+relay        a process between two TUN devices that delays packets
 router       the process of the router at the centre
 """

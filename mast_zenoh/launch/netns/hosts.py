@@ -1,10 +1,10 @@
-"""The hosts of a run: a namespace for each, one for the centre, links between them, and faults when their time comes.
+"""The hosts of a run as network namespaces, with a link to the centre, and faults.
 
-    centre   router, and every node that no host claims                 10.77.0.1
+    centre   router, and every node that belongs to no host             10.77.0.1
     host i   its nodes; one link, to the centre                         10.77.0.(1 + i)
 
-A link is a pair of Ethernet devices, or two TUN devices with a relay between them if it is ever to delay packets and
-the kernel has no netem. Nothing of it is in the machine's own network: no device, no address, no route, no rule.
+A link is a pair of Ethernet devices, or two TUN devices with a relay between them if it must delay packets and the
+kernel has no netem. The machine's own network stays unchanged: no device, no address, no route, no rule.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from mast_zenoh.launch.netns.namespaces import Namespace, Owner, sweep
 
 CENTRE = "10.77.0.1"
 _INSIDE = f"tcp/{CENTRE}:7447"
-_DEVICE = "centre"  # in a host: its one device
+_DEVICE = "centre"  # in a host: its only device
 _READY_S = 10.0
 _END_S = 1.0
 
 
 class Hosts:
-    """A context: entered, the namespaces, links and router are there; left, nothing of it is.
+    """Context manager that creates and removes namespaces, links and router.
 
-    spec: the hosts and faults, as `faults.network.resolve` made them; rate: scene time over wall time
-    logs: folder for what the router and the relays say
+    spec: the hosts and faults, from `faults.network.resolve`; rate: scene time over wall time
+    logs: folder for the logs of the router and the relays
 
-    Raises BackendError on entering if the machine cannot do all of it; nothing is left then either.
+    Raises BackendError on entering if the machine does not support all of it; then nothing is left behind.
     """
 
     def __init__(self, spec: Mapping[str, Any], rate: float, logs: Path) -> None:
@@ -48,9 +48,9 @@ class Hosts:
         self.rate = rate
         self.logs = logs
         self.inside = _INSIDE  # the router's endpoint for nodes
-        self.endpoint = ""  # and for the launcher, and others outside
+        self.endpoint = ""  # the router's endpoint for the launcher and other clients outside
         self.done: list[dict[str, Any]] = []
-        self._home = {node: name for name, host in spec["hosts"].items() for node in host["nodes"]}
+        self._host_of = {node: name for name, host in spec["hosts"].items() for node in host["nodes"]}
         self._states = {name: LinkState() for name in spec["hosts"]}
         self._links: dict[str, _Link] = {}
         self._processes: list[_Process] = []
@@ -83,16 +83,16 @@ class Hosts:
         self._resources.close()
 
     def command(self, node: str) -> list[str]:
-        """What to put before the command that starts a node."""
-        name = self._home.get(node)
+        """Command prefix that starts a node on its host."""
+        name = self._host_of.get(node)
         return (self._links[name].host if name else self._centre).command()
 
     def begin(self) -> None:
-        """The first frame is out: from now on scene time runs. May be called again, and from any thread."""
+        """Start scene time, at the first frame; may be repeated, and from any thread."""
         self._first_frame.set()
 
     def heal(self) -> None:
-        """No fault from now on, whatever is still to come."""
+        """Remove all faults, and skip those to come."""
         self._healed.set()
         with self._changing:
             try:
@@ -101,9 +101,9 @@ class Hosts:
                 self._fail("healing", error)
 
     def problem(self) -> str | None:
-        """What has gone wrong with it meanwhile, if anything."""
+        """What has failed since, if anything."""
         return self._failure or next(
-            (f"{p.name} has ended: {p.last_words()}" for p in self._processes if p.gone()), None
+            (f"{p.name} has ended: {p.last_line()}" for p in self._processes if p.ended()), None
         )
 
     # -- set up --------------------------------------------------------------------------------------------------
@@ -115,10 +115,10 @@ class Hosts:
         self._centre = self._namespace(owner.name("centre"))
         self._centre.ip("address", "add", f"{CENTRE}/32", "dev", "lo")
         for number, (name, host) in enumerate(self.spec["hosts"].items(), 1):
-            there = self._namespace(owner.name(str(number)))
-            by = (host["delay_by"] or delays_by) if host["delayed"] else None
-            link = _Link(self._centre, there, f"host{number}", by)
-            if by == "relay":
+            namespace = self._namespace(owner.name(str(number)))
+            delayed_by = (host["delay_by"] or delays_by) if host["delayed"] else None
+            link = _Link(self._centre, namespace, f"host{number}", delayed_by)
+            if delayed_by == "relay":
                 link.relay = self._process(f"relay_{name}", "relay", link.ends())
             else:
                 link.make_devices()
@@ -132,9 +132,9 @@ class Hosts:
         self._player.start()
 
     def _namespace(self, name: str) -> Namespace:
-        made = Namespace.make(name)
-        self._resources.callback(made.remove)
-        return made
+        namespace = Namespace.make(name)
+        self._resources.callback(namespace.remove)
+        return namespace
 
     def _process(self, name: str, module: str, arguments: Sequence[str], inside: Sequence[str] = ()) -> _Process:
         command = [*inside, sys.executable, "-P", "-m", f"mast_zenoh.launch.netns.{module}", *arguments]
@@ -147,7 +147,7 @@ class Hosts:
     # -- faults --------------------------------------------------------------------------------------------------
 
     def _play(self) -> None:
-        """The life of the thread that changes the links when it is time."""
+        """Body of the thread that changes the links on schedule."""
         self._first_frame.wait()
         begun = time.monotonic()
         for step in network.steps(self.spec):
@@ -164,12 +164,12 @@ class Hosts:
                 late_s = time.monotonic() - begun - step.at_s / self.rate
                 self.done.append({"at_s": step.at_s, "hosts": sorted(step.states), "late_ms": round(late_s * 1000, 3)})
 
-    def _fail(self, what: str, error: CalledProcessError | OSError) -> None:
-        said = error.stderr if isinstance(error, CalledProcessError) else ""
-        self._failure = self._failure or f"{what}: {said.strip() or error}"
+    def _fail(self, activity: str, error: CalledProcessError | OSError) -> None:
+        output = error.stderr if isinstance(error, CalledProcessError) else ""
+        self._failure = self._failure or f"{activity}: {output.strip() or error}"
 
     def _apply(self, states: Mapping[str, LinkState]) -> None:
-        """Bring links into states. Cuts and losses of all links at the centre change in one transaction."""
+        """Set the states of links; at the centre, all cuts and losses change atomically."""
         before, self._states = self._states, {**self._states, **states}
         changed = {name: state for name, state in states.items() if state != before[name]}
         dropping = [name for name, state in changed.items() if _drops(state) != _drops(before[name])]
@@ -186,13 +186,16 @@ def _drops(state: LinkState) -> tuple[bool, float]:
 
 
 class _Link:
-    """The link of one host: `device` at the centre, and one in the host; `by` is what delays its packets, if any."""
+    """The link of one host.
 
-    def __init__(self, centre: Namespace, host: Namespace, device: str, by: str | None) -> None:
+    device: its name at the centre;  delayed_by: "netem", "relay" or None
+    """
+
+    def __init__(self, centre: Namespace, host: Namespace, device: str, delayed_by: str | None) -> None:
         self.centre = centre
         self.host = host
         self.device = device
-        self.by = by
+        self.delayed_by = delayed_by
         self.relay: _Process | None = None
 
     def ends(self) -> list[str]:
@@ -200,11 +203,11 @@ class _Link:
         return [self.centre.name, self.device, self.host.name, _DEVICE]
 
     def make_devices(self) -> None:
-        """A pair of Ethernet devices, made where they are to be."""
+        """Create a pair of Ethernet devices, each in its namespace."""
         self.centre.ip("link", "add", self.device, "type", "veth", "peer", "name", _DEVICE, "netns", self.host.name)
 
     def address(self, address: str) -> None:
-        """Give both ends their addresses; each knows a way to the other and to nobody else."""
+        """Assign addresses to both ends, with routes only to each other."""
         for namespace, device, own, peer in (
             (self.centre, self.device, CENTRE, address),
             (self.host, _DEVICE, address, CENTRE),
@@ -213,21 +216,21 @@ class _Link:
             namespace.ip("link", "set", device, "up")
 
     def shape(self, before: LinkState, state: LinkState) -> None:
-        """Delay and bandwidth from now on."""
-        waits = (state.delay_ms, state.jitter_ms) != (before.delay_ms, before.jitter_ms)
-        narrows = state.bits_per_s != before.bits_per_s
-        if self.relay is not None and waits:
-            self.relay.tell(relay.COMMAND.pack(state.delay_ms * 1e-3, state.jitter_ms * 1e-3))
-        if self.by == "netem" and (waits or narrows):
+        """Apply delay and bandwidth of a state."""
+        delay_changed = (state.delay_ms, state.jitter_ms) != (before.delay_ms, before.jitter_ms)
+        bandwidth_changed = state.bits_per_s != before.bits_per_s
+        if self.relay is not None and delay_changed:
+            self.relay.send(relay.COMMAND.pack(state.delay_ms * 1e-3, state.jitter_ms * 1e-3))
+        if self.delayed_by == "netem" and (delay_changed or bandwidth_changed):
             self.centre.tc(shaping.netem(self.device, state))
             self.host.tc(shaping.netem(_DEVICE, state))
-        elif narrows:
+        elif bandwidth_changed:
             self.centre.tc(shaping.bandwidth(self.device, state.bits_per_s))
             self.host.tc(shaping.bandwidth(_DEVICE, state.bits_per_s))
 
 
 class _Process:
-    """A process that serves the network: says "ready", and leaves when its standard input ends."""
+    """A relay or router: prints "ready", and ends when its standard input closes."""
 
     def __init__(self, name: str, command: Sequence[str], log: Path) -> None:
         self.name = name
@@ -243,34 +246,34 @@ class _Process:
             )
 
     def await_ready(self) -> None:
-        """Raises BackendError when it does not come up."""
+        """Wait until the process is ready; raises BackendError if it does not start."""
         assert self._process.stdout is not None
         guard = threading.Timer(_READY_S, self._process.kill)
         guard.start()
         try:
-            said = self._process.stdout.readline()
+            line = self._process.stdout.readline()
         finally:
             guard.cancel()
-        if said != b"ready\n":
+        if line != b"ready\n":
             self.end()
-            raise BackendError(f"hosts: {self.name} did not come up: {self.last_words()}")
+            raise BackendError(f"hosts: {self.name} did not come up: {self.last_line()}")
 
-    def tell(self, command: bytes) -> None:
+    def send(self, command: bytes) -> None:
         """Write to its standard input."""
         assert self._process.stdin is not None
         self._process.stdin.write(command)
 
-    def gone(self) -> bool:
+    def ended(self) -> bool:
         """Whether it has ended."""
         return self._process.poll() is not None
 
-    def last_words(self) -> str:
-        """The end of what it has said."""
+    def last_line(self) -> str:
+        """The last line of its log, or its exit code."""
         lines = self.log.read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else f"exit code {self._process.poll()}"
 
     def end(self) -> None:
-        """Close its standard input, and kill it if that does not help."""
+        """Close its standard input; kill it if it does not end."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()

@@ -1,4 +1,4 @@
-"""What this machine can do to a network, found out by trying it in a namespace of its own."""
+"""Finds out which network effects this machine supports, in a probe namespace."""
 
 from __future__ import annotations
 
@@ -15,50 +15,50 @@ from mast_zenoh.launch.netns.shaping import bandwidth, netem, rules
 _TUN = "/dev/net/tun"
 
 
-def delays_by(wanted: Mapping[str, Iterable[str]], owner: Owner) -> str:
-    """What delays packets here where the user leaves the choice: "netem" or "relay".
+def delays_by(required: Mapping[str, Iterable[str]], owner: Owner) -> str:
+    """How packets are delayed here by default: "netem" or "relay".
 
-    wanted: what the run needs, as `faults.network.needs` says it
+    required: the effects that the run needs and their hosts, from `faults.network.needs`
 
-    Raises BackendError if this machine lacks any of what is wanted: names it, who wants it, and what to install.
+    Raises BackendError, with effect, hosts and what to install, if this machine lacks a required effect.
     """
     if not shutil.which("ip"):
-        raise BackendError(f"{_who(wanted)}: no program `ip` on this machine: install iproute2")
+        raise BackendError(f"{_description(required)}: no program `ip` on this machine: install iproute2")
     try:
         probe = Namespace.make(owner.name("probe"))
     except CalledProcessError as error:
-        said = error.stderr.strip()
+        output = error.stderr.strip()
         raise BackendError(
-            f"{_who(wanted)}: this machine makes no network namespaces ({said}): run as root, or with the "
-            "capabilities CAP_SYS_ADMIN and CAP_NET_ADMIN"
+            f"{_description(required)}: this machine cannot create network namespaces ({output}): run as root, or with "
+            "the capabilities CAP_SYS_ADMIN and CAP_NET_ADMIN"
         ) from None
     try:
-        has_netem = _why_not(probe, "netem") is None
+        has_netem = _obstacle(probe, "netem") is None
         choice = "netem" if has_netem else "relay"
-        for need, hosts in wanted.items():
-            if reason := _why_not(probe, choice if need == "delay" else need):
-                raise BackendError(f"{need} of {', '.join(hosts)}: {reason}")
+        for effect, hosts in required.items():
+            if reason := _obstacle(probe, choice if effect == "delay" else effect):
+                raise BackendError(f"{effect} of {', '.join(hosts)}: {reason}")
         return choice
     finally:
         probe.remove()
 
 
-def _who(wanted: Mapping[str, Iterable[str]]) -> str:
-    return "; ".join(f"{need} of {', '.join(hosts)}" for need, hosts in wanted.items()) or "hosts"
+def _description(required: Mapping[str, Iterable[str]]) -> str:
+    return "; ".join(f"{effect} of {', '.join(hosts)}" for effect, hosts in required.items()) or "hosts"
 
 
-def _why_not(probe: Namespace, need: str) -> str | None:
-    """Why this machine cannot do something, and what would help; None if it can."""
-    attempt, help_ = _ATTEMPTS[need]
+def _obstacle(probe: Namespace, effect: str) -> str | None:
+    """Why this machine does not support an effect, and a remedy; None if it does."""
+    attempt, remedy = _ATTEMPTS[effect]
     try:
         attempt(probe)
     except FileNotFoundError as error:
-        return f"{error.filename} is missing: {help_}"
+        return f"{error.filename} is missing: {remedy}"
     except CalledProcessError as error:
-        said = error.stderr.strip() or str(error)
-        return f"{said.splitlines()[0].rstrip('.')}: {help_}"
+        output = error.stderr.strip() or str(error)
+        return f"{output.splitlines()[0].rstrip('.')}: {remedy}"
     except OSError as error:
-        return f"{error}: {help_}"
+        return f"{error}: {remedy}"
     return None
 
 
@@ -66,7 +66,7 @@ def _open_tun(probe: Namespace) -> None:
     os.close(os.open(_TUN, os.O_RDWR))
 
 
-#: What is needed, how to try it, and what helps who lacks it.
+#: By effect: a function that tries it, and the remedy if that fails.
 _ATTEMPTS: dict[str, tuple[Callable[[Namespace], object], str]] = {
     "partition": (
         lambda probe: probe.nft(rules({"lo": LinkState(cut=True)})),

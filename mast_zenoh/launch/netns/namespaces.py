@@ -1,6 +1,7 @@
-"""Network namespaces that belong to one launcher, and what is done inside them. The machine's own is not touched.
+"""Network namespaces that belong to one launcher, and commands inside them.
 
-A namespace's name says who has made it, so that what a killed launcher has left can be told from what is in use.
+A namespace's name identifies its launcher, so that those of killed launchers can be removed. The machine's own
+namespace is not changed.
 """
 
 from __future__ import annotations
@@ -22,22 +23,22 @@ _COUNTER = itertools.count()
 
 @dataclass(frozen=True, slots=True)
 class Owner:
-    """Who makes a set of namespaces: this process, and which of its runs it is."""
+    """The owner of a set of namespaces: a process and one of its runs."""
 
     prefix: str
 
     @classmethod
     def this_process(cls) -> Owner:
-        """An owner whose names nobody else has had."""
+        """A new owner with unique names."""
         pid = os.getpid()
         return cls(f"mast-{pid}-{_started(pid)}-{next(_COUNTER)}-")
 
     def name(self, which: str) -> str:
-        """A name for something that this owner makes."""
+        """A name for a namespace of this owner."""
         return self.prefix + which
 
     def folder(self) -> Path:
-        """A new folder for sockets: their paths must be short."""
+        """Create a folder for sockets, whose paths must be short."""
         return Path(tempfile.mkdtemp(prefix=self.prefix))
 
 
@@ -50,14 +51,14 @@ class Namespace:
 
     @classmethod
     def make(cls, name: str) -> Namespace:
-        """A new one. Raises CalledProcessError if this machine makes none."""
+        """Create a namespace. Raises CalledProcessError if that fails."""
         _run(["ip", "netns", "add", name])
-        made = cls(name)
-        made.ip("link", "set", "lo", "up")
-        return made
+        namespace = cls(name)
+        namespace.ip("link", "set", "lo", "up")
+        return namespace
 
     def command(self) -> list[str]:
-        """What to put before a command that is to run inside: it becomes that command, its process id stays."""
+        """Command prefix that runs a command inside, under the same process id."""
         return ["ip", "netns", "exec", self.name]
 
     def ip(self, *arguments: str) -> None:
@@ -69,34 +70,38 @@ class Namespace:
         _run(["tc", "-n", self.name, *arguments])
 
     def nft(self, rules: str) -> None:
-        """Have `nft` carry out rules inside, all or none of them."""
+        """Apply rules inside with `nft`, all or none of them."""
         if not shutil.which("nft"):
             raise FileNotFoundError(2, "No such file or directory", "nft")
         _run([*self.command(), "nft", "-f", "-"], rules)
 
     def remove(self) -> None:
-        """Take the name away; what is inside ends with its last process."""
+        """Delete the name; the namespace itself ends with its last process."""
         subprocess.run(["ip", "netns", "del", self.name], capture_output=True, check=False)
 
 
 def sweep() -> list[str]:
-    """Remove what launchers that have gone without an end have left; the names of it."""
-    places = [(path.name, path) for place in (NAMESPACES, Path(tempfile.gettempdir())) for path in place.glob("mast-*")]
-    left = [(name, path) for name, path in places if (found := _NAME.fullmatch(name)) and not _lives(found)]
-    for name, path in left:
+    """Remove namespaces and folders of killed launchers; return their names."""
+    parents = NAMESPACES, Path(tempfile.gettempdir())
+    paths = [(path.name, path) for parent in parents for path in parent.glob("mast-*")]
+    stale = [(name, path) for name, path in paths if (match := _NAME.fullmatch(name)) and not _is_alive(match)]
+    for name, path in stale:
         if path.parent == NAMESPACES:
             Namespace(name).remove()
         else:
             shutil.rmtree(path, ignore_errors=True)
-    return [name for name, _ in left]
+    return [name for name, _ in stale]
 
 
-def _lives(found: re.Match[str]) -> bool:
-    return _started(int(found["pid"])) == int(found["started"])
+def _is_alive(match: re.Match[str]) -> bool:
+    return _started(int(match["pid"])) == int(match["started"])
 
 
 def _started(pid: int) -> int:
-    """When a process was started, in ticks since the machine was (proc(5), field 22 of stat): an id comes again."""
+    """Start time of a process in ticks since boot; -1 if there is none.
+
+    Field 22 of stat, see proc(5). It identifies a process, since process ids are reused.
+    """
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except OSError:
@@ -104,5 +109,5 @@ def _started(pid: int) -> int:
     return int(stat.rpartition(")")[2].split()[19])
 
 
-def _run(command: list[str], given: str | None = None) -> None:
-    subprocess.run(command, input=given, capture_output=True, text=True, check=True)
+def _run(command: list[str], stdin: str | None = None) -> None:
+    subprocess.run(command, input=stdin, capture_output=True, text=True, check=True)

@@ -1,9 +1,9 @@
-"""A link between two network namespaces whose packets wait: two TUN devices and this process between them.
+"""A link with delay between two network namespaces: two TUN devices and a relay.
 
     python -m mast_zenoh.launch.netns.relay NAMESPACE DEVICE NAMESPACE DEVICE
 
-Says "ready" when both devices are there. Standard input: `COMMAND`s, each the delay and the jitter (s) from then on;
-its end ends the process, and the devices with it. Packets never overtake each other: a path does not reorder.
+Prints "ready" when both devices exist. Standard input: `COMMAND`s, each the delay and the jitter (s) from then on;
+the process and its devices end when it closes. Packets are never reordered.
 """
 
 from __future__ import annotations
@@ -25,34 +25,34 @@ _CLONE_NEWNET = 0x40000000
 _TUNSETIFF = 0x400454CA
 _IFF_TUN_WITHOUT_HEADER = 0x0001 | 0x1000
 _PACKET_BYTES = 65536
-_AT_ONCE = 64  # packets read before those that are due are looked at
-_UNDER_WAY = 50_000  # packets in one direction; those beyond are dropped
+_MAX_READS = 64  # packets read before due packets are forwarded
+_MAX_QUEUED = 50_000  # packets in one direction; further ones are dropped
 
 
 class Direction:
-    """Packets on their way from one device to the other, in the order in which they came."""
+    """The queue of packets in one direction, in order of arrival."""
 
     def __init__(self, source: int, target: int) -> None:
         self.source = source
         self.target = target
         self.waiting: deque[tuple[float, bytes]] = deque()
 
-    def take(self, delay_s: float, jitter_s: float) -> None:
-        """Read what has come, and say when each packet is due: delay ± jitter from now, never before the last."""
+    def receive(self, delay_s: float, jitter_s: float) -> None:
+        """Queue new packets, due after delay ± jitter but never before the last."""
         now = time.monotonic()
-        for _ in range(_AT_ONCE):
+        for _ in range(_MAX_READS):
             try:
                 packet = os.read(self.source, _PACKET_BYTES)
-            except OSError:  # none left, or the device is down
+            except OSError:  # no more packets, or the device is down
                 return
             due = now + max(0.0, delay_s + jitter_s * random.uniform(-1.0, 1.0))
             if self.waiting:
                 due = max(due, self.waiting[-1][0])
-            if len(self.waiting) < _UNDER_WAY:
+            if len(self.waiting) < _MAX_QUEUED:
                 self.waiting.append((due, packet))
 
-    def pass_on(self) -> None:
-        """Write what is due."""
+    def forward(self) -> None:
+        """Write the packets that are due."""
         now = time.monotonic()
         while self.waiting and self.waiting[0][0] <= now:
             with contextlib.suppress(OSError):  # the device is down: the packet is lost
@@ -60,7 +60,7 @@ class Direction:
 
 
 def relay(one: int, other: int, commands: int) -> None:
-    """Carry packets between two TUN devices until `commands` ends."""
+    """Forward packets between two TUN devices until `commands` closes."""
     delay_s = jitter_s = 0.0
     directions = {one: Direction(one, other), other: Direction(other, one)}
     while True:
@@ -69,17 +69,20 @@ def relay(one: int, other: int, commands: int) -> None:
         readable, _, _ = select.select([one, other, commands], [], [], timeout)
         for source in readable:
             if source != commands:
-                directions[source].take(delay_s, jitter_s)
+                directions[source].receive(delay_s, jitter_s)
             elif command := os.read(commands, COMMAND.size):
                 delay_s, jitter_s = COMMAND.unpack(command)
             else:
                 return
         for direction in directions.values():
-            direction.pass_on()
+            direction.forward()
 
 
 def _device(namespace: str, name: str) -> int:
-    """A new TUN device in a namespace, which this thread enters; it goes when its file is closed."""
+    """Create a TUN device in a namespace, which this thread enters.
+
+    The device disappears when its file is closed.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
     with open(f"/run/netns/{namespace}") as file:
         if libc.setns(file.fileno(), _CLONE_NEWNET) != 0:
@@ -92,6 +95,6 @@ def _device(namespace: str, name: str) -> int:
 if __name__ == "__main__":
     devices = [_device(namespace, name) for namespace, name in (sys.argv[1:3], sys.argv[3:5])]
     with contextlib.suppress(OSError):
-        os.nice(-10)  # who is late makes the delay longer than it is to be
+        os.nice(-10)  # a relay that is late makes the delay too long
     print("ready", flush=True)
     relay(devices[0], devices[1], sys.stdin.fileno())

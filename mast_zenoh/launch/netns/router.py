@@ -1,9 +1,9 @@
-"""The router of a run with hosts, as a process of its own at the centre.
+"""The router of a run with hosts, as a process at the centre.
 
     python -m mast_zenoh.launch.netns.router ENDPOINT...
 
-A session's threads stay in the network in which it was opened, so the launcher, which is outside, opens none in
-there: it comes by a socket file. Says "ready" when the router listens; the end of standard input ends it.
+A session's threads stay in the network namespace in which it was opened. So the launcher, which is outside, connects
+through a socket file. Prints "ready" when the router listens; ends when standard input closes.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The state of a link as nftables rules and queueing disciplines. Pure: text and arguments for `nft` and `tc`.
+"""The state of a link as text and arguments for `nft` and `tc`.
 
-Packets are dropped where they come in, on both sides: dropped on their way out, a sender would be told.
+Packets are dropped on input, at both ends: if they were dropped on output, the sender would get an error.
 """
 
 from __future__ import annotations
@@ -9,19 +9,22 @@ from collections.abc import Mapping
 
 from mast_zenoh.faults.network import LinkState
 
-#: Of which a loss is counted.
+#: Resolution of a loss.
 _PARTS = 1_000_000
 
 _BURST_S = 0.01
-_LEAST_BURST_BYTES = 4_000  # two packets
-_QUEUE_MS = 400  # what waits longer for its turn is dropped
+_MIN_BURST_BYTES = 4_000  # two packets
+_QUEUE_MS = 400  # packets that would wait longer are dropped
 
-#: So many packets may be under way in a delay: netem's usual 1000 would drop what fast links carry.
-_UNDER_WAY = 100_000
+#: Capacity of a delay in packets: netem's default of 1000 would drop packets of fast links.
+_MAX_QUEUED = 100_000
 
 
 def rules(states: Mapping[str, LinkState]) -> str:
-    """What a namespace does with what comes in by its devices, instead of what it did before: for `nft -f -`."""
+    """Rules for the input of a namespace's devices, which replace all earlier ones.
+
+    For `nft -f -`.
+    """
     lines = [
         "add table inet mast",
         "delete table inet mast",
@@ -37,18 +40,21 @@ def rules(states: Mapping[str, LinkState]) -> str:
 
 
 def bandwidth(device: str, bits_per_s: float | None) -> list[str]:
-    """Arguments of `tc` for what a device sends at most; None takes the limit away (which fails if there is none)."""
+    """Arguments of `tc` for a device's bandwidth; None removes the limit.
+
+    `tc` fails if there is no limit to remove.
+    """
     if bits_per_s is None:
         return ["qdisc", "del", "dev", device, "root"]
-    burst = max(_LEAST_BURST_BYTES, round(bits_per_s / 8 * _BURST_S))
+    burst = max(_MIN_BURST_BYTES, round(bits_per_s / 8 * _BURST_S))
     shape = ["rate", f"{round(bits_per_s)}bit", "burst", f"{burst}b", "latency", f"{_QUEUE_MS}ms"]
     return ["qdisc", "replace", "dev", device, "root", "tbf", *shape]
 
 
 def netem(device: str, state: LinkState) -> list[str]:
-    """Arguments of `tc` for a device whose packets wait, and go out at a rate, by the kernel's netem."""
+    """Arguments of `tc` for delay and rate of a device, with the kernel's netem."""
     delay = ["delay", f"{round(state.delay_ms * 1000)}us"]
     if state.jitter_ms:
         delay.append(f"{round(state.jitter_ms * 1000)}us")
     rate = [] if state.bits_per_s is None else ["rate", f"{round(state.bits_per_s)}bit"]
-    return ["qdisc", "replace", "dev", device, "root", "netem", "limit", str(_UNDER_WAY), *delay, *rate]
+    return ["qdisc", "replace", "dev", device, "root", "netem", "limit", str(_MAX_QUEUED), *delay, *rate]

@@ -74,12 +74,12 @@ def run(
         content = {"name": study.name, "status": status, "security": list(study.security)}
         run_folder.write_json(folder / "study.json", content | {"rows": [row._asdict() for row in rows]})
 
-    with ending.written(write_status):
+    with ending.status_written(write_status):
         try:
             for each in prepared:
                 rows.extend(_attack_rows(each, study.security, folder, console))
         except KeyboardInterrupt as caught:
-            raise ending.explained(caught, f"what was found is in {folder / 'study.json'}") from None
+            raise ending.with_hint(caught, f"what was found is in {folder / 'study.json'}") from None
     files = []
     for name, write in (("attempts.md", attempts_table.as_markdown), ("attempts.csv", attempts_table.as_csv)):
         (folder / name).write_text(write(rows), encoding="utf-8")
