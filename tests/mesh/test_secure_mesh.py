@@ -28,7 +28,7 @@ WIRING = Wiring((Wire("w", "", "clock", (Leg("w", Endpoint("a", "out"), (Endpoin
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that is refused asks why sooner than in a run."""
-    monkeypatch.setattr(sessions, "_ASK_WHY_MS", 500)
+    monkeypatch.setattr(sessions, "_DIAGNOSE_MS", 500)
 
 
 @contextmanager

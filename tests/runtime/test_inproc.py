@@ -10,7 +10,7 @@ from tiny_world import Run, tiny
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
 from mast_zenoh.errors import RunError
-from mast_zenoh.runtime.inproc import InProcess, results_of
+from mast_zenoh.runtime.inproc import InProcess, find_result
 
 LINK = Path(__file__).with_name("lossy_link.py")
 ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")
@@ -184,8 +184,8 @@ def test_progress_is_told_frame_by_frame() -> None:
     outcome = InProcess(world("baseline"), progress=told.append).run()
     assert told == list(range(1, 13))
     assert outcome[""]["frames"] == 12
-    assert results_of(outcome, "metrics")["frames"] == 12
-    assert results_of(outcome, "nothing of this name") is None
+    assert find_result(outcome, "metrics")["frames"] == 12
+    assert find_result(outcome, "nothing of this name") is None
 
 
 def test_a_run_needs_one_node_that_drives_the_scene() -> None:

@@ -72,18 +72,18 @@ def test_who_only_listens_is_waited_for_only_when_everyone_is() -> None:
     made.report("agent", 1, {}, {"clock": 1})
     made.report("broker", 1, {"collated": 1}, {"clock": 1})
     assert made.quiet()
-    assert not made.quiet(everyone=True)
+    assert not made.quiet(include_listeners=True)
     made.report("evaluator", 1, {}, {"clock": 1, "collated": 1})
-    assert made.quiet(everyone=True)
+    assert made.quiet(include_listeners=True)
 
 
 def test_a_key_on_which_a_node_does_not_speak_or_that_it_does_not_hear_is_refused_and_named() -> None:
     made = pacer()
     assert made.report("agent", 1, {"tracks": 1}, {"clock": 1}) == ""
     said = made.report("agent", 1, {"collated": 1}, {})
-    assert said == "agent reports messages sent on 'collated', on which it does not speak"
+    assert said == "agent reports messages sent on 'collated', which it does not publish on"
     said = made.report("agent", 1, {}, {"tracks": 1})
-    assert said == "agent reports messages handled on 'tracks', which it does not hear"
+    assert said == "agent reports messages handled on 'tracks', which it does not receive"
     assert made.report("stranger", 1, {"tracks": 1}, {}) == "", "who is no member says nothing"
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("broker", 1, {}, {"clock": 1, "tracks": 1})
@@ -105,7 +105,7 @@ def test_who_has_handled_more_than_was_sent_is_named() -> None:
     made.report("broker", 1, {"collated": 3}, {"clock": 3, "tracks": 10**9})
     assert not made.quiet()
     assert made.implausible() == (
-        "agent reports 3 messages sent on tracks, broker 1000000000 handled: one of the two does not tell the truth"
+        "agent reports 3 messages sent on tracks, broker 1000000000 handled: one of the two reports is false"
     )
 
 
@@ -159,7 +159,7 @@ def test_a_node_behind_a_busy_one_may_have_more_to_report_than_it_has_yet() -> N
     made.report("evaluator", 1, {}, {"clock": 2, "collated": 2})
     assert made.implausible() == "", "the broker may have handled what the agent has sent since"
     made.report("agent", 1, {"tracks": 1}, {"clock": 2})
-    assert made.implausible() != "", "now nobody is busy: one of the two does not tell the truth"
+    assert made.implausible() != "", "now nobody is busy: one of the two reports is false"
 
 
 def test_who_reports_more_than_all_others_have_heard_is_named_first() -> None:
@@ -167,5 +167,5 @@ def test_who_reports_more_than_all_others_have_heard_is_named_first() -> None:
     made.report("simulator", 1, {"clock": 2}, {})
     made.report("agent", 1, {}, {"clock": 1})
     made.report("broker", 1, {}, {"clock": 1})
-    said = "simulator reports 2 messages sent on clock, of which all who hear it have handled 1 (agent, broker)"
+    said = "simulator reports 2 messages sent on clock, of which all its subscribers have handled 1 (agent, broker)"
     assert list(made.unsettled()) == [said]
