@@ -1,4 +1,4 @@
-"""Strict readers for parts of a control message: each returns a value of one type, or raises MessageError."""
+"""Strict readers of a control message's fields: a typed value, or MessageError."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ONE_STR, _ONE_INT = {str}, {int}
 
 
 def unpack(payload: bytes, what: str, max_bytes: int = 0) -> Any:
-    """Unpack a control message of the kind `what`; max_bytes: 0 for the limit in CONTROLS."""
+    """Unpack a control message of a kind; max_bytes: 0 for the limit in CONTROLS."""
     fits(payload, what, max_bytes)
     count = at_most(MAX_VALUES, what)
     limits = {"max_ext_len": 0, "max_map_len": MAX_ENTRIES, "max_array_len": MAX_ENTRIES}
@@ -37,8 +37,9 @@ def unpack(payload: bytes, what: str, max_bytes: int = 0) -> Any:
 
 
 def at_most(values: int, what: str) -> Callable[[Any], Any]:
-    """A hook for msgpack that raises MessageError when lists and maps hold more than `values` values in all.
+    """A hook for msgpack that limits the number of values in all lists and maps.
 
+    It raises MessageError beyond that number.
     An empty list takes one byte in a message and eighty in memory, so a limit of bytes is not enough.
     """
     remaining = values

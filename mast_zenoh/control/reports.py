@@ -1,4 +1,4 @@
-"""Control messages from a node to the launcher: failures of handlers, and at its end its results."""
+"""Control messages from a node to the launcher: failures, and its results."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def decode_failure(payload: bytes) -> tuple[str, Entry]:
 
 
 def failure(value: object) -> Entry:
-    """The failures of one handler, an entry as in control.failures; raises MessageError."""
+    """The entry of one handler, as in control.failures; raises MessageError."""
     entry = fields.fields(value, _ENTRY, "a handler failure")
     for name in ("handler", "exception"):
         fields.line(entry[name], f"a handler failure: {name}", 300)

@@ -1,4 +1,4 @@
-"""Why a run stops: a typed value, and the text that stands for it in stop messages and in the driver's results.
+"""Why a run stops: a typed value, and its text in messages and results.
 
 The driver says why it has stopped, and the launcher makes the run's error of it.
 

@@ -24,7 +24,7 @@ from mast_zenoh.config.resolved import NodeSpec, driver_of
 from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import churn
-from mast_zenoh.messagelog.completeness import first_gap, first_missing
+from mast_zenoh.messagelog.completeness import first_incomplete_frame, first_missing_frame
 
 #: Takes up room until the final run.json is written: a run that filled the disk can still say so.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
@@ -217,7 +217,7 @@ def note_recording(
         if record.get("mode") == "realtime" and (gap := _gap(folder, nodes)) is not None:
             missed.append(gap)
         complete = recorder in handed_in and not lost and not missed
-        more = {} if complete else {"from_frame": min([first_gap(folder), *missed])}
+        more = {} if complete else {"from_frame": min([first_incomplete_frame(folder), *missed])}
         record["recording"] = {"complete": complete} | more
     for node, outcome in handed_in.items():
         if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
@@ -230,7 +230,7 @@ def note_recording(
 def _gap(folder: Path, nodes: Mapping[str, NodeSpec]) -> int | None:
     """The first frame of which a message of the node that drives the scene was not recorded."""
     driver = driver_of(nodes)
-    return first_missing(folder, driver) if driver else None
+    return first_missing_frame(folder, driver) if driver else None
 
 
 def _trouble(recorded: Mapping[str, Any]) -> dict[str, Any]:

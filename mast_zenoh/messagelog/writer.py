@@ -1,4 +1,4 @@
-"""Writes messages.mcap. If the process dies, whole chunks are kept and the chunk being built is lost."""
+"""Writes messages.mcap; if the process dies, only its last chunk is lost."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class MessageLog:
         return self._added - self.messages
 
     def begin(self, hears: Mapping[str, Input]) -> None:
-        """Open the file, with a channel for every key; later keys get one with their first message.
+        """Open the file, with a channel for every key; others get one on first use.
 
         Raises RunFolderError if the file exists or cannot be created, and DiskFull.
         """
@@ -98,7 +98,10 @@ class MessageLog:
             raise DiskFull(problem) if is_disk_full(error) else RunFolderError(problem) from None
 
     def add(self, key: str, payload: bytes, header: Header, step: int) -> None:
-        """Add a message; it is lost if there is a problem. step: the run's frame when it was sent; -1: unknown."""
+        """Add a message; it is lost if there is a problem.
+
+        step: the run's frame when it was sent; -1: unknown
+        """
         if key not in self._channels:
             self._channels[key] = self._channel(key)
         self._add(
@@ -176,7 +179,7 @@ class MessageLog:
             self._flush()
 
     def _flush(self) -> None:
-        """Write the sorted chunk. If that fails, nothing more is written, and the file stays readable."""
+        """Write the sorted chunk; after an error nothing more, so the file stays readable."""
         chunk, self._chunk, self._bytes = sorted(self._chunk), [], 0
         if self.problem:
             return
@@ -198,7 +201,7 @@ class MessageLog:
             self.messages += len(chunk)
 
     def _sharing(self, chunk: list[_Entry]) -> Iterator[int]:
-        """The places of messages that share key and frame with another one, in this chunk or an earlier one."""
+        """Indices of messages whose key and frame occur again, also in earlier chunks."""
         frames = Counter((entry.channel, entry.frame) for entry in chunk)
         for place, entry in enumerate(chunk):
             if frames[entry.channel, entry.frame] > 1 or entry.frame in self._frames[entry.channel]:
@@ -207,7 +210,7 @@ class MessageLog:
             self._frames[channel].append(frame)
 
     def _write(self, write: Callable[[], None]) -> bool:
-        """Run `write`; returns False after an error, which `problem` keeps, and nothing more is written."""
+        """Run `write`; returns False after an error, which is kept in `problem`."""
         try:
             write()
         except OSError as error:

@@ -1,4 +1,4 @@
-"""Why a certificate is refused: `look` collects the facts, `reasons` (pure) explains them in sentences."""
+"""Why a certificate is refused: `look` collects facts, `reasons` explains them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ _BUSY = "it is busy or does not speak TLS"
 
 @dataclass(frozen=True)
 class Certificate:
-    """The relevant parts of a certificate. trusted: signed by our authority; names: hosts that it is valid for."""
+    """The relevant parts of a certificate.
+
+    trusted: signed by our authority; names: hosts that it is valid for
+    """
 
     common_name: str
     not_before: datetime
@@ -86,7 +89,7 @@ _VERDICTS = {
 
 
 def explain(credentials: Credentials | Path, endpoint: str | None = None) -> list[str]:
-    """Reasons why these credentials would be refused at this endpoint, a sentence each; none if they are valid.
+    """Reasons why these credentials would be refused at this endpoint, as sentences.
 
     endpoint: of the router, tls/HOST:PORT; without it only the credentials are checked
     """
@@ -147,7 +150,7 @@ def _utc_text(time: datetime) -> str:
 
 
 def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
-    """Collect the facts about credentials, and about the router at an endpoint (within about three seconds)."""
+    """Collect the facts about credentials and a router, within about three seconds."""
     where, unusable, too_wide = "the credentials", [], []
     if isinstance(credentials, Path):
         folder, where = credentials, str(credentials)
@@ -200,7 +203,7 @@ def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
 
 
 def _router(host: str, port: int, credentials: Credentials | None, authority: x509.Certificate | None) -> Router:
-    """Attempt a TLS handshake with the router as a client would, but accept any certificate to inspect it."""
+    """Try a TLS handshake as a client would, but accept any certificate to inspect it."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     if credentials is not None and credentials.certificate:

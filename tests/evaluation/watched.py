@@ -76,10 +76,10 @@ class Watched(InProcess):
         except MessageError:
             return Read(header, None)
 
-    def _sent(self, message: Outgoing) -> None:
+    def _enqueue(self, message: Outgoing) -> None:
         for passage in self._ways.get(message.key, ()):
             self.arrivals.append(Arrival(passage, message.payload, message.step, message.flaw))
-        super()._sent(message)
+        super()._enqueue(message)
 
     def _build_host(self, name: str) -> Host:
         host = super()._build_host(name)
