@@ -73,14 +73,14 @@ def decode_counts(payload: bytes) -> Counts:
 
 
 def encode_epoch(number: int, members: Mapping[str, str], update: WiringUpdate | None) -> bytes:
-    """See Epoch."""
+    """Encode an epoch."""
     change = None if update is None else [update.wiring.to_json(), update.active, list(update.leaving)]
     packed: bytes = msgpack.packb([number, dict(members), change])
     return packed
 
 
 def decode_epoch(payload: bytes) -> Epoch:
-    """See Epoch; raises MessageError."""
+    """Decode an epoch; raises MessageError."""
     number, members, change = fields.items(fields.unpack(payload, "epoch"), 3, "epoch")
     fields.whole(number, "epoch: number", 1, MAX_EPOCH)
     update = None
@@ -88,7 +88,7 @@ def decode_epoch(payload: bytes) -> Epoch:
         wiring, active, leaving = fields.items(change, 3, "epoch: wiring update")
         update = WiringUpdate(
             wiring_of(wiring, "epoch: wiring"),
-            fields.flag(active, "epoch: speak"),
+            fields.flag(active, "epoch: active"),
             fields.names(leaving, "epoch: leaving"),
         )
     return Epoch(number, fields.roles(members, "epoch: members"), update)

@@ -1,6 +1,7 @@
 """Reads messages.mcap, also if truncated, a few chunks at a time.
 
-Messages are ordered by (frame, wire, publisher, sequence number)."""
+Messages are ordered by (frame, wire, publisher, sequence number).
+"""
 
 from __future__ import annotations
 

@@ -230,7 +230,7 @@ class NodeContext:
             raise ConfigurationError(f"{self.name}: after_s: found {after_s}, expected 0 to {MAX_DELAY_S:.0f}")
         if not self._clocked:
             raise ConfigurationError(
-                f"{self.name}: after_s: a node that does not hear the clock cannot delay a message"
+                f"{self.name}: after_s: a node that does not receive the clock cannot delay a message"
             )
         delay_ns = round(after_s * 1e9)
         if self._now is not None:

@@ -79,12 +79,12 @@ class Facts:
 
 #: Meaning of a router's alert, by OpenSSL's name for it.
 _VERDICTS = {
-    "CERTIFICATE_REQUIRED": "it requires a certificate, and none was shown",
-    "UNKNOWN_CA": "another authority has issued ours than the one it trusts",
-    "CERTIFICATE_EXPIRED": "it finds ours expired: compare the clocks of the two hosts",
-    "CERTIFICATE_UNKNOWN": "it does not accept ours",
-    "BAD_CERTIFICATE": "it does not accept ours",
-    "DECRYPT_ERROR": "ours was not signed by the authority that it names",
+    "CERTIFICATE_REQUIRED": "it requires a certificate, and none was presented",
+    "UNKNOWN_CA": "it trusts another authority than the one that issued our certificate",
+    "CERTIFICATE_EXPIRED": "it considers our certificate expired: compare the clocks of the two hosts",
+    "CERTIFICATE_UNKNOWN": "it does not accept our certificate",
+    "BAD_CERTIFICATE": "it does not accept our certificate",
+    "DECRYPT_ERROR": "our certificate was not signed by the authority that it names",
 }
 
 
@@ -126,7 +126,7 @@ def _router_reasons(facts: Facts, router: Router) -> Iterator[str]:
     if certificate is not None:
         yield from _validity("the router's certificate", facts.host, certificate, facts.now)
         if not certificate.trusted:
-            yield f"the router at {facts.host} was certified by another authority than ours: it may be a rogue"
+            yield f"the router at {facts.host} has a certificate of another authority: it may be a rogue"
         elif facts.host not in certificate.names:
             text = ", ".join(certificate.names) or "no host at all"
             yield f"the router's certificate is not for {facts.host!r}, but for {text}"

@@ -324,7 +324,7 @@ def test_a_time_before_the_scene_is_refused_by_the_receiver() -> None:
 
 def test_a_node_that_hears_no_clock_cannot_delay() -> None:
     host, _ = hosting(relaying(), node=Deaf)
-    with pytest.raises(ConfigurationError, match="does not hear the clock"):
+    with pytest.raises(ConfigurationError, match="does not receive the clock"):
         host.relay("status_out", Received(status(0), "a"), after_s=0.2)
 
 

@@ -1,7 +1,8 @@
 """The stamp attached to a data message: a mark of this testbed, epoch and step.
 
 The step is that in which the message was sent. An interposer's messages have the same stamp as the publisher's would,
-so they cannot be told apart by it."""
+so it does not reveal them.
+"""
 
 from __future__ import annotations
 
