@@ -371,7 +371,7 @@ def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(context: R
 
 
 @pytest.mark.parametrize(("reason", "fails"), [("end", False), ("forged", True), ("", True)])
-def test_a_run_that_somebody_else_has_told_to_stop_is_not_ok(context: RunContext, reason: str, fails: bool) -> None:
+def test_a_run_stopped_from_outside_is_not_ok(context: RunContext, reason: str, fails: bool) -> None:
     take_result_of_driver(context, reason)
     assert (context.stop.problem is not None) == fails
     assert context.stop.requested
@@ -414,7 +414,7 @@ PIECES = [
 @pytest.mark.parametrize(
     "payload", [*RUBBISH, *map(encode, PIECES), encode({"do": "piece", "path": "../x", "offset": 0})]
 )
-def test_a_malformed_question_is_answered_with_an_error_and_the_file_server_lives(
+def test_a_malformed_query_is_answered_with_an_error_and_the_file_server_continues(
     file_server: FileServer, context: RunContext, payload: bytes
 ) -> None:
     for what in ("fetch", "file"):
@@ -513,7 +513,7 @@ def test_of_many_counts_only_the_newest_of_each_node_is_queued_at_the_driver(dri
 
 
 @pytest.mark.parametrize("what", ["fetch", "file"])
-def test_what_is_too_long_for_its_kind_does_not_wait_at_the_file_server(
+def test_oversized_queries_are_not_queued_at_the_file_server(
     file_server: FileServer, context: RunContext, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits = MagicMock()
