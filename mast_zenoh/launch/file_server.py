@@ -28,7 +28,7 @@ from mast_zenoh.control.failures import described
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
-from mast_zenoh.runtime.file_client import written_by
+from mast_zenoh.runtime.file_client import files_written_by
 from mast_zenoh.scenes.recording import Recording
 
 #: Requests of one node that may wait; it sends one at a time, and again after five seconds.
@@ -160,12 +160,12 @@ class FileServer:
         resolved = self._resolved()
         self._kept[node] = kept = dict(files_for_node(resolved, node, self._folder))
         sizes = {path: len(c) if isinstance(c, bytes) else c.stat().st_size for path, c in kept.items()}
-        written = [path for path in written_by(resolved, node) if (self._folder / path).exists()]
+        written = [path for path in files_written_by(resolved, node) if (self._folder / path).exists()]
         return {"files": sizes, "without": self._without(node), "written": written}
 
     def _take(self, node: str, written: files.Written) -> dict[str, Any]:
         path, offset, piece = written
-        if path not in written_by(self._resolved(), node):
+        if path not in files_written_by(self._resolved(), node):
             raise MessageError(f"{node} has no file {path!r:.80} to give")
         target = self._folder / path
         with target.open("r+b" if target.exists() else "xb") as file:

@@ -34,7 +34,7 @@ _PROBES = 5
 
 log = logging.getLogger("mast")
 
-A = TypeVar("A")
+Answer = TypeVar("Answer")
 
 
 class FileClient:
@@ -75,7 +75,7 @@ class FileClient:
         """Append to a file of the run folder."""
         self.ask("file", {"path": path, "offset": offset, "piece": piece}, seconds, files.decode_nothing)
 
-    def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], A]) -> A:
+    def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], Answer]) -> Answer:
         """Query the launcher until it answers; returns the decoded answer.
 
         decode: decodes an answer; one for which it raises MessageError is ignored
@@ -116,7 +116,7 @@ class HandIn:
         self._client = client
         self._folder = folder
         self._offsets = dict.fromkeys(paths, 0)
-        self._over = threading.Event()
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._follow, daemon=True)
 
     def __enter__(self) -> HandIn:
@@ -125,14 +125,14 @@ class HandIn:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._over.set()
+        self._closing.set()
         if self._offsets:
             self._thread.join()
             if kind is None:
                 self._send()
 
     def _follow(self) -> None:
-        while not self._over.wait(_HAND_IN_EVERY_S):
+        while not self._closing.wait(_HAND_IN_EVERY_S):
             try:
                 self._send()
             except Exception as error:  # the end of the context tries again, and raises
@@ -147,9 +147,9 @@ class HandIn:
                     self._offsets[path] += len(piece)
 
 
-def written_by(resolved: Resolved, name: str, built: Any = None) -> tuple[str, ...]:
+def files_written_by(resolved: Resolved, name: str, instance: Any = None) -> tuple[str, ...]:
     """Files that a node writes: the message logs among its parameters and attributes."""
-    values = [*resolved.nodes[name].config.values(), *(vars(built).values() if built is not None else ())]
+    values = [*resolved.nodes[name].config.values(), *(vars(instance).values() if instance is not None else ())]
     return tuple(dict.fromkeys(str(value.path) for value in values if isinstance(value, MessageLog)))
 
 

@@ -26,7 +26,7 @@ import zenoh
 from mast_zenoh import version
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MastError, StartError
-from mast_zenoh.runtime.file_client import FileClient, HandIn, written_by
+from mast_zenoh.runtime.file_client import FileClient, HandIn, files_written_by
 from mast_zenoh.runtime.mesh import hosting
 from mast_zenoh.runtime.mesh.launcher_watch import LauncherWatch
 from mast_zenoh.runtime.mesh.session import open_router
@@ -94,19 +94,19 @@ def _host(arguments: argparse.Namespace) -> None:
             resolved = Resolved.read(folder)
             if resolved.mode == "lockstep":
                 hosting.use_batch_scheduling()
-            built = hosting.build(resolved, name)
+            instance = hosting.build(resolved, name)
             signatures = hosting.signatures(run, credentials)
-            hosted = hosting.host(resolved, run, name, built, session, without, signatures)
-            hosted.host_facts = {"versions": version.versions(), "clock": client.clock}
+            mesh_node = hosting.host(resolved, run, name, instance, session, without, signatures)
+            mesh_node.host_facts = {"versions": version.versions(), "clock": client.clock}
 
             def orphaned() -> None:
-                hosted.inbox.put(("stop", "orphaned"))
+                mesh_node.inbox.put(("stop", "orphaned"))
                 threading.Event().wait(_GRACE_S)
                 os._exit(3)
 
             leave[0] = orphaned
-            with HandIn(client, folder, written_by(resolved, name, built)):
-                hosted.run_until_stopped()
+            with HandIn(client, folder, files_written_by(resolved, name, instance)):
+                mesh_node.run_until_stopped()
 
 
 def _join(arguments: argparse.Namespace, credentials: Credentials | None) -> zenoh.Session:

@@ -82,7 +82,10 @@ class Pacer:
         return self.members.keys() - self._reports.keys()
 
     def quiet(self, *, include_listeners: bool = False) -> bool:
-        """Whether no message is in transit to nodes that publish, or to any node."""
+        """Whether no message is in transit to a node that publishes.
+
+        include_listeners: nor to any other node
+        """
         reports = self._reports
         awaited = self.members.keys() if include_listeners else self.members.keys() & self._publishers
         if not awaited <= reports.keys():

@@ -47,8 +47,8 @@ class Timetable:
     def before(self, frame: int, present: Container[str] | None = None) -> Iterator[list[ProcessStep]]:
         """The steps before a frame in groups, those that end a node first; sorted by node.
 
-        present: the running nodes, evaluated for each group: running nodes are not started, the others get no other
-                 step; None: unknown
+        present: the running nodes, evaluated for each group: a running node is not started, and one that is not running
+                 gets no other step; None: unknown
         """
         for leaving in (True, False):
             group = [step for step in self._steps.get(frame, ()) if (step.action in LEAVING) == leaving]

@@ -91,7 +91,9 @@ class Driver(MeshNode):
             frame=lambda: self.frames,
             begin_epoch=self._begin_epoch,
         )
-        self._epoch, self._act, self._stop = map(self._declare_control, ("epoch", "act", "stop"))
+        self._epoch_publisher, self._act_publisher, self._stop_publisher = map(
+            self._declare_control, ("epoch", "act", "stop")
+        )
         self._subscribers.append(self.subscribe("@control/counts/*", self._on_counts))
         rewire: Any = zenoh.handlers.Callback(self._on_rewire, indirect=False)
         self._subscribers.append(session.declare_queryable(f"{self._prefix}/@control/rewire", rewire))
@@ -106,7 +108,7 @@ class Driver(MeshNode):
         reason = self._gather() or self._play()
         if self.stop_reason is None:
             self.stop_reason = encode_reason(reason)[:MAX_TEXT]
-            self._stop.put(self.signatures.sign("stop", self.stop_reason.encode()))
+            self._stop_publisher.put(self.signatures.sign("stop", self.stop_reason.encode()))
         self.hand_in()
         alive.undeclare()
 
@@ -160,7 +162,7 @@ class Driver(MeshNode):
                 while self._wait(due):
                     if self.membership.differs(self.members):
                         self._begin_epoch()
-                    self.coordinator.turn()
+                    self.coordinator.advance()
             if reason := self._end_reason or self._carry_out():
                 return reason
             if not self._send_frame():
@@ -171,7 +173,7 @@ class Driver(MeshNode):
 
     def _rewire(self) -> StopReason | None:
         """Carry out requested changes of the wiring, between two frames."""
-        while self.coordinator.turn():
+        while self.coordinator.advance():
             if reason := self._await_quiet(include_listeners=True):
                 return reason
         return None
@@ -188,7 +190,7 @@ class Driver(MeshNode):
         for group in self.timetable.before(self.frames, alive if self.lockstep else None):
             self.membership.leaving |= {step.node for step in group if step.action in LEAVING}
             act = flow.encode_act(self.frames, [(step.action, step.node) for step in group])
-            self._act.put(self.signatures.sign("act", act))
+            self._act_publisher.put(self.signatures.sign("act", act))
             if self.lockstep and (reason := self._await_done(group)):
                 return reason
         return None
@@ -196,9 +198,9 @@ class Driver(MeshNode):
     def _await_done(self, group: list[ProcessStep]) -> StopReason | None:
         """Wait until the nodes of a group have ended or started, and all others know it."""
         deadline, alive = time.monotonic() + self.start_timeout_s, self.membership.alive
-        while undone := [step for step in group if (step.node in alive) != (step.action == "start")]:
+        while pending_steps := [step for step in group if (step.node in alive) != (step.action == "start")]:
             if not self._wait(deadline):
-                names = ", ".join(f"{step.action} {step.node}" for step in undone)
+                names = ", ".join(f"{step.action} {step.node}" for step in pending_steps)
                 return self._stalled(f"not done before frame {self.frames}: {names}")
         self._begin_epoch()
         return self._await_quiet(include_listeners=True)
@@ -289,7 +291,7 @@ class Driver(MeshNode):
             self.host.log.info("frame %d: left: %s; joined: %s", self.frames, sorted(left), sorted(joined))
         epoch = self.pacer.begin_epoch(members)
         self.scene.sent.clear()
-        self._epoch.put(self.signatures.sign("epoch", flow.encode_epoch(epoch, members, update)))
+        self._epoch_publisher.put(self.signatures.sign("epoch", flow.encode_epoch(epoch, members, update)))
         self._enter_epoch(epoch, members, update)
         self._report_self()
 

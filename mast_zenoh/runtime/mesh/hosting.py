@@ -82,7 +82,7 @@ def host(
     resolved: Resolved,
     run: str,
     name: str,
-    built: Any,
+    instance: Any,
     session: zenoh.Session,
     without: Collection[str],
     signatures: Signatures,
@@ -90,21 +90,21 @@ def host(
     """Put a built node on the mesh, not yet running; from now on SIGTERM stops it."""
     wiring = Wiring.from_json(resolved.wiring)
     lockstep = resolved.mode == "lockstep"
-    common = (run, name, built, wiring, resolved.seed, session)
+    common = (run, name, instance, wiring, resolved.seed, session)
     options: dict[str, Any] = {"signatures": signatures, "period_ns": resolved.period_ns, "lockstep": lockstep}
     options |= {"without": without, "timespan": resolved.timespan}
-    if isinstance(built, Source):
+    if isinstance(instance, Source):
         roles = {other: spec.role for other, spec in resolved.nodes.items()}
         timetable = Timetable(resolved, lockstep=lockstep)
-        hosted: MeshNode = Driver(*common, **options, expected=roles, rate=resolved.rate, timetable=timetable)
+        mesh_node: MeshNode = Driver(*common, **options, expected=roles, rate=resolved.rate, timetable=timetable)
     else:
-        hosted = MeshNode(*common, **options)
+        mesh_node = MeshNode(*common, **options)
     if not lockstep:
-        hosted.note_arrivals()
+        mesh_node.note_arrivals()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
-    signal.signal(signal.SIGTERM, lambda *_: hosted.inbox.put(("stop", "terminated")))
+    signal.signal(signal.SIGTERM, lambda *_: mesh_node.inbox.put(("stop", "terminated")))
     if not wiring.ports(name).outputs:
         os.nice(LISTENER_NICENESS)
     gc.freeze()  # existing objects stay: the garbage collector need not scan them again
     gc.set_threshold(50_000, 20, 20)
-    return hosted
+    return mesh_node

@@ -29,7 +29,7 @@ class LauncherWatch:
         self._leave = leave
         self._present = False
         self._changed = threading.Condition()
-        self._over = False
+        self._closing = False
         handler: Any = zenoh.handlers.Callback(self._note, indirect=False)
         key = f"{control_prefix(run)}/launcher"
         self._subscriber = session.liveliness().declare_subscriber(key, handler, history=True)
@@ -41,7 +41,7 @@ class LauncherWatch:
 
     def __exit__(self, *_: object) -> None:
         with self._changed:
-            self._over = True
+            self._closing = True
             self._changed.notify()
         self._subscriber.undeclare()
         (Path(tempfile.gettempdir()) / UP).unlink(missing_ok=True)
@@ -54,12 +54,12 @@ class LauncherWatch:
     def _watch(self) -> None:
         up = Path(tempfile.gettempdir()) / UP
         with self._changed:
-            while not self._over:
+            while not self._closing:
                 with contextlib.suppress(OSError):
                     up.touch() if self._present else up.unlink(missing_ok=True)
                 if self._present:
                     self._changed.wait()
-                elif not self._changed.wait_for(lambda: self._present or self._over, self.patience_s):
+                elif not self._changed.wait_for(lambda: self._present or self._closing, self.patience_s):
                     self.gone = True
                     break
         if self.gone:

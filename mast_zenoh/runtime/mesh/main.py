@@ -63,19 +63,19 @@ def main(node: type[Node] | None = None) -> None:
 
 def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
     """Build the node from its run folder and host it until it is told to stop."""
-    hosted: list[MeshNode] = []
+    mesh_nodes: list[MeshNode] = []
     if not arguments.stay:  # first of all: the launcher may be killed while this process is starting
-        threading.Thread(target=_leave_with_launcher, args=(hosted, arguments.credentials), daemon=True).start()
+        threading.Thread(target=_leave_with_launcher, args=(mesh_nodes, arguments.credentials), daemon=True).start()
     os.chdir(arguments.run_folder)
     resolved = Resolved.read(Path())
-    built = hosting.build(resolved, arguments.name, node, f"{arguments.run_folder}/scenario.json")
+    instance = hosting.build(resolved, arguments.name, node, f"{arguments.run_folder}/scenario.json")
     if resolved.mode == "lockstep":
         hosting.use_batch_scheduling()  # before there is a session, so that Zenoh's threads do so too
     with hosting.join(arguments.endpoint, arguments.credentials, patient=resolved.patient) as session:
         without = [name for name in arguments.without.split(",") if name]
         signatures = hosting.signatures(arguments.run, arguments.credentials)
-        hosted.append(hosting.host(resolved, arguments.run, arguments.name, built, session, without, signatures))
-        hosted[0].run_until_stopped()
+        mesh_nodes.append(hosting.host(resolved, arguments.run, arguments.name, instance, session, without, signatures))
+        mesh_nodes[0].run_until_stopped()
 
 
 def _wake_when_orphaned() -> None:
@@ -84,7 +84,7 @@ def _wake_when_orphaned() -> None:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
 
 
-def _leave_with_launcher(hosted: list[MeshNode], credentials: Path | None) -> None:
+def _leave_with_launcher(mesh_nodes: list[MeshNode], credentials: Path | None) -> None:
     """Wait for the end of standard input, then delete the credentials and leave."""
     while os.read(0, 4096):
         pass
@@ -92,7 +92,7 @@ def _leave_with_launcher(hosted: list[MeshNode], credentials: Path | None) -> No
         shutil.rmtree(credentials, ignore_errors=True)
         with contextlib.suppress(OSError):
             credentials.parent.rmdir()  # succeeds in the last process
-    for node in hosted:
+    for node in mesh_nodes:
         node.inbox.put(("stop", "orphaned"))
         threading.Event().wait(ORPHAN_GRACE_S)
     os._exit(3)

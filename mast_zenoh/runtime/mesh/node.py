@@ -117,20 +117,20 @@ class MeshNode:
         self.await_matching()
         alive = self.session.liveliness().declare_token(f"{self._prefix}/alive/{self.name}")
         while self.stop_reason is None:
-            self.turn()
+            self.run_once()
         self.intake.prompt = False
         with self.intake.lock:
             self.hand_in()
         alive.undeclare()
 
-    def turn(self) -> None:
+    def run_once(self) -> None:
         """Send what is due, then handle one event, or report if there is none."""
         with self.intake.lock:
             due_s = self.host.release()
         try:
             event: Event | None = self.inbox.get_nowait()
         except queue.Empty:
-            event = self.idle(due_s)
+            event = self.wait_for_event(due_s)
         if event is None:
             return
         with self.intake.lock:
@@ -138,7 +138,7 @@ class MeshNode:
         if event[0] == "sample":
             self.intake.handled += 1
 
-    def idle(self, due_s: float | None = None) -> Event | None:
+    def wait_for_event(self, due_s: float | None = None) -> Event | None:
         """Report, then wait for the next event; None if a delayed message is due first.
 
         due_s: time until then, s; None: no message is delayed

@@ -42,8 +42,8 @@ class Change:
     join: dict[str, str]
     leave: tuple[str, ...]
     query: zenoh.Query
-    requested: float = field(default_factory=time.monotonic)
-    begun: float = 0.0
+    requested_at: float = field(default_factory=time.monotonic)
+    started_at: float = 0.0
     frame: int = 0
 
     def reply(self, **answer: Any) -> None:
@@ -90,7 +90,7 @@ class WiringCoordinator:
             raise MessageError(f"rewire: more than {MAX_WAITING} changes wait")
         self._waiting.append(Change(*request, query))
 
-    def turn(self) -> bool:
+    def advance(self) -> bool:
         """Advance the change as far as possible; returns whether it waits for reports."""
         change = self._change
         if change is None:
@@ -113,20 +113,20 @@ class WiringCoordinator:
             return True
         self.update = WiringUpdate(change.wiring, True)
         self._change = None
-        change.reply(frame=change.frame, took_ms=round((time.monotonic() - change.begun) * 1e3, 3))
+        change.reply(frame=change.frame, took_ms=round((time.monotonic() - change.started_at) * 1e3, 3))
         return self._begin()
 
     def _begin(self) -> bool:
-        """Begin the next change, once the joining nodes are alive; returns as `turn` does."""
+        """Begin the next change, once the joining nodes are alive; returns as `advance` does."""
         if not self._waiting:
             return False
         change = self._waiting[0]
         if not change.join.keys() <= self._membership.alive:
-            if time.monotonic() - change.requested > CHANGE_TIMEOUT_S:
+            if time.monotonic() - change.requested_at > CHANGE_TIMEOUT_S:
                 self._waiting.popleft().reply(error=f"{', '.join(change.join)} is not there")
             return False
         self._change = self._waiting.popleft()
-        change.begun = time.monotonic()
+        change.started_at = time.monotonic()
         self._membership.expected |= change.join
         self._announce(WiringUpdate(change.wiring, False, change.leave))
         return True
