@@ -37,7 +37,7 @@ def unpack(payload: bytes, what: str, max_bytes: int = 0) -> Any:
 
 
 def at_most(values: int, what: str) -> Callable[[Any], Any]:
-    """A hook for msgpack that mosts the number of values in all lists and maps.
+    """A hook for msgpack that limits the number of values in all lists and maps.
 
     It raises MessageError beyond that number.
     An empty list takes one byte in a message and eighty in memory, so a limit of bytes is not enough.

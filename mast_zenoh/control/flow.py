@@ -28,7 +28,7 @@ class Counts(NamedTuple):
 class WiringUpdate(NamedTuple):
     """The wiring in an epoch, and the nodes about to leave.
 
-    active: whether the wiring is in use; otherwise it is announced
+    active: whether the wiring is in use; otherwise it is only announced
     """
 
     wiring: Wiring

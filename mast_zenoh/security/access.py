@@ -1,4 +1,4 @@
-"""Access rights on the router: Zenoh's `access_control` from the wiring alone.
+"""Access rights on the router: a pure function from a wiring to `access_control`.
 
 Everything is denied except these rights, given to each certificate by its common name:
 
@@ -90,7 +90,8 @@ def watch(key: str) -> Iterator[Right]:
 def rights(wiring: Wiring, node: str, *, driver: str) -> list[Right]:
     """The rights of a node or of LAUNCHER, each once, in a fixed order.
 
-    Keys are without the run's prefix."""
+    Keys are without the run's prefix.
+    """
     granted = _launcher() if node == LAUNCHER else _node(wiring, node, drives=node == driver)
     return list(dict.fromkeys(granted))
 

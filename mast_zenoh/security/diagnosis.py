@@ -1,4 +1,7 @@
-"""Why a certificate is refused: `look` collects facts, `reasons` explains them."""
+"""Why a certificate is refused: `look` collects facts, `reasons` explains them.
+
+`reasons` is pure.
+"""
 
 from __future__ import annotations
 

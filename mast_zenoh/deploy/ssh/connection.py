@@ -1,6 +1,7 @@
 """SSH connections to hosts: programs, files, and readable errors.
 
-The event loop runs in its own thread."""
+The event loop runs in its own thread.
+"""
 
 from __future__ import annotations
 

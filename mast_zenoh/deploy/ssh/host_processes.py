@@ -1,6 +1,7 @@
 """Starts, signals and observes the processes of a run's nodes on this host.
 
-Imports nothing slow or large."""
+Imports nothing slow or large.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""hosts.toml: the hosts, how to reach them, and the placement of a run's nodes."""
+"""hosts.toml: the hosts, how to reach them, and the placement of a run's nodes.
+
+Pure, except for reading the file.
+"""
 
 from __future__ import annotations
 

@@ -57,7 +57,8 @@ class Packages:
 async def probe(ssh: asyncssh.SSHClientConnection, host: Host, packages: Packages) -> dict[str, Any]:
     """Properties and installed packages of a host.
 
-    Raises EngineError, DiskFull or VersionMismatch if it is unsuitable."""
+    Raises EngineError, DiskFull or VersionMismatch if it is unsuitable.
+    """
     output = await connection.run(ssh, host, [host.python, "-c", _PRINT_PLATFORM])
     python, machine = output.split()
     if tuple(map(int, python.split("."))) < _OLDEST:

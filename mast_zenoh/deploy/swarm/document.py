@@ -2,7 +2,7 @@
 
 Docker restarts a node after a failure if its `on_exit` says so, as often as a launcher would; other nodes are never
 restarted. Names are resolved by DNS only (`dnsrr`): each service has one task, and virtual addresses would need a
-kernel with IPVS.
+kernel with IPVS. Pure functions.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The newest value of each node, announced by one event at a time.
 
-A flood of values cannot fill the inbox: a newer value replaces one that has not been taken yet."""
+A flood of values cannot fill the inbox: a newer value replaces one that has not been taken yet.
+"""
 
 from __future__ import annotations
 
