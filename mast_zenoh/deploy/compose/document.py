@@ -1,7 +1,8 @@
 """A resolved scenario as a compose file: services for the router and every node.
 
 Nodes have no access to the host except to their credentials, and reach only the router: the run has two networks
-without external access, `wired` for static nodes and `wireless` for mobile agents and interposers on their wires. Pure functions.
+without external access, `wired` for static nodes and `wireless` for mobile agents and interposers on their wires.
+Pure functions.
 """
 
 from __future__ import annotations

@@ -224,7 +224,7 @@ class Warden:
             node.reported = True
 
     def _queue_logs(self, connection: Connection, max_queued: float) -> None:
-        """Queue new output of all processes in turn, up to `max_queued` bytes in the queue."""
+        """Queue new output of all processes in turn, up to `max_queued` queued bytes."""
         if connection.offsets is None:
             return
         names = self.processes.names()

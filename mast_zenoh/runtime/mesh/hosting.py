@@ -68,7 +68,7 @@ def _own(credentials: Path | Credentials) -> Credentials:
 
 
 def use_batch_scheduling() -> None:
-    """Let other processes preempt this one less often: in lock-step, it costs nothing.
+    """Reduce preemption by waking processes: none gains by it in lock-step.
 
     Affects all current threads and those that they start.
     """

@@ -117,7 +117,7 @@ class WiringCoordinator:
         return self._begin()
 
     def _begin(self) -> bool:
-        """Begin the next change, once the joining nodes are alive; returns as `advance` does."""
+        """Begin the next change once the joining nodes are alive; returns as `advance`."""
         if not self._waiting:
             return False
         change = self._waiting[0]
