@@ -24,7 +24,7 @@ from contextlib import closing
 from pathlib import Path
 
 from mast_zenoh import scenario
-from mast_zenoh.runtime.inproc import InProcess, results_of
+from mast_zenoh.runtime.inproc import InProcess, find_result
 from mast_zenoh.study import definition, execution, plan
 from mast_zenoh.study.trial import Trial
 
@@ -45,7 +45,7 @@ def whole_runs(name: str, scene: str, repeats: int) -> None:
         wall.append(time.perf_counter() - began)
         evaluation.append(wall[-1] - results[""]["wall_s"])
     frames = resolved.frames
-    metrics = results_of({key: value for key, value in results.items() if key}, "metrics")
+    metrics = find_result({key: value for key, value in results.items() if key}, "metrics")
     picture = next(iter(metrics["agents"].values()))["picture"]
     print(
         f"{name:14}{frames / min(cpu):12.0f}{frames / statistics.median(cpu):10.0f}"

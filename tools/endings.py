@@ -28,7 +28,7 @@ from disturbing import Tried, left_behind, numbers, parser, tell
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.liveness import current_record
-from mast_zenoh.messagelog.completeness import first_gap
+from mast_zenoh.messagelog.completeness import first_incomplete_frame
 from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.messagelog.reader import read
 
@@ -161,7 +161,7 @@ def _wrongly_told(record: dict[str, Any], status: str, out: Path, undisturbed: P
         noted = record.get("recorded", {}).get("messages", len(frames))
         if status != "killed" and noted != len(frames):
             return [f"{len(frames)} messages are recorded, run.json says {noted}"]
-        said = record.get("recording", {"from_frame": first_gap(out)})
+        said = record.get("recording", {"from_frame": first_incomplete_frame(out)})
         sound = min(said.get("from_frame", FRAMES), FRAMES if status == "ok" else max(frames, default=0))
         if sound and compare(undisturbed, out, taps=True, before=sound).first is not None:
             return [f"run.json says {said} of a recording that is not that of the undisturbed run before frame {sound}"]

@@ -1,4 +1,4 @@
-"""Failures of handlers: counted in the node's process, merged and formatted by the launcher.
+"""Failures of handlers: counted by nodes, merged and formatted by the launcher.
 
 An entry is a failure as plain values, as in messages and in run.json:
 
@@ -68,7 +68,7 @@ def described(error: BaseException) -> str:
 
 
 def location(error: BaseException, call: Callable[..., Any]) -> str:
-    """`file:line` of the innermost frame in the code of a node or an algorithm; else the definition of `call`.
+    """`file:line` of the innermost frame in user code, else of `call`'s definition.
 
     call: the handler that raised the error. Frames in the standard library, installed packages and the runtime are
     skipped. An error about the return value of a function has the function in `about`.
@@ -131,7 +131,7 @@ def error(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | Non
 
 
 def how_often(entry: Entry) -> str:
-    """How often a handler failed and in which frames, as text; an entry of an older run has no frames."""
+    """How often, and in which frames if known, a handler failed, as text."""
     times = "once" if entry["count"] == 1 else f"{entry['count']} times"
     if "first_frame" not in entry:
         return times

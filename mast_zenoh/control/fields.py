@@ -1,4 +1,4 @@
-"""Strict readers for parts of a control message: each returns a value of one type, or raises MessageError."""
+"""Strict readers of a control message's fields: a typed value, or MessageError."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ONE_STR, _ONE_INT = {str}, {int}
 
 
 def unpack(payload: bytes, what: str, max_bytes: int = 0) -> Any:
-    """Unpack a control message of the kind `what`; max_bytes: 0 for the limit in CONTROLS."""
+    """Unpack a control message of a kind; max_bytes: 0 for the limit in CONTROLS."""
     fits(payload, what, max_bytes)
     count = at_most(MAX_VALUES, what)
     limits = {"max_ext_len": 0, "max_map_len": MAX_ENTRIES, "max_array_len": MAX_ENTRIES}
@@ -37,8 +37,9 @@ def unpack(payload: bytes, what: str, max_bytes: int = 0) -> Any:
 
 
 def at_most(values: int, what: str) -> Callable[[Any], Any]:
-    """A hook for msgpack that raises MessageError when lists and maps hold more than `values` values in all.
+    """A hook for msgpack that limits the number of values in all lists and maps.
 
+    It raises MessageError beyond that number.
     An empty list takes one byte in a message and eighty in memory, so a limit of bytes is not enough.
     """
     remaining = values
@@ -110,9 +111,9 @@ def whole(value: object, what: str, least: int = 0, below: int = MAX_NUMBER) -> 
     return value
 
 
-def finite(value: object, what: str, most: float = 1e15) -> float:
+def finite(value: object, what: str, limit: float = 1e15) -> float:
     """A finite number of at most this magnitude."""
-    if type(value) not in (int, float) or not math.isfinite(value) or abs(value) > most:  # type: ignore[arg-type]
+    if type(value) not in (int, float) or not math.isfinite(value) or abs(value) > limit:  # type: ignore[arg-type]
         raise MessageError(f"{what}: found {abbreviated(value)}, expected a finite number")
     return float(value)  # type: ignore[arg-type]
 
@@ -124,16 +125,16 @@ def flag(value: object, what: str) -> bool:
     return value
 
 
-def text(value: object, what: str, most: int = 4096) -> str:
-    """A text of at most `most` characters."""
-    if type(value) is not str or len(value) > most:
-        raise MessageError(f"{what}: found {abbreviated(value)}, expected a text of at most {most} characters")
+def text(value: object, what: str, limit: int = 4096) -> str:
+    """A text of at most `limit` characters."""
+    if type(value) is not str or len(value) > limit:
+        raise MessageError(f"{what}: found {abbreviated(value)}, expected a text of at most {limit} characters")
     return value
 
 
-def line(value: object, what: str, most: int = 4096) -> str:
-    """A text of one line, of at most `most` characters."""
-    if len(text(value, what, most).splitlines()) > 1:
+def line(value: object, what: str, limit: int = 4096) -> str:
+    """A text of one line, of at most `limit` characters."""
+    if len(text(value, what, limit).splitlines()) > 1:
         raise MessageError(f"{what}: found text of several lines, expected one")
     return value  # type: ignore[return-value]
 

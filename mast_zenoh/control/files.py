@@ -1,4 +1,4 @@
-"""Control messages for files between a node on another host and the launcher, in both directions."""
+"""Control messages for files between a node on another host and the launcher."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MAX_ANSWER = PIECE_BYTES + (1 << 20)
 
 
 class Join(NamedTuple):
-    """A node's request for its files, with the version of mast and of all packages that it runs."""
+    """A node's request for its files, with the versions of mast and its packages."""
 
     version: str
     versions: dict[str, str]

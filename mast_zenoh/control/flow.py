@@ -1,4 +1,4 @@
-"""Control messages that drive a run: members, handled messages, changes of the wiring, and its end."""
+"""Control messages of a run's flow: members, counts, wiring changes, and its end."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ class Counts(NamedTuple):
 
 
 class WiringUpdate(NamedTuple):
-    """What an epoch says of the wiring: as it will be, or is when it is active, and which nodes are about to leave."""
+    """The wiring in an epoch, and the nodes about to leave.
+
+    active: whether the wiring is in use; otherwise it is only announced
+    """
 
     wiring: Wiring
     active: bool
@@ -34,7 +37,7 @@ class WiringUpdate(NamedTuple):
 
 
 class Epoch(NamedTuple):
-    """The members from now on, name to role; update: None as long as the wiring is that of the start."""
+    """The members from now on, name to role; update: None before any wiring change."""
 
     number: int
     members: dict[str, str]
@@ -49,7 +52,7 @@ class Act(NamedTuple):
 
 
 class Rewire(NamedTuple):
-    """A change of the wiring; join: the nodes that it adds, name to role; leave: those that it removes."""
+    """A change of the wiring; join: added nodes, name to role; leave: removed nodes."""
 
     wiring: Wiring
     join: dict[str, str]
@@ -70,14 +73,14 @@ def decode_counts(payload: bytes) -> Counts:
 
 
 def encode_epoch(number: int, members: Mapping[str, str], update: WiringUpdate | None) -> bytes:
-    """See Epoch."""
+    """Encode an epoch."""
     change = None if update is None else [update.wiring.to_json(), update.active, list(update.leaving)]
     packed: bytes = msgpack.packb([number, dict(members), change])
     return packed
 
 
 def decode_epoch(payload: bytes) -> Epoch:
-    """See Epoch; raises MessageError."""
+    """Decode an epoch; raises MessageError."""
     number, members, change = fields.items(fields.unpack(payload, "epoch"), 3, "epoch")
     fields.whole(number, "epoch: number", 1, MAX_EPOCH)
     update = None
@@ -85,7 +88,7 @@ def decode_epoch(payload: bytes) -> Epoch:
         wiring, active, leaving = fields.items(change, 3, "epoch: wiring update")
         update = WiringUpdate(
             wiring_of(wiring, "epoch: wiring"),
-            fields.flag(active, "epoch: speak"),
+            fields.flag(active, "epoch: active"),
             fields.names(leaving, "epoch: leaving"),
         )
     return Epoch(number, fields.roles(members, "epoch: members"), update)
@@ -142,7 +145,7 @@ def encode_rewired(**answer: Any) -> bytes:
 
 
 def decode_rewired(payload: bytes) -> dict[str, Any]:
-    """Decode the outcome of a change: frame and took_ms, or error; raises MessageError."""
+    """The outcome of a change: frame and took_ms, or error; raises MessageError."""
     answer = fields.mapping(fields.unpack(payload, "rewire"), "rewire: answer")
     if "error" in answer:
         return {"error": fields.text(fields.fields(answer, ("error",), "rewire: answer")["error"], "rewire: error")}
@@ -154,7 +157,7 @@ def decode_rewired(payload: bytes) -> dict[str, Any]:
 
 
 def wiring_of(value: object, what: str) -> Wiring:
-    """The wiring from its `Wiring.to_json` form; raises MessageError for anything else."""
+    """The wiring that `Wiring.to_json` wrote; raises MessageError for anything else."""
     try:
         wiring = Wiring.from_json(fields.mapping(value, what))
         consistent = wiring.to_json() == value

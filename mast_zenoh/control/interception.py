@@ -1,4 +1,4 @@
-"""A user's requests to a running run, to insert a node into a wire or release one, and the answers."""
+"""Requests of a user to insert a node into a wire or release one, and the answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Control messages from a node to the launcher: failures of handlers, and at its end its results."""
+"""Control messages from a node to the launcher: failures, and its results."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def decode_failure(payload: bytes) -> tuple[str, Entry]:
 
 
 def failure(value: object) -> Entry:
-    """The failures of one handler, an entry as in control.failures; raises MessageError."""
+    """The entry of one handler, as in control.failures; raises MessageError."""
     entry = fields.fields(value, _ENTRY, "a handler failure")
     for name in ("handler", "exception"):
         fields.line(entry[name], f"a handler failure: {name}", 300)
@@ -80,15 +80,17 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
     for part in ("rejected", "foreign"):
         for key in fields.counters(_bounded_map(result[part], f"result: {part}"), f"result: {part}"):
             fields.line(key, f"result: {part}")
-    for part, first, most in (("first_rejected", -1, 200), ("invalid", 1, 200)):
+    for part, minimum in (("first_rejected", -1), ("invalid", 1)):
         for key, pair in _bounded_map(result[part], f"result: {part}").items():
             number, reason = fields.items(pair, 2, f"result: {part}")
             fields.line(key, f"result: {part}")
-            fields.whole(number, f"result: {part}", first)
-            fields.line(reason, f"result: {part}", most)
+            fields.whole(number, f"result: {part}", minimum)
+            fields.line(reason, f"result: {part}", 200)
     fields.whole(result["unsigned"], "result: unsigned")
     if not drives and (unexpected := result["invalid"].keys() - _refused_by(node)):
-        raise MessageError(f"result: invalid: found {fields.abbreviated(min(unexpected))}, which {node} does not hear")
+        raise MessageError(
+            f"result: invalid: found {fields.abbreviated(min(unexpected))}, which {node} does not receive"
+        )
     fields.text(result["process"], "result: process", 64)
     entries = fields.listed(result["failures"], "result: failures")
     if len(entries) > MAX_HANDLERS:

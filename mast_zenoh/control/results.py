@@ -1,4 +1,4 @@
-"""Results of nodes: nested plain values and arrays, as MessagePack on the way to the launcher."""
+"""Results of nodes: nested plain values and arrays, packed as MessagePack."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ _PLAIN = (str, int, float, type(None), np.bool_, np.integer, np.floating, np.nda
 
 
 def pack(value: Any) -> bytes:
-    """Pack nested dicts, lists, numbers, strings and arrays (of numbers or of strings)."""
-    packed: bytes = msgpack.packb(value, default=_encode)
+    """Pack nested dicts, lists, numbers, strings, and arrays of numbers or strings."""
+    packed: bytes = msgpack.packb(value, default=encode_extension)
     return packed
 
 
 def unpack(payload: bytes) -> Any:
-    """Unpack what `pack` packed; raises MessageError for anything else, and for too many values."""
+    """Unpack what `pack` packed; raises MessageError for anything else or too much."""
     count = fields.at_most(MAX_VALUES, "a result, arrays and columns of text apart")
     remaining_texts = [max(MAX_TEXTS, len(payload) // 4)]
     try:
@@ -57,12 +57,12 @@ def unpack(payload: bytes) -> Any:
         )
     except MessageError:
         raise
-    except Exception as error:  # msgpack has several, and NumPy too
+    except Exception as error:  # of several types, of msgpack and NumPy
         raise MessageError(f"a result: not as it was packed: {type(error).__name__}: {str(error)[:100]}") from None
 
 
 def checked(value: Any) -> dict[str, Any]:
-    """The return value of a node's `finish`, {} for None; raises TypeError if it cannot be packed."""
+    """The result of a node's `finish`, {} for None; raises TypeError if not packable."""
     if value is None:
         return {}
     if not isinstance(value, dict):
@@ -75,7 +75,7 @@ def checked(value: Any) -> dict[str, Any]:
 
 
 def collations(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
-    """The counts that brokers returned as `collation`: batches, messages left out, `late` by agent.
+    """The counts that brokers returned as `collation`, with `late` by agent.
 
     Other values are dropped: a user's own broker may return anything.
     """
@@ -85,13 +85,13 @@ def collations(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, Nod
 
 
 def late(collations: Sequence[Mapping[str, Any]]) -> dict[str, int]:
-    """Number of messages of each agent that came after their batch was emitted, from the brokers' counts."""
+    """Number of messages by agent that missed their batch, from the brokers' counts."""
     counts = [collation["late"] for collation in collations]
     return {agent: sum(count.get(agent, 0) for count in counts) for agent in sorted(set().union(*counts))}
 
 
 def counts_of(value: object) -> dict[str, int]:
-    """The counts in a node's return value, by name: whole numbers from 0 with printable names; the rest is dropped."""
+    """The valid counts in a node's return value: printable names, integers from 0."""
     if not isinstance(value, Mapping):
         return {}
     return {str(name): n for name, n in value.items() if type(n) is int and n >= 0 and str(name).isprintable()}
@@ -140,7 +140,8 @@ def _json_size(value: Any) -> int:
     return sum(itertools.accumulate(value.shape, operator.mul)) if isinstance(value, np.ndarray) else 0
 
 
-def _encode(value: Any) -> Any:
+def encode_extension(value: Any) -> Any:
+    """Encode an array or a NumPy scalar: the `default` of msgpack; raises TypeError."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind in "OU":
             return msgpack.ExtType(_TEXTS, msgpack.packb([str(item) for item in value]))
@@ -152,7 +153,7 @@ def _encode(value: Any) -> Any:
 
 
 def _decode(code: int, data: bytes, texts: list[int]) -> Any:
-    """Decode a column of text, or an array; texts: the number of further texts allowed."""
+    """Decode a column of text or an array; texts: the remaining number of texts."""
     if code == _TEXTS:
         items = _flat(data, texts[0])
         if not {*map(type, items)} <= {str}:
@@ -173,8 +174,8 @@ def _decode(code: int, data: bytes, texts: list[int]) -> Any:
     return np.frombuffer(raw, dtype=dtype).reshape(shape)
 
 
-def _flat(data: bytes, most: int, inner: int = 0) -> list[Any]:
-    """A list of at most `most` values, of which at most `inner` are lists, and none another container."""
+def _flat(data: bytes, limit: int, inner: int = 0) -> list[Any]:
+    """A list of at most `limit` values; at most `inner` of them are lists, none a map."""
     remaining = 1 + inner
 
     def counted(container: Any) -> Any:
@@ -184,7 +185,7 @@ def _flat(data: bytes, most: int, inner: int = 0) -> list[Any]:
             raise MessageError("a result: found an array or a column of text that holds something else")
         return container
 
-    max_length = max(most, _MAX_DIMENSIONS)
+    max_length = max(limit, _MAX_DIMENSIONS)
     values = msgpack.unpackb(
         data, list_hook=counted, object_hook=counted, max_array_len=max_length, max_map_len=0, max_ext_len=0
     )

@@ -1,4 +1,4 @@
-"""Signs and verifies control messages of the driver and the launcher, above the level "open".
+"""Signs and verifies control messages of the driver and the launcher.
 
 A signed message is MessagePack [body, signature]. The Ed25519 signature (RFC 8032) covers the run's id, the key below
 @control/ and the body, so it is not valid in another run, on another key or for another node. It does not prevent
@@ -34,7 +34,7 @@ class Signatures:
         self._keys = keys
 
     def sign(self, what: str, body: bytes) -> bytes:
-        """Sign a message. what: its key below @control/, such as "stop" or "leave/infra_1"."""
+        """Sign a message; what: its key below @control/, like "stop" or "leave/infra_1"."""
         if self._keys is None:
             return body
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # slow to load

@@ -1,4 +1,4 @@
-"""Runs a scenario where the nodes live elsewhere: in containers, on other hosts. docs/deploy.md shows how.
+"""Runs a scenario with nodes in containers or on other hosts; see docs/deploy.md.
 
 engines    finds an engine by its name or its file
 compose/   containers of this machine
@@ -6,7 +6,7 @@ swarm/     containers of many machines
 ssh/       processes on other hosts
 wheel      this package and what nodes need, for other hosts
 image      the same as a container image
-joining    the launcher's session on a mesh whose router is elsewhere
+joining    the launcher's session on a mesh whose router is not its own
 addresses  addresses and ports of this machine
-doctor     what this machine can do
+doctor     checks of this machine's capabilities
 """

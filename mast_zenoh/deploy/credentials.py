@@ -1,4 +1,4 @@
-"""Credentials of a run whose router is in a container: certificates for its names, and its settings as a file."""
+"""Credentials of a run whose router is in a container, and its settings as a file."""
 
 from __future__ import annotations
 
@@ -13,12 +13,18 @@ from mast_zenoh.security.deployment import Deployment
 
 
 def deployment(context: RunContext) -> Deployment:
-    """Certificates for all nodes of a run, in its folder. Nodes reach the router by name, the launcher by 127.0.0.1."""
+    """Certificates for all nodes of a run, in its folder.
+
+    Nodes reach the router by name, the launcher by 127.0.0.1.
+    """
     return context.make_deployment([ROUTER, "127.0.0.1"], context.folder / CREDENTIALS)
 
 
 def write_settings(folder: Path, router: dict[str, Any]) -> Path:
-    """Write the router's settings, which hold its key, to a folder beside those of the nodes: 0700 and 0600."""
+    """Write the router's settings, which hold its key, with modes 0700 and 0600.
+
+    Their folder is beside those of the nodes.
+    """
     router_folder = folder / ROUTER
     router_folder.mkdir(mode=0o700)
     handle = os.open(router_folder / ROUTER_SETTINGS, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

@@ -1,4 +1,4 @@
-"""The `docker` command, with errors that say what to do when it is missing or fails."""
+"""The `docker` command, with errors that say what to do if it is missing or fails."""
 
 from __future__ import annotations
 

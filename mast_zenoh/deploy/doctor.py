@@ -24,7 +24,10 @@ from mast_zenoh.security import explain
 
 
 class Finding(NamedTuple):
-    """The result of a check. ok: None for an optional part that is missing; fix: what to do, if anything."""
+    """The result of a check.
+
+    ok: None for an optional part that is missing; fix: what to do, if anything
+    """
 
     name: str
     ok: bool | None

@@ -1,8 +1,7 @@
-"""Finds deployment engines: ours by name, a user's by its file.
+"""Finds deployment engines: built-in ones by name, a user's by its file.
 
-One of ours is a folder here with an engine.py, and is loaded only when it is asked for: what it needs may not be
-installed. One of a user is a subclass of `Engine` in a file: FILE.py, or FILE.py:CLASS if there are
-several.
+A built-in engine is a folder here with an engine.py, loaded only when it is used: its dependencies may be missing.
+One of a user is a subclass of `Engine` in a file: FILE.py, or FILE.py:CLASS if there are several.
 """
 
 from __future__ import annotations
@@ -36,8 +35,8 @@ def load(name: str) -> type[Engine]:
         return _of_file(Path(match[1]), match[2])
     if name not in names():
         raise EngineError(f"there is no engine {name!r}{nearest(name, names())}")
-    (found,) = _defined_in(import_module(f"mast_zenoh.deploy.{name}.engine")).values()
-    return found
+    (engine,) = _defined_in(import_module(f"mast_zenoh.deploy.{name}.engine")).values()
+    return engine
 
 
 def _of_file(file: Path, name: str | None) -> type[Engine]:
@@ -47,8 +46,8 @@ def _of_file(file: Path, name: str | None) -> type[Engine]:
         )
     classes = _defined_in(loading.module(file))
     if name is None and len(classes) != 1:
-        found = ", ".join(sorted(classes)) or "none"
-        raise EngineError(f"{file}: found the engines {found}, expected one, or --engine {file}:NAME")
+        engines = ", ".join(sorted(classes)) or "none"
+        raise EngineError(f"{file}: found the engines {engines}, expected one, or --engine {file}:NAME")
     if name is not None and name not in classes:
         raise EngineError(f"{file}: defines no engine {name!r}{nearest(name, classes)}")
     return classes[name] if name else next(iter(classes.values()))
@@ -64,7 +63,7 @@ def _defined_in(module: ModuleType) -> dict[str, type[Engine]]:
 
 
 def options(kind: type[Engine], words: Sequence[str]) -> dict[str, Any]:
-    """The parameters of an engine from `--option KEY=VALUE`; raises ConfigurationError for unknown ones."""
+    """An engine's parameters from `--option KEY=VALUE`; raises ConfigurationError."""
     takes = inspect.signature(kind, eval_str=True).parameters
     for word in words:
         key, equals, _ = word.partition("=")
@@ -78,6 +77,6 @@ def options(kind: type[Engine], words: Sequence[str]) -> dict[str, Any]:
 
 
 def make(kind: type[Engine], values: Mapping[str, Any]) -> Engine:
-    """An engine with these parameters; raises ConfigurationError for those of a wrong type."""
+    """An engine with these parameters; raises ConfigurationError for wrong types."""
     made: Engine = registry.construct(kind, values, f"engine {kind.name}")
     return made

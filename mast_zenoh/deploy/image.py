@@ -1,4 +1,4 @@
-"""The image of all nodes of a containerised run: built from the packages installed here, and checked."""
+"""Builds and checks the image for the nodes of containerised runs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ _BUILD_S = 1200.0
 
 
 def build(tag: str = TAG, base: str = BASE) -> str:
-    """Build the image on a base that has Python 3.11 or newer with venv; returns its tag. Raises EngineError."""
+    """Build the image; returns its tag. Raises EngineError.
+
+    base: an image that has Python 3.11 or newer with venv
+    """
     program = "import sys, platform; print(*sys.version_info[:2], platform.machine())"
     answer = docker("run", "--rm", "--network=none", "--entrypoint=python3", base, "-c", program, timeout=_BUILD_S)
     major, minor, machine = answer.split()
@@ -47,7 +50,7 @@ def build(tag: str = TAG, base: str = BASE) -> str:
 
 
 def check(tag: str = TAG) -> None:
-    """Raise EngineError if the image is missing, or was built from other sources than these."""
+    """Raise EngineError if the image is missing or was built from other sources."""
     ids = docker("image", "ls", "--format", "{{.ID}}", tag)
     if not ids.strip():
         raise EngineError(f"there is no image {tag}: build it by `mast deploy image`")
@@ -60,7 +63,7 @@ def check(tag: str = TAG) -> None:
 
 
 def _code() -> str:
-    """The value of LABEL for an image built here: fingerprint of the sources, and whether kernels are compiled."""
+    """The value of LABEL: the sources' fingerprint, and whether kernels are compiled."""
     return version.fingerprint() + ("+kernels" if kernels.COMPILED else "")
 
 

@@ -1,4 +1,4 @@
-"""Opens the launcher's session on a mesh whose router runs elsewhere and may still be starting."""
+"""Opens the launcher's session on a mesh whose router may still be starting."""
 
 from __future__ import annotations
 
@@ -45,5 +45,8 @@ def join(
 
 
 def router_ended(router: str, code: int | None, name: str) -> EngineError:
-    """The error of a run whose router has ended; router: description, code: exit code, name: name of its log."""
+    """The error of a run whose router has ended.
+
+    router: description; code: exit code; name: name of its log
+    """
     return EngineError(f"{router} has ended: {how_ended(code)}; see logs/{name}.log")

@@ -16,7 +16,7 @@ from mast_zenoh import kernels
 _VARIABLES = ("OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES")
 
 
-def environment(ours: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """The variables of the launcher's environment that nodes elsewhere need to get the same results as here."""
-    values = {name: ours[name] for name in _VARIABLES if name in ours}
+def environment(launcher_environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """The launcher's variables that other hosts need to get the same results."""
+    values = {name: launcher_environment[name] for name in _VARIABLES if name in launcher_environment}
     return values | ({"MAST_KERNELS": "numpy"} if kernels.USED == "numpy" else {})

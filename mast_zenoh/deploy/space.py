@@ -22,7 +22,7 @@ def needed(resolved: Resolved) -> int:
 
 
 def check(place: Path, needed: int) -> None:
-    """Raise DiskFull if the file system of a path, which may not exist yet, has less space."""
+    """Raise DiskFull if a path's file system has less space; the path may not exist."""
     folder = place.absolute()
     while not folder.exists():
         folder = folder.parent

@@ -1,4 +1,4 @@
-"""Wheels for other hosts: this package as it is here, and its dependencies in the versions installed here."""
+"""Wheels for other hosts: this package, and the dependencies installed here."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _OLDEST = (1980, 1, 1, 0, 0, 0)  # earliest time in a zip file: equal content gi
 
 
 def build(folder: Path) -> Path:
-    """Build a wheel of this package in a folder, from a checkout or an installation, without a build tool."""
+    """Build a wheel of a checkout or installation in a folder, without a build tool."""
     name = f"mast_zenoh-{__version__}"
     target = folder / f"{name}-py3-none-any.whl"
     records = []
@@ -79,7 +79,7 @@ def third_party(folder: Path, python: str = "", machine: str = "") -> list[Path]
 
 
 def cache(python: str = "", machine: str = "") -> Path:
-    """The folder where wheels are kept between builds, by Python version and processor."""
+    """The cache folder of wheels, by Python version and processor."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return home / "mast-zenoh" / "wheels" / f"{python or _python_version()}-{machine or platform.machine()}"
 
@@ -117,7 +117,7 @@ def _content() -> Iterator[tuple[str, Path]]:
 
 
 def _metadata() -> dict[str, str]:
-    """The dist-info files except RECORD: from a checkout's pyproject.toml, else from the installation."""
+    """The dist-info files except RECORD, from pyproject.toml or else the installation."""
     wheel = "Wheel-Version: 1.0\nGenerator: mast-zenoh\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
     project = bundle.ROOT / "pyproject.toml"
     if not project.is_file():

@@ -1,4 +1,4 @@
-"""Writes plain values as readable YAML: the subset that Compose and Swarm files need."""
+"""Writes plain values as readable YAML, the subset for Compose and Swarm files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ class Merged(str):
 
 
 def dump(content: Mapping[str, Any]) -> str:
-    """The YAML text; strings must be printable. Lists of plain values are on one line; `$` is doubled, for Compose."""
+    """The YAML text; lists of plain values are on one line.
+
+    Strings must be printable; `$` is doubled, for Compose.
+    """
     return "\n".join(_mapping(content, "")) + "\n"
 
 

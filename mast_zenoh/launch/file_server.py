@@ -28,7 +28,7 @@ from mast_zenoh.control.failures import described
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.control.invalid import InvalidMessages
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
-from mast_zenoh.runtime.file_client import written_by
+from mast_zenoh.runtime.file_client import files_written_by
 from mast_zenoh.scenes.recording import Recording
 
 #: Requests of one node in the queue; it sends one at a time, and repeats it after five seconds.
@@ -165,12 +165,12 @@ class FileServer:
             path: len(content) if isinstance(content, bytes) else content.stat().st_size
             for path, content in contents.items()
         }
-        written = [path for path in written_by(resolved, node) if (self._folder / path).exists()]
+        written = [path for path in files_written_by(resolved, node) if (self._folder / path).exists()]
         return {"files": sizes, "without": self._without(node), "written": written}
 
     def _receive(self, node: str, written: files.Written) -> dict[str, Any]:
         path, offset, piece = written
-        if path not in written_by(self._resolved(), node):
+        if path not in files_written_by(self._resolved(), node):
             raise MessageError(f"{node} has no file {path!r:.80} to send")
         target = self._folder / path
         with target.open("r+b" if target.exists() else "xb") as file:

@@ -24,7 +24,7 @@ from mast_zenoh.config.resolved import NodeSpec, driver_of
 from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messagelog import churn
-from mast_zenoh.messagelog.completeness import first_gap, first_missing
+from mast_zenoh.messagelog.completeness import first_incomplete_frame, first_missing_frame
 
 #: Reserves room for the final run.json, so a run that filled the disk can still write it.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
@@ -217,7 +217,7 @@ def note_recording(
         if record.get("mode") == "realtime" and (gap := _gap(folder, nodes)) is not None:
             gaps.append(gap)
         complete = recorder in handed_in and not lost and not gaps
-        from_frame = {} if complete else {"from_frame": min([first_gap(folder), *gaps])}
+        from_frame = {} if complete else {"from_frame": min([first_incomplete_frame(folder), *gaps])}
         record["recording"] = {"complete": complete} | from_frame
     for node, outcome in handed_in.items():
         if node in nodes and nodes[node].role == "recorder" and (recorded := counts_of(outcome.get("recorded"))):
@@ -230,7 +230,7 @@ def note_recording(
 def _gap(folder: Path, nodes: Mapping[str, NodeSpec]) -> int | None:
     """The first frame of which the recording lacks a message of the driver; else None."""
     driver = driver_of(nodes)
-    return first_missing(folder, driver) if driver else None
+    return first_missing_frame(folder, driver) if driver else None
 
 
 def _failure(recorded: Mapping[str, Any]) -> dict[str, Any]:

@@ -170,14 +170,14 @@ def _nodes_inproc(
     """The `nodes` part of run.json."""
     nodes: dict[str, Any] = {}
     failed = process.failures()
-    for name, host in (process.hosts | process.gone).items():
-        finished = name in outcomes
+    for name, host in (process.hosts | process.ended_hosts).items():
+        finished, killed = name in outcomes, name in process.ended_hosts
         log = f"logs/{name}.log"
         nodes[name] = {
             "role": resolved.nodes[name].role,
             "pid": os.getpid(),
             "exit": 0 if finished else None,
-            "ended": "ok" if finished else "killed by the scenario" if name in process.gone else "did not finish",
+            "ended": "ok" if finished else "killed by the scenario" if killed else "did not finish",
             "restarts": [(s.node, s.action) for s in process.steps].count((name, "start"))
             - (name in process.timetable.absent),
             "log": log if (folder / log).is_file() else None,

@@ -1,4 +1,4 @@
-"""The messages of a run as a file, messages.mcap: the bytes that were sent, by key. See docs/recording.md.
+"""Recordings of a run's messages: messages.mcap, the bytes that were sent, by key.
 
 channels    one channel per key, with a schema of its messages for other readers
 writer      writes messages in whole chunks

@@ -1,4 +1,4 @@
-"""Channels, one per key: name, metadata, and a schema that describes the fields of messages to other readers."""
+"""The channels of a recording, one per key: name, metadata, and a schema."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def metadata(key: str, message: str, publisher: str, *, malformed: bool) -> dict
 
 
 def json_schema(schema: Schema) -> str:
-    """The fields of one message type as JSON Schema; `data` is bytes, which JSON Schema has no type for."""
+    """The JSON Schema of a message type; `data` is bytes, which it has no type for."""
     integer = {"type": "integer", "minimum": 0}
     fields: dict[str, Any] = {
         "schema": {"const": schema.name},
@@ -59,7 +59,10 @@ def _object(properties: dict[str, Any]) -> dict[str, Any]:
 
 
 def _column(column: Column) -> dict[str, Any]:
-    """A column is [dtype, shape, data]: data are raw little-endian bytes in C order, or the strings themselves."""
+    """The JSON Schema of a column.
+
+    A column is [dtype, shape, data]; data: raw little-endian bytes in C order, or strings.
+    """
     text = {"type": "array", "items": {"type": "string"}}
     data = text if column.dtype == "str" else {"type": "string", "contentEncoding": "binary"}
     shape = {

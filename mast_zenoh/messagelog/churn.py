@@ -1,4 +1,4 @@
-"""Nodes that were lost in a run or came back, unplanned by the scenario, and the consequences for its record."""
+"""Unplanned losses and returns of nodes, and their consequences for the recording."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def first_frames(churn: Churn, node: str) -> list[int]:
 
 
 def comparable(*paths: Path) -> tuple[int | None, str]:
-    """The first frame from which recordings cannot be compared, and why; None if all can.
+    """The first frame that cannot be compared between recordings, and why, or None.
 
     Where a recording is incomplete from the frame in which a node was lost, the recording is the reason.
 
@@ -46,7 +46,7 @@ def comparable(*paths: Path) -> tuple[int | None, str]:
 
 
 def _first_affected(event: Mapping[str, Any]) -> int:
-    """The first frame that may be incomplete: a node may be lost during the frame before."""
+    """The first frame that may be incomplete: the one before a node was found lost."""
     frame: int = event["frame"]
     return max(0, frame - 1)
 

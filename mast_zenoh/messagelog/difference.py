@@ -1,4 +1,4 @@
-"""Compares two recordings message by message: the first difference, and the number of differences on each wire."""
+"""Compares two recordings: the first difference, and the number on each wire."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Difference:
 def compare(
     a: Path, b: Path, *, ignore: Collection[str] = (), taps: bool = False, before: int | None = None
 ) -> Difference:
-    """Compare the bytes of the recordings of two runs, ordered by (frame, wire, publisher, sequence).
+    """Compare two recordings, ordered by (frame, wire, publisher, sequence number).
 
     ignore: globs of wires to leave out;  taps: compare tap legs too, which only runs of equal rewrites share
     before: only frames before this one
@@ -65,7 +65,7 @@ def _selected(path: Path, ignore: Collection[str], taps: bool, before: int | Non
 
 
 def _paired(a: Iterator[Recorded], b: Iterator[Recorded]) -> Iterator[tuple[Recorded | None, Recorded | None]]:
-    """Pairs of messages with the same place in the order; None where a side has no such message."""
+    """Pairs of messages with the same place in the order; None if a side has none."""
     left, right = next(a, None), next(b, None)
     while left or right:
         if right is None or (left and left.order < right.order):

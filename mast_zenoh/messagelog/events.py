@@ -1,4 +1,4 @@
-"""Events of a recording besides its messages: changes of the run, as MCAP metadata records."""
+"""Changes of a run as events of its recording: MCAP metadata records."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Event:
 
     @classmethod
     def from_metadata(cls, values: Mapping[str, str]) -> Event:
-        """The event that `to_metadata` wrote; raises KeyError or ValueError for anything else."""
+        """The event that `to_metadata` wrote; raises KeyError or ValueError otherwise."""
         if values["what"] == REWIRED:
             wiring = json.loads(values["wiring"])
             if not isinstance(wiring, dict):

@@ -1,4 +1,4 @@
-"""Describes the difference between two recordings: the first message decoded, field by field, with units."""
+"""Describes the first difference between two recordings by field, with units."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HEADER_UNITS = {"time_ns": " ns"}
 
 
 def explain(difference: Difference) -> Iterator[str]:
-    """Lines that describe how two recordings, A and B, differ, or state that they are equal."""
+    """Lines that describe how recordings A and B differ, or state that they are equal."""
     if difference.first is None:
         yield f"equal: {difference.equal} messages"
         return
@@ -70,7 +70,7 @@ def _decoded(message: Recorded) -> Message | None:
 
 
 def _fields(left: Recorded, right: Recorded) -> Iterator[str]:
-    """The differing header fields and columns of two messages; their bytes if nothing else differs."""
+    """The differing header fields and columns of two messages, or else their bytes."""
     a, b = _decoded(left), _decoded(right)
     explained = False
     if a and b:
@@ -92,7 +92,10 @@ def _fields(left: Recorded, right: Recorded) -> Iterator[str]:
 
 
 def _column(column: Column, a: NDArray[Any], b: NDArray[Any]) -> Iterator[str]:
-    """The first differing value of a column, and their number. Values are compared as bits: -0.0 is not 0.0."""
+    """The first differing value of a column, and the number of them.
+
+    Values are compared as bits: -0.0 is not 0.0.
+    """
     if a.shape != b.shape:
         yield f"{column.name}: A {_shape(a)}, B {_shape(b)}"
     rows = min(len(a), len(b))

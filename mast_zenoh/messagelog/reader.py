@@ -1,4 +1,7 @@
-"""Reads messages.mcap in the order (frame, wire, publisher, sequence), also if cut off, a few chunks at a time."""
+"""Reads messages.mcap, also if truncated, a few chunks at a time.
+
+Messages are ordered by (frame, wire, publisher, sequence number).
+"""
 
 from __future__ import annotations
 
@@ -70,7 +73,7 @@ class Recorded:
 
 
 def file_of(path: Path) -> Path:
-    """The recording at a path: a file, or that of a run folder. Raises RunFolderError if there is none."""
+    """The recording at a path, a file or a run folder; raises RunFolderError if none."""
     if path.is_file():
         return path
     if not path.is_dir():
@@ -81,7 +84,7 @@ def file_of(path: Path) -> Path:
 
 
 def _without_recording(folder: Path) -> str:
-    """Why a folder has no recording: it was removed, the run had none, or the folder is not a run's."""
+    """Why a folder has no recording, as text."""
     try:
         run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -114,7 +117,9 @@ class _End(NamedTuple):
 
 
 def read(path: Path) -> Iterator[Recorded]:
-    """All messages of a file or run folder, ordered. A file that was cut off is read up to its last whole chunk.
+    """All messages of a file or run folder, ordered.
+
+    A truncated file is read up to its last whole chunk.
 
     Raises RunFolderError if there is no recording, or if it is damaged before its end.
     """
@@ -137,7 +142,7 @@ def read(path: Path) -> Iterator[Recorded]:
 
 
 def events(path: Path) -> list[Event]:
-    """The changes of a run in their order; empty for a recording of an earlier version.
+    """The changes of a run in order; empty for a recording of an earlier version.
 
     Raises RunFolderError if there is no recording, or if it is damaged before its end.
     """
@@ -158,7 +163,7 @@ class Extent(NamedTuple):
 
 
 def extent(path: Path) -> Extent:
-    """The extent of a recording, from all its messages; raises RunFolderError as `read` does."""
+    """The extent of a recording; reads all its messages, raises RunFolderError."""
     path = file_of(path)
     last = max((message.frame for message in read(path) if message.message == "truth"), default=-1)
     with _open(path) as file:
@@ -173,7 +178,7 @@ def _open(path: Path) -> IO[bytes]:
 
 
 def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End]:
-    """Every whole chunk and every event in the order of the file, and its end if it was not cut off."""
+    """All whole chunks and events in order, and the end unless the file is truncated."""
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise RunFolderError(f"{path}: does not begin as an MCAP file")
     size = path.stat().st_size
@@ -229,7 +234,7 @@ def _messages(file: IO[bytes], path: Path, index: _ChunkIndex, channels: dict[in
 
 
 def _recorded(channel: Channel, record: Message, path: Path, step: int | None, rank: int) -> Recorded:
-    """A message with the data of its channel and header; step: None: that of its frame."""
+    """A message with the data of its channel and header; step None: its frame."""
     metadata = channel.metadata
     try:
         wire, message, publisher = metadata["wire"], metadata["message"], metadata["publisher"]

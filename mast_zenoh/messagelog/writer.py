@@ -1,4 +1,4 @@
-"""Writes messages.mcap. If the process dies, whole chunks are kept and the chunk being built is lost."""
+"""Writes messages.mcap; if the process dies, only its last chunk is lost."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class MessageLog:
         self._bytes = 0
         self._frame = 0  # the first of the chunk
         self._added = 0
-        self._flaws: Counter[str] = Counter()  # malformed messages by key
+        self._n_malformed: Counter[str] = Counter()  # malformed messages by key
         #: The latest written frames of each channel.
         self._frames: defaultdict[int, deque[int]] = defaultdict(partial(deque, maxlen=256))
 
@@ -74,20 +74,20 @@ class MessageLog:
     @property
     def malformed(self) -> int:
         """Number of messages without a valid header."""
-        return self._flaws.total()
+        return self._n_malformed.total()
 
     @property
     def lost(self) -> int:
         """Number of messages that could not be written, or are in the chunk being built."""
         return self._added - self.messages
 
-    def begin(self, hears: Mapping[str, Input]) -> None:
-        """Open the file, with a channel for every key; later keys get one with their first message.
+    def begin(self, inputs: Mapping[str, Input]) -> None:
+        """Open the file, with a channel for every key; others get one on first use.
 
         Raises RunFolderError if the file exists or cannot be created, and DiskFull.
         """
         try:
-            self._open(hears)
+            self._open(inputs)
         except OSError as error:
             if self._file is not None:  # its content is unreadable
                 with suppress(OSError):
@@ -98,7 +98,10 @@ class MessageLog:
             raise DiskFull(problem) if is_disk_full(error) else RunFolderError(problem) from None
 
     def add(self, key: str, payload: bytes, header: Header, step: int) -> None:
-        """Add a message; it is lost if there is a problem. step: the run's frame when it was sent; -1: unknown."""
+        """Add a message; it is lost if there is a problem.
+
+        step: the run's frame when it was sent; -1: unknown
+        """
         if key not in self._channels:
             self._channels[key] = self._channel(key)
         self._add(
@@ -113,8 +116,8 @@ class MessageLog:
         name = f"{key}/{channels.MALFORMED}"
         if name not in self._channels:
             self._channels[name] = self._channel(key, malformed=True)
-        self._flaws[key] += 1
-        number = self._flaws[key] - 1
+        self._n_malformed[key] += 1
+        number = self._n_malformed[key] - 1
         self._add(key, _Entry(0, frame, number, 0, time_ns, self._channels[name], payload, step, True))
 
     def add_event(self, event: Event) -> None:
@@ -132,16 +135,16 @@ class MessageLog:
             self._write(self._writer.finish)
         self._write(file.close)
 
-    def _open(self, hears: Mapping[str, Input]) -> None:
+    def _open(self, inputs: Mapping[str, Input]) -> None:
         from mcap.writer import CompressionType, Writer  # every node imports this module, one writes
 
         self._file = self.path.open("xb")
         self._writer: Writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
         self._writer.start(channels.PROFILE)
-        self._schemas = {name: self._schema(name) for name in sorted({input_.message for input_ in hears.values()})}
-        self._hears = hears
+        self._schemas = {name: self._schema(name) for name in sorted({input_.message for input_ in inputs.values()})}
+        self._inputs = inputs
         #: The rank of a key among all, by wire and leg, which orders messages of the same time.
-        self._ranks = {key: rank for rank, key in enumerate(sorted(hears, key=channels.wire_and_key))}
+        self._ranks = {key: rank for rank, key in enumerate(sorted(inputs, key=channels.wire_and_key))}
         self._channels = {key: self._channel(key) for key in self._ranks}
         self._file.flush()  # a run that is killed at once leaves a valid recording without messages
 
@@ -150,7 +153,7 @@ class MessageLog:
         return int(self._writer.register_schema(f"{name}.{SCHEMAS[name].version}", channels.SCHEMA_ENCODING, content))
 
     def _channel(self, key: str, *, malformed: bool = False) -> int:
-        input_ = self._hears[key]
+        input_ = self._inputs[key]
         if input_.message not in self._schemas:
             self._schemas[input_.message] = self._schema(input_.message)
         return int(
@@ -176,7 +179,7 @@ class MessageLog:
             self._flush()
 
     def _flush(self) -> None:
-        """Write the sorted chunk. If that fails, nothing more is written, and the file stays readable."""
+        """Write the sorted chunk; after an error nothing more, so the file stays readable."""
         chunk, self._chunk, self._bytes = sorted(self._chunk), [], 0
         if self.problem:
             return
@@ -198,7 +201,7 @@ class MessageLog:
             self.messages += len(chunk)
 
     def _sharing(self, chunk: list[_Entry]) -> Iterator[int]:
-        """The places of messages that share key and frame with another one, in this chunk or an earlier one."""
+        """Indices of messages whose key and frame occur again, also in earlier chunks."""
         frames = Counter((entry.channel, entry.frame) for entry in chunk)
         for place, entry in enumerate(chunk):
             if frames[entry.channel, entry.frame] > 1 or entry.frame in self._frames[entry.channel]:
@@ -207,7 +210,7 @@ class MessageLog:
             self._frames[channel].append(frame)
 
     def _write(self, write: Callable[[], None]) -> bool:
-        """Run `write`; returns False after an error, which `problem` keeps, and nothing more is written."""
+        """Run `write`; returns False after an error, which is kept in `problem`."""
         try:
             write()
         except OSError as error:

@@ -1,9 +1,9 @@
-"""Hosts nodes. The host is the same everywhere; a runtime is a shell around it.
+"""Hosts nodes: one host for all of them, and a runtime for each way to run it.
 
-host         one node, without I/O: checks, holds back, counts;  held: messages that wait;  limits: how much may
-context      what a node sees of it: publish, relay, random streams, log;  delayed: messages that leave later
+host         one node, without I/O: checks, holds, counts;  held: waiting messages;  limits: their number and size
+context      the node's interface to its host: publish, relay, random streams, log;  delayed: delayed messages
 inproc       all nodes in one process;  replaying: one node, from a recording
 mesh/        one node as a process on a Zenoh mesh, and the driver
 lockstep/    when the next frame may begin, without I/O
-remote_node  a node where the run folder is not;  file_client: its files
+remote_node  a node on a host without the run folder;  file_client: transfers its files
 """

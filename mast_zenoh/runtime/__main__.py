@@ -1,4 +1,4 @@
-"""A node as a process: `python -m mast_zenoh.runtime nodes/agent.py --run-folder DIR …`; see mesh/main.py."""
+"""Runs a node as a process: `python -m mast_zenoh.runtime nodes/agent.py …`."""
 
 from mast_zenoh.runtime.mesh.main import main
 

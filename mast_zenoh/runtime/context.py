@@ -1,4 +1,4 @@
-"""What a node is handed to act with: its `node.Context`, which numbers, delays, counts and sends what it publishes."""
+"""A hosted node's `Context`: numbers, delays, counts and sends its messages."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from mast_zenoh.runtime.limits import DELAYED, Room
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import Input, Ports, Wiring
 
-MAX_DELAY_S = 3600.0  #: no message leaves later than that
+MAX_DELAY_S = 3600.0  #: longest delay of a message
 _FOREVER = 1 << 62  # ns, or steps
-_MAX_REASON = 200  # characters kept of why a message was rejected
+_MAX_REASON = 200  # characters kept of the reason of a rejection
 
 
 class Outgoing(NamedTuple):
-    """A message on its way out: its key, its content, and the step it is sent in.
+    """An outgoing message: its key, its content, and the step in which it is sent.
 
-    `payload` is bytes on a mesh; in one process the message itself. `flaw` says why a receiver would refuse it.
+    payload: bytes on a mesh; in one process the message itself
+    flaw: why a receiver would reject it; empty: it is valid
     """
 
     key: str
@@ -35,8 +36,8 @@ class Outgoing(NamedTuple):
     flaw: str = ""
 
 
-class _Kept(NamedTuple):
-    """A message that leaves later, and what it takes up of the room of a source, bytes."""
+class _DelayedMessage(NamedTuple):
+    """A message to send later, and the room it takes up, bytes, for a source."""
 
     out: Outgoing
     source: str
@@ -44,15 +45,15 @@ class _Kept(NamedTuple):
 
 
 class NodeContext:
-    """The publishing half of a node's host, which is also its context.
+    """The publishing half of a node's host, which is also the node's `Context`.
 
-    period_ns: of the scene's frames: in lock-step a delay is counted in them
-    wiring: of the whole run, for nodes that measure what happens on it
-    now:  a monotonic clock, ns, for real time; without it time goes by frames, as in lock-step
-    emit: called at once with every message that the node publishes
-    frame, time_ns: of the newest clock;  sent: messages by key
-    rejected: messages by (key, kind) that were not taken; first_rejected: by key the frame in which one was rejected
-    first, and why
+    period_ns: interval of the scene's frames, ns: the unit of delays in lock-step
+    wiring: of the whole run, for nodes that observe wires
+    now:  a monotonic clock, ns, for real time; None: time advances with frames, as in lock-step
+    emit: called immediately with every message that the node publishes
+    frame, time_ns: of the newest clock;  sent: number of messages by key
+    rejected: number of rejected messages by (key, kind)
+    first_rejected: frame and reason of the first rejection, by key
     """
 
     def __init__(
@@ -72,12 +73,12 @@ class NodeContext:
         self.node = node
         self.seed = seed
         self.wiring = wiring
-        self._publishers: dict[str, str] | None = None  # by key; made when it is asked for first
+        self._publishers: dict[str, str] | None = None  # by key; built on first use
         self.frame = -1
         self.time_ns = 0
         self.log = logging.getLogger(f"mast.{name}")
-        self._hears = dict(ports.inputs)
-        self.hears: Mapping[str, Input] = self._hears
+        self._inputs = dict(ports.inputs)
+        self.hears: Mapping[str, Input] = self._inputs
         self.sent: Counter[str] = Counter()
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.first_rejected: dict[str, tuple[int, str]] = {}
@@ -89,20 +90,21 @@ class NodeContext:
             self._keys_of_port.setdefault(port, []).append(key)
         self._seq: Counter[str] = Counter()
         self._ignored: frozenset[str] = frozenset()
-        self._clocked = any(hears.message == "clock" for hears in ports.inputs.values())
+        self._clocked = any(each.message == "clock" for each in ports.inputs.values())
         self._period_ns = period_ns
         self._now = now
-        self._step = -1  # that what is sent now is sent in
-        self._began_ns: int | None = None  # when the first clock came
-        self._moment_ns = 0  # when the handler that runs was called: for it no time goes by, so that nothing overtakes
-        self._delayed: Delayed[_Kept] = Delayed()
+        self._step = -1  # of messages sent now
+        self._started_ns: int | None = None  # when the first clock was received
+        self._handler_time_ns = 0  # when the running handler was called; constant within it, to keep messages in order
+        self._delayed: Delayed[_DelayedMessage] = Delayed()
         self._delayed_room = Room(DELAYED)
-        self._handling = ""  # key of the message whose handler runs
+        self._handling = ""  # key of the message being handled
+
+    # -- documented in node.Context ------------------------------------------------------------------------------
 
     def publish(
         self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None
     ) -> None:
-        """See node.Context."""
         schema = self._output(port)
         key = self._key(port, subject)
         header_frame = self.frame if frame is None else frame
@@ -114,14 +116,13 @@ class NodeContext:
         header = Header(schema, self.name, header_frame, header_time, self._seq[key])
         message = codec.conform(header, body)
         self._seq[key] += 1
-        self._send(key, message)
+        self._send_message(key, message)
 
     @property
     def now_ns(self) -> int:
-        """See node.Context."""
         if self._now is None:
             return self.time_ns
-        return 0 if self._began_ns is None else self._moment_ns - self._began_ns
+        return 0 if self._started_ns is None else self._handler_time_ns - self._started_ns
 
     def relay(
         self,
@@ -133,7 +134,6 @@ class NodeContext:
         time_ns: int | None = None,
         after_s: float = 0.0,
     ) -> None:
-        """See node.Context."""
         schema = self._output(port)
         if schema != received.schema:
             raise ConfigurationError(f"{self.name}: port {port!r} carries {schema!r} messages, not {received.schema!r}")
@@ -145,52 +145,53 @@ class NodeContext:
         if key is None:
             return
         if payload is not None:
-            self._out(key, payload, after_s=after_s)
+            self._send_payload(key, payload, after_s=after_s)
         elif body is not None or time_ns is not None:
             header = received.message.header
             header = header if time_ns is None else header._replace(time_ns=time_ns)
             message = Message(header, received.body) if body is None else codec.conform(header, body)
-            self._send(key, message, after_s)
+            self._send_message(key, message, after_s)
         else:
-            self._out(key, received.encoded if self._encode else received.payload or received.message, after_s=after_s)
+            self._send_payload(
+                key, received.encoded if self._encode else received.payload or received.message, after_s=after_s
+            )
 
     def ignore(self, keys: Collection[str]) -> None:
-        """See node.Context."""
         self._ignored = frozenset(keys)
 
     def reject(self, reason: str) -> None:
-        """See node.Context."""
         self._count_rejected(self._handling, reason)
 
     def connected(self, port: str, subject: str | None = None) -> bool:
-        """See node.Context."""
         self._output(port)
         return bool(self._keys_of_port.get(port)) if subject is None else self._key(port, subject) is not None
 
     def rng(self, *purpose: str | int) -> np.random.Generator:
-        """See node.Context."""
         return stream(self.seed, self.name, *purpose)
 
-    # -- what the runtime calls ----------------------------------------------------------------------------------
+    # -- called by the runtime -----------------------------------------------------------------------------------
 
     def release(self) -> float | None:
-        """In real time: let go what is due by now. How long it is until the next will be, s; None: nothing waits."""
+        """Send messages that are due; returns the seconds until the next, None for none.
+
+        For real time: in lock-step the clock sends them.
+        """
         if self._now is None or not self._delayed:
             return None
-        self._let_go(self._now())
+        self._send_due(self._now())
         due = self._delayed.due
         return None if due is None else max(0.0, (due - self._now()) * 1e-9)
 
     def publisher(self, key: str) -> str:
-        """The node that publishes on a key: the interposer on what it has passed on."""
+        """The node that publishes on a key; behind an interposer, the interposer."""
         if self._publishers is None:
             self._publishers = {leg.key: leg.publisher.node for _, leg in self.wiring.legs()}
-        return self._publishers.get(key) or (self._hears[key].source if key in self._hears else key)
+        return self._publishers.get(key) or (self._inputs[key].source if key in self._inputs else key)
 
     def flush(self) -> None:
-        """Let go at once what was to leave later, in the order in which it would have left."""
+        """Send all delayed messages immediately, in the order in which they are due."""
         if self._delayed:
-            self._let_go(_FOREVER)
+            self._send_due(_FOREVER)
 
     # -- inside --------------------------------------------------------------------------------------------------
 
@@ -207,19 +208,19 @@ class NodeContext:
             raise ConfigurationError(f"{self.name}: port {port!r} has {len(keys)} wires: say which by subject=…")
         return keys[0] if keys else None
 
-    def _send(self, key: str, message: Message, after_s: float = 0.0) -> None:
+    def _send_message(self, key: str, message: Message, after_s: float = 0.0) -> None:
         if self._encode:
-            self._out(key, codec.encode(message), after_s=after_s)
+            self._send_payload(key, codec.encode(message), after_s=after_s)
             return
         flaw = ""
         try:
             codec.check_values(message)
         except MessageError as error:
             flaw = str(error)
-        self._out(key, message, flaw, after_s)
+        self._send_payload(key, message, flaw, after_s)
 
-    def _out(self, key: str, payload: bytes | Message, flaw: str = "", after_s: float = 0.0) -> None:
-        """Send a message, or keep it until it is due."""
+    def _send_payload(self, key: str, payload: bytes | Message, flaw: str = "", after_s: float = 0.0) -> None:
+        """Send a payload, or keep it until it is due."""
         out = Outgoing(key, payload, self._step, flaw)
         if after_s == 0.0 and (self._now is None or not self._delayed):
             self._emit(out)
@@ -229,13 +230,13 @@ class NodeContext:
             raise ConfigurationError(f"{self.name}: after_s: found {after_s}, expected 0 to {MAX_DELAY_S:.0f}")
         if not self._clocked:
             raise ConfigurationError(
-                f"{self.name}: after_s: a node that does not hear the clock cannot delay a message"
+                f"{self.name}: after_s: a node that does not receive the clock cannot delay a message"
             )
         delay_ns = round(after_s * 1e9)
         if self._now is not None:
-            due = self._moment_ns + delay_ns
+            due = self._handler_time_ns + delay_ns
             self._delay(due, due, out)
-            self._let_go(self._moment_ns)  # what was due before this one leaves before it
+            self._send_due(self._handler_time_ns)  # earlier messages leave first
         elif delay_ns < self._period_ns:
             self._emit(out)
             self.sent[key] += 1
@@ -243,25 +244,25 @@ class NodeContext:
             self._delay(self._step + delay_ns // self._period_ns, self.time_ns + delay_ns, out)
 
     def _delay(self, due: int, rank: int, out: Outgoing) -> None:
-        """Keep a message until it is due, in the room of the source whose message is being handled."""
-        came, payload = self._handling or out.key, out.payload
-        source = self.publisher(came)
-        # In one process it takes up what its bytes would on a mesh, so that both drop the same.
+        """Keep a message until it is due, in the room of the handled message's source."""
+        source_key, payload = self._handling or out.key, out.payload
+        source = self.publisher(source_key)
+        # The encoded size also in one process, so that both drop the same messages.
         size = len(payload if isinstance(payload, bytes) else codec.encode(payload))
         if self._delayed_room.take(source, size):
-            self._delayed.push(due, rank, _Kept(out, source, size))
+            self._delayed.push(due, rank, _DelayedMessage(out, source, size))
         else:
-            self._count_rejected(came, f"delayed: more than {self._delayed_room.limit} of {source} are to leave later")
+            self._count_rejected(source_key, f"delayed: more than {self._delayed_room.limit} of {source} are delayed")
 
-    def _let_go(self, now: int) -> None:
-        """Send what is due by now (a step in lock-step, else ns), in the step in which it leaves."""
+    def _send_due(self, now: int) -> None:
+        """Send messages due at `now`, a step in lock-step, else ns; in the current step."""
         for out, source, size in self._delayed.pop(now):
             self._delayed_room.free(source, size)
             self._emit(out._replace(step=self._step))
             self.sent[out.key] += 1
 
     def _count_rejected(self, key: str, reason: str, count: int = 1) -> None:
-        """Count messages that were not taken, by key and by what precedes the colon of the reason."""
+        """Count rejected messages by key and kind, the reason's part before the colon."""
         if key not in self.first_rejected:
             self.first_rejected[key] = self.frame, " ".join(reason.split())[:_MAX_REASON]
             self.log.warning("rejected a message on %s: %s (further ones on this key are only counted)", key, reason)

@@ -1,9 +1,9 @@
-"""The files of a node that lives elsewhere: fetched from the launcher, and handed in to it while they grow.
+"""Transfers files between a node on another host and the launcher.
 
-A node asks for what it needs under @control/fetch/{node}, and gives what it has written under @control/file/{node};
-both are queries of MessagePack maps:
+A node fetches its files under @control/fetch/{node}, and hands in those that it writes, while they grow, under
+@control/file/{node}; both are queries of MessagePack maps:
 
-    fetch  {do: "join", version, versions}   → {files: {path: bytes}, without: [nodes], written: [paths]}, or refused
+    fetch  {do: "join", version, versions}   → {files: {path: bytes}, without: [nodes], written: [paths]}, or an error
     fetch  {do: "clock"}                     → {now_ns}
     fetch  {do: "piece", path, offset}       → {piece: bytes}
     file   {path, offset, piece}             → {}
@@ -34,13 +34,13 @@ _PROBES = 5
 
 log = logging.getLogger("mast")
 
-A = TypeVar("A")
+Answer = TypeVar("Answer")
 
 
 class FileClient:
-    """Asks the launcher for the files of one node, and hands in what the node writes.
+    """Fetches a node's files from the launcher, and hands in those that it writes.
 
-    clock: offset_ms, this host's clock minus the launcher's, and round_trip_ms, within which it was measured
+    clock: offset_ms, this host's clock minus the launcher's, and round_trip_ms, the round trip of that measurement
     """
 
     def __init__(self, session: zenoh.Session, run: str, name: str) -> None:
@@ -50,32 +50,37 @@ class FileClient:
         self.clock: dict[str, float] = {}
 
     def fetch(self, folder: Path, patience_s: float) -> list[str]:
-        """All files of this node into a folder; returns who is not up now. Raises what the launcher refuses it for."""
-        asked = {"do": "join", "version": version.version_string(), "versions": version.versions()}
-        told = self.ask("fetch", asked, patience_s, files.decode_node_files)
-        for path, size in told.files.items():
+        """Fetch this node's files into a folder; returns the nodes that are not running.
+
+        Raises the error with which the launcher refuses.
+        """
+        request: dict[str, Any] = {"do": "join", "version": version.version_string(), "versions": version.versions()}
+        node_files = self.ask("fetch", request, patience_s, files.decode_node_files)
+        for path, size in node_files.files.items():
             target = _below(folder, path)
             target.parent.mkdir(parents=True, exist_ok=True)
             with target.open("wb") as file:
                 while file.tell() < size:
-                    wanted = {"do": "piece", "path": path, "offset": file.tell()}
-                    piece = self.ask("fetch", wanted, patience_s, files.decode_piece)
+                    request = {"do": "piece", "path": path, "offset": file.tell()}
+                    piece = self.ask("fetch", request, patience_s, files.decode_piece)
                     if not piece:
                         raise RunError(f"{path}: the launcher has {file.tell()} bytes of it, expected {size}")
                     file.write(piece)
-        for path in told.written:
-            _below(folder, path).touch()  # who is started again must not begin anew what it has written before
-        self._compare_clocks(patience_s)
-        return told.without
+        for path in node_files.written:
+            _below(folder, path).touch()  # a restarted node must not begin such a file again
+        self._measure_clock_offset(patience_s)
+        return node_files.without
 
     def hand_in(self, path: str, offset: int, piece: bytes, seconds: float) -> None:
         """Append to a file of the run folder."""
         self.ask("file", {"path": path, "offset": offset, "piece": piece}, seconds, files.decode_nothing)
 
-    def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], A]) -> A:
-        """The launcher's answer; asks again while nobody answers. Raises what it refuses it with, RunError for time.
+    def ask(self, what: str, request: dict[str, Any], seconds: float, decode: Callable[[bytes], Answer]) -> Answer:
+        """Query the launcher until it answers; returns the decoded answer.
 
-        decode: of the answer; one that it raises MessageError for is none
+        decode: decodes an answer; one for which it raises MessageError is ignored
+
+        Raises the error with which the launcher refuses, and RunError after `seconds` without an answer.
         """
         deadline = time.monotonic() + seconds
         payload = files.encode(request)
@@ -85,33 +90,33 @@ class FileClient:
                     try:
                         return decode(reply.ok.payload.to_bytes())
                     except MessageError as error:
-                        log.warning("no answer of the launcher (%s): %s", what, error)
+                        log.warning("the launcher's answer (%s) is invalid: %s", what, error)
                 if reply.err is not None and (refusal := files.decode_refusal(reply.err.payload.to_bytes())):
                     raise refusal
             if time.monotonic() > deadline:
                 raise RunError(f"{self._name}: the launcher has not answered ({what}) within {seconds:.0f} s")
             threading.Event().wait(0.1)
 
-    def _compare_clocks(self, seconds: float) -> None:
-        """As NTP does; of several the quickest answer counts."""
-        measured = []
+    def _measure_clock_offset(self, seconds: float) -> None:
+        """Measure the offset from the launcher's clock as NTP does: the fastest counts."""
+        measurements = []
         for _ in range(_PROBES):
-            sent = time.time_ns()
-            theirs = self.ask("fetch", {"do": "clock"}, seconds, files.decode_clock)
-            came = time.time_ns()
-            measured.append((came - sent, (sent + came) // 2 - theirs))
-        round_trip, offset = min(measured)
+            sent_ns = time.time_ns()
+            launcher_ns = self.ask("fetch", {"do": "clock"}, seconds, files.decode_clock)
+            received_ns = time.time_ns()
+            measurements.append((received_ns - sent_ns, (sent_ns + received_ns) // 2 - launcher_ns))
+        round_trip, offset = min(measurements)
         self.clock = {"offset_ms": round(offset * 1e-6, 3), "round_trip_ms": round(round_trip * 1e-6, 3)}
 
 
 class HandIn:
-    """Gives files to the launcher while they grow, and what is left when the node has ended: a context."""
+    """A context that sends growing files to the launcher, and at its end the rest."""
 
     def __init__(self, client: FileClient, folder: Path, paths: tuple[str, ...]) -> None:
         self._client = client
         self._folder = folder
         self._offsets = dict.fromkeys(paths, 0)
-        self._over = threading.Event()
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._follow, daemon=True)
 
     def __enter__(self) -> HandIn:
@@ -120,18 +125,18 @@ class HandIn:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._over.set()
+        self._closing.set()
         if self._offsets:
             self._thread.join()
             if kind is None:
                 self._send()
 
     def _follow(self) -> None:
-        while not self._over.wait(_HAND_IN_EVERY_S):
+        while not self._closing.wait(_HAND_IN_EVERY_S):
             try:
                 self._send()
-            except Exception as error:  # the end tries again, and says so
-                log.warning("what is written could not be handed in yet: %s", error)
+            except Exception as error:  # the end of the context tries again, and raises
+                log.warning("files could not be handed in yet: %s", error)
 
     def _send(self) -> None:
         for path in self._offsets:
@@ -142,14 +147,14 @@ class HandIn:
                     self._offsets[path] += len(piece)
 
 
-def written_by(resolved: Resolved, name: str, built: Any = None) -> tuple[str, ...]:
-    """The files that a node writes: the logs among its parameters, as values or as its attributes."""
-    values = [*resolved.nodes[name].config.values(), *(vars(built).values() if built is not None else ())]
+def files_written_by(resolved: Resolved, name: str, instance: Any = None) -> tuple[str, ...]:
+    """Files that a node writes: the message logs among its parameters and attributes."""
+    values = [*resolved.nodes[name].config.values(), *(vars(instance).values() if instance is not None else ())]
     return tuple(dict.fromkeys(str(value.path) for value in values if isinstance(value, MessageLog)))
 
 
 def _below(folder: Path, path: str) -> Path:
-    """A path in a folder; raises RunError for one that leads out of it."""
+    """A path below a folder; raises RunError for one outside of it."""
     target = (folder / path).resolve()
     if not target.is_relative_to(folder.resolve()):
         raise RunError(f"{path}: leads out of the folder of the run")

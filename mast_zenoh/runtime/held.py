@@ -1,4 +1,4 @@
-"""Messages that wait in a host for the clock of the step they were sent in."""
+"""Messages held by a host until the clock of the step in which they were sent."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from mast_zenoh.wiring.model import Input
 
 
 class Held(NamedTuple):
-    """A message that waits; counted: whether lock-step waits for it."""
+    """A held message; counted: whether lock-step waits for it."""
 
     key: str
-    hears: Input
+    port_input: Input
     received: Received
     counted: bool
 
 
 class HeldMessages:
-    """Keeps messages by step, as many as there is room for by source; `len` is how many wait."""
+    """Held messages by step, limited by source; `len` is their number."""
 
     def __init__(self) -> None:
         self._by_step: dict[int, list[tuple[Held, str, int]]] = {}  # with source and size
@@ -30,7 +30,7 @@ class HeldMessages:
         return sum(map(len, self._by_step.values()))
 
     def hold(self, step: int, source: str, message: Held) -> bool:
-        """Keep a message; False if its source has no room left."""
+        """Hold a message; False if its source has no room left."""
         size = _size(message.received)
         if not self._room.take(source, size):
             return False
@@ -38,7 +38,7 @@ class HeldMessages:
         return True
 
     def release(self, frame: int) -> Iterator[Held]:
-        """The messages whose step has begun with this frame, by step and in the order in which they came."""
+        """Remove and yield messages of steps up to `frame`, by step and order of arrival."""
         for step in sorted(step for step in self._by_step if step <= frame):
             for message, source, size in self._by_step.pop(step):
                 self._room.free(source, size)
@@ -46,6 +46,6 @@ class HeldMessages:
 
 
 def _size(received: Received) -> int:
-    """Bytes that a message takes up; where it was never bytes, its columns."""
+    """Size of a message, bytes: its payload, or its columns if it was never encoded."""
     payload = received.payload
     return len(payload) if payload is not None else sum(column.nbytes for column in received.body.values())

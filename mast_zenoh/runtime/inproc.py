@@ -1,7 +1,7 @@
-"""All nodes of a run in one process, deterministic: for studies, tests and debugging.
+"""Runs all nodes in one process, deterministic: for studies, tests and debugging.
 
-The nodes, hosts and wiring are those of the mesh; only the transport is a list. Messages are passed on without being
-encoded, and checked as the decoder would check them.
+The nodes, hosts and wiring are those of the mesh; only the transport is a list. Messages are not encoded, but checked
+as the decoder would check them.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from mast_zenoh.wiring.model import Wiring
 class InProcess:
     """A run in this process.
 
-    shuffle: seed of an order of delivery drawn at random among all that is possible (messages on one key stay in
-             their order for each subscriber, as on the mesh); None: first in, first out
-    encode:  pass bytes between the nodes as a mesh does, instead of the messages themselves
+    shuffle: seed of a random order of delivery, in which messages on one key stay in order for each subscriber, as on
+             the mesh; None: first in, first out
+    encode:  pass bytes between the nodes, as a mesh does, instead of messages
     tap:     called with every message sent, tap legs included
     progress: called with the number of frames played; the run ends early when it returns False
     """
@@ -47,36 +47,37 @@ class InProcess:
         self._wiring = Wiring.from_json(resolved.wiring)
         self._encode = encode
         self._roles = {name: spec.role for name, spec in resolved.nodes.items()}
-        self._hears: dict[str, list[str]] = defaultdict(list)
+        self._subscribers: dict[str, list[str]] = defaultdict(list)
         for key, _, subscriber in self._wiring.flows():
-            self._hears[key].append(subscriber)
+            self._subscribers[key].append(subscriber)
         self._tap = tap
         self._progress = progress
         self._pending: _Fifo | _Shuffled = _Fifo() if shuffle is None else _Shuffled(shuffle)
         self._results: dict[str, dict[str, Any]] = {}
-        self._made: list[Host] = []  # all hosts, also of nodes that have gone or come again
-        #: those who are up
-        self.hosts = {name: self._built(name) for name in resolved.nodes}
+        self._all_hosts: list[Host] = []  # including those of nodes that ended or were restarted
+        #: running nodes
+        self.hosts = {name: self._build_host(name) for name in resolved.nodes}
         sources = [host for host in self.hosts.values() if isinstance(host.node, Source)]
         if len(sources) != 1:
             raise RunError(f"{len(sources)} nodes drive the scene, expected one simulator")
         self._source = sources[0]
         self.timetable = Timetable(resolved, lockstep=True)
-        #: what has been done to whom; those who were up and are not any more
+        #: process steps carried out, and the hosts of nodes that ended
         self.steps: list[ProcessStep] = []
-        self.gone: dict[str, Host] = {}
+        self.ended_hosts: dict[str, Host] = {}
         for name in self.timetable.absent:
             del self.hosts[name]
 
     def run(self) -> dict[str, dict[str, Any]]:
-        """Run to the end of the scene; the results of every node's `finish`, and wall-clock timings under "".
+        """Run to the end of the scene; returns the results of every node's `finish`.
 
-        Raises StartError for a node whose `start` fails, and NodeDied when the node that drives the scene fails.
+        The number of frames and the wall-clock time, s, are under "". Raises StartError for a node whose `start` fails,
+        and NodeDied when the node that drives the scene fails.
         """
         for name in list(self.hosts):
             self._start(name)
         self._drain()
-        begun = time.perf_counter()
+        started = time.perf_counter()
         source, frames = self._source, 0
         self._carry_out(0)
         while self._advance(source, frames):
@@ -86,15 +87,15 @@ class InProcess:
                 break
             self._carry_out(frames)
         self._drain()
-        elapsed = time.perf_counter() - begun
+        elapsed = time.perf_counter() - started
         self._results |= {name: host.finish() for name, host in self.hosts.items()}
-        in_order = {name: self._results[name] for name in self._roles if name in self._results}
-        return {"": {"frames": frames, "wall_s": elapsed}, **in_order}
+        results = {name: self._results[name] for name in self._roles if name in self._results}
+        return {"": {"frames": frames, "wall_s": elapsed}, **results}
 
     def failures(self) -> dict[str, list[Entry]]:
-        """The failures of handlers by node; nodes without any are left out."""
+        """Failures of handlers, by node; only nodes that have any."""
         entries: dict[str, list[list[Entry]]] = {name: [] for name in self._roles}
-        for host in self._made:
+        for host in self._all_hosts:
             entries[host.name].append([failure.entry() for failure in host.failures.values()])
         return {name: merged(parts) for name, parts in entries.items() if any(parts)}
 
@@ -109,7 +110,7 @@ class InProcess:
             raise StartError(line) from error
 
     def _advance(self, source: Host, frame: int) -> bool:
-        """Have the source publish the next frame; False when there is none."""
+        """Have the source publish the next frame; False if there is none."""
         assert isinstance(source.node, Source)
         try:
             return source.node.advance(source)
@@ -120,8 +121,8 @@ class InProcess:
             what = f"{source.name}.advance failed before frame {frame}"
             raise NodeDied(f"{what}: {described(error)} ({where})") from error
 
-    def _built(self, name: str) -> Host:
-        """A host of a node that is newly made."""
+    def _build_host(self, name: str) -> Host:
+        """Build a node and its host."""
         node, ports = build_node(self._resolved.nodes[name], name), self._wiring.ports(name)
         period_ns = self._resolved.period_ns
         host = Host(
@@ -131,52 +132,52 @@ class InProcess:
             self._resolved.seed,
             encode=self._encode,
             period_ns=period_ns,
-            emit=self._sent,
+            emit=self._enqueue,
             wiring=self._wiring,
             timespan=self._resolved.timespan,
         )
-        self._made.append(host)
+        self._all_hosts.append(host)
         return host
 
     def _peers(self, name: str) -> dict[str, str]:
         return {peer: self._roles[peer] for peer in self.hosts if peer != name}
 
     def _carry_out(self, frame: int) -> None:
-        """What the scenario does to processes before a frame, when all is quiet; as `Driver` does it on a mesh."""
+        """Carry out the process steps before a frame, as `Driver` does on a mesh."""
         for group in self.timetable.before(frame, self.hosts):
-            come = {step.node: self._built(step.node) for step in group if step.action not in LEAVING}
+            new_hosts = {step.node: self._build_host(step.node) for step in group if step.action not in LEAVING}
             for step in group:
                 if step.action in LEAVING:
-                    self.gone[step.node] = self.hosts.pop(step.node)
+                    self.ended_hosts[step.node] = self.hosts.pop(step.node)
                 if step.action == "leave":
-                    self._results[step.node] = self.gone[step.node].finish()
+                    self._results[step.node] = self.ended_hosts[step.node].finish()
             for host in self.hosts.values():
                 for step in group:
-                    (host.joined if step.node in come else host.left)(step.node, self._roles[step.node])
-            self.hosts |= come
-            for name in come:
-                self.gone.pop(name, None)
+                    (host.joined if step.node in new_hosts else host.left)(step.node, self._roles[step.node])
+            self.hosts |= new_hosts
+            for name in new_hosts:
+                self.ended_hosts.pop(name, None)
                 self._start(name)
             self.steps += group
             self._drain()
 
     def _drain(self) -> None:
-        """Deliver until nothing is under way: the frame is over."""
+        """Deliver messages until none is left: the end of a frame."""
         while self._pending:
             name, (key, payload, step, flaw) = self._pending.next()
             host = self.hosts.get(name)
             if host:
                 host.deliver(key, payload, step, flaw=flaw)
 
-    def _sent(self, message: Outgoing) -> None:
-        """A node has sent a message: it is under way to all who hear it."""
+    def _enqueue(self, message: Outgoing) -> None:
+        """Queue a message that a node has sent, for each subscriber of its key."""
         if self._tap:
             self._tap(message)
-        self._pending.push(self._hears[message.key], message)
+        self._pending.push(self._subscribers[message.key], message)
 
 
 class _Fifo(deque[tuple[str, Outgoing]]):
-    """Deliveries in the order in which they were sent."""
+    """Deliveries in the order of sending."""
 
     def push(self, subscribers: Sequence[str], message: Outgoing) -> None:
         self.extend([(subscriber, message) for subscriber in subscribers])
@@ -186,7 +187,7 @@ class _Fifo(deque[tuple[str, Outgoing]]):
 
 
 class _Shuffled:
-    """Deliveries in a random order that keeps the order of each key at each subscriber."""
+    """Deliveries in random order, except for those of one key to one subscriber."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
@@ -209,7 +210,6 @@ class _Shuffled:
         return bool(self._queues)
 
 
-def results_of(runs: Mapping[str, dict[str, Any]], key: str) -> Any:
-    """The one result named `key` among the results of all nodes, or None."""
-    found = [results[key] for results in runs.values() if key in results]
-    return found[0] if found else None
+def find_result(results: Mapping[str, dict[str, Any]], key: str) -> Any:
+    """The result named `key` of the first node that has one, or None."""
+    return next((of_node[key] for of_node in results.values() if key in of_node), None)

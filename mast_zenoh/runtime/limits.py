@@ -1,8 +1,8 @@
-"""Limits on what waits in a node's process: so many messages and bytes of each source, in each place.
+"""Limits on waiting messages in a node's process, per source and buffer.
 
-A source is the node that publishes a key's wire. A hostile source uses up its own room and nobody else's. The sum of
-all places, for one source, keeps a process below 400 MB. Forty agents with 60 tracks each use at most three quarters of
-any of it (tests/runtime/test_limits.py).
+A source is the node that publishes a key's wire. A hostile source can only use up its own room. The limits of all
+buffers together keep a process below 400 MB for one source. Forty agents with 60 tracks each use at most three quarters
+of any limit (tests/runtime/test_limits.py).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _MIB = 1 << 20
 
 
 class Limit(NamedTuple):
-    """How many messages, and how many bytes of them, of one source may wait in one place."""
+    """Maximum number and total bytes of waiting messages of one source in one buffer."""
 
     messages: int
     bytes: int
@@ -23,18 +23,18 @@ class Limit(NamedTuple):
         return f"{self.messages} messages or {self.bytes // _MIB} MiB"
 
 
-#: Messages that wait for the clock of their step. The driver waits for everyone, so there is one frame of them.
+#: Messages that wait for the clock of their step: one frame of them, because the driver waits for all nodes.
 HELD = Limit(10_000, 32 * _MIB)
-#: Messages of an epoch that this node has not entered yet: those of the moment between two control messages.
+#: Messages of an epoch that this node has not entered yet: those sent while the epoch message is on its way.
 EARLY = Limit(10_000, 32 * _MIB)
 #: Messages in the inbox. Listeners may fall behind by `driver.SETTLE_EVERY` frames, of 1.8 MB for the largest source.
 INBOX = Limit(20_000, 128 * _MIB)
-#: Messages that leave later. A link that delays a picture of 300 objects by half a minute keeps 68 MB of them.
+#: Delayed messages. A link that delays a picture of 300 objects by half a minute keeps 68 MB of them.
 DELAYED = Limit(10_000, 128 * _MIB)
 
 
 class Room:
-    """Accounts for what waits in one place."""
+    """Accounts for the waiting messages in one buffer, by source."""
 
     def __init__(self, limit: Limit) -> None:
         self.limit = limit
@@ -42,7 +42,7 @@ class Room:
         self._bytes: Counter[str] = Counter()
 
     def take(self, source: str, size: int) -> bool:
-        """Make room for a message of `size` bytes; False when its source has none left."""
+        """Reserve room for a message of `size` bytes; False if its source has none left."""
         messages, n_bytes = self._messages[source] + 1, self._bytes[source] + size
         if messages > self.limit.messages or n_bytes > self.limit.bytes:
             return False
@@ -50,6 +50,6 @@ class Room:
         return True
 
     def free(self, source: str, size: int) -> None:
-        """A message that `take` made room for waits no longer."""
+        """Release the room that `take` reserved for a message."""
         self._messages[source] -= 1
         self._bytes[source] -= size

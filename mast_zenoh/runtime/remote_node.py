@@ -1,10 +1,10 @@
-"""`mast-node`: a node, or the router, that lives where the run folder is not: in a container, on another host.
+"""`mast-node`: a node or the router in a container or on another host.
 
     mast-node --name infra_1 --run ID --endpoint tcp/HOST:7447 [--credentials DIR] [--patience S]
     mast-node --router --run ID --listen tcp/0.0.0.0:7447 [--settings FILE] [--patience S]
 
-A node asks the launcher for what it needs, and gives it what it has written (`runtime.file_client`). Nobody holds its
-standard input: it leaves by itself when the launcher has been gone for a while (`mesh.launcher_watch`).
+There is no run folder here: a node fetches its files from the launcher, and sends it those that it writes
+(`runtime.file_client`). It leaves when the launcher has been away for a while (`mesh.launcher_watch`).
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ import zenoh
 from mast_zenoh import version
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MastError, StartError
-from mast_zenoh.runtime.file_client import FileClient, HandIn, written_by
+from mast_zenoh.runtime.file_client import FileClient, HandIn, files_written_by
 from mast_zenoh.runtime.mesh import hosting
 from mast_zenoh.runtime.mesh.launcher_watch import LauncherWatch
 from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security.credentials import Credentials
 
-#: Seconds for which a node goes on without a launcher, unless told otherwise.
+#: Default time that a node continues without a launcher, s.
 PATIENCE_S = 30.0
 
-#: Seconds within which a node must find the router, at least: everything is only just coming up.
+#: Minimum time that a node tries to reach the router, s: everything is still starting.
 JOIN_S = 60.0
 
-_GRACE_S = 2.0  # for a node that leaves without a launcher; the router goes that much later
+_GRACE_S = 2.0  # for a node to end without a launcher; the router leaves that much later
 
 log = logging.getLogger("mast")
 
 
 def main() -> None:
-    """The console script; ends the process, with the exit code of what went wrong."""
-    os.umask(0o077)  # nobody but the launcher gets what a node writes here
+    """Console script `mast-node`; ends the process, with an error's exit code."""
+    os.umask(0o077)  # files that a node writes here are for the launcher only
     faulthandler.enable()
     parser = argparse.ArgumentParser(prog="mast-node", description="A node of a run, or its router, on this host.")
     parser.add_argument("--run", required=True, help="id of the run: all keys begin with mast/RUN/")
@@ -68,7 +68,7 @@ def main() -> None:
 
 
 def _route(arguments: argparse.Namespace) -> None:
-    """Be the router until SIGTERM, or until there is no launcher."""
+    """Run the router until SIGTERM, or until the launcher has gone."""
     security = json.loads(arguments.settings.read_text()) if arguments.settings else None
     leave = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -82,7 +82,7 @@ def _route(arguments: argparse.Namespace) -> None:
 
 
 def _host(arguments: argparse.Namespace) -> None:
-    """Fetch what the node needs, host it until it is told to stop, hand in what it has written."""
+    """Fetch a node's files, host it until it is told to stop, hand in what it wrote."""
     credentials = Credentials.read(arguments.credentials) if arguments.credentials else None
     run, name = arguments.run, arguments.name
     with tempfile.TemporaryDirectory(prefix="mast-") as own, _join(arguments, credentials) as session:
@@ -94,23 +94,23 @@ def _host(arguments: argparse.Namespace) -> None:
             resolved = Resolved.read(folder)
             if resolved.mode == "lockstep":
                 hosting.use_batch_scheduling()
-            built = hosting.build(resolved, name)
+            instance = hosting.build(resolved, name)
             signatures = hosting.signatures(run, credentials)
-            hosted = hosting.host(resolved, run, name, built, session, without, signatures)
-            hosted.of_host = {"versions": version.versions(), "clock": client.clock}
+            mesh_node = hosting.host(resolved, run, name, instance, session, without, signatures)
+            mesh_node.host_facts = {"versions": version.versions(), "clock": client.clock}
 
             def orphaned() -> None:
-                hosted.inbox.put(("stop", "orphaned"))
+                mesh_node.inbox.put(("stop", "orphaned"))
                 threading.Event().wait(_GRACE_S)
                 os._exit(3)
 
             leave[0] = orphaned
-            with HandIn(client, folder, written_by(resolved, name, built)):
-                hosted.run_until_stopped()
+            with HandIn(client, folder, files_written_by(resolved, name, instance)):
+                mesh_node.run_until_stopped()
 
 
 def _join(arguments: argparse.Namespace, credentials: Credentials | None) -> zenoh.Session:
-    """A session on the mesh; ends the process when there is no router for too long."""
+    """Open a session on the mesh; ends the process if the router stays unreachable."""
     seconds = max(JOIN_S, arguments.patience)
 
     def give_up() -> None:

@@ -1,7 +1,7 @@
-"""Plays a recording to one node that hears every key, as if the run were going on.
+"""Replays a recording to one node that receives every key.
 
-A node that measures a run depends on messages alone, so on the recording of a run it measures the same again: with
-other parameters, with a later version, or where the run was killed before the node could hand in its results.
+A node that measures a run depends on messages alone, so it measures the same from the run's recording: with other
+parameters, with a later version, or after the run was killed before the node handed in its results.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
 
-#: Frames for which messages wait for others of their key and frame: as far as times in headers may be wrong.
+#: Frames for which messages wait for others of their key and frame: the largest error of times in headers.
 _HELD_FRAMES = 8
 
 
 def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
-    """What a node returns from `finish` when it has heard a recording.
+    """Replay a recording to a node; returns the results of its `finish`.
 
-    resolved: of the run that was recorded, with the user's modules loaded
-    name:     of a node of that scenario which hears every key
+    resolved: the scenario of the recorded run, with the user's modules loaded
+    name:     a node of that scenario that receives every key
     path:     the recording, or the folder of the run
 
-    Recordings of earlier versions say neither how the run changed nor in which frame a message was sent: it is taken
-    to have gone on with all its nodes as it began, and each message to have been sent in its own frame.
-    Raises RunFolderError for a recording that is missing or damaged, and HandlerFailed where the node fails.
+    Recordings of earlier versions contain neither changes of the run nor the frame in which a message was sent: the
+    initial nodes and wiring are assumed throughout, and each message to have been sent in its own frame.
+    Raises RunFolderError for a recording that is missing or damaged, and HandlerFailed if the node fails.
     """
     path = file_of(path)
-    changes = deque(events(path) or _unchanging(resolved))
+    changes = deque(events(path) or _initial_events(resolved))
     if changes[0].what != REWIRED:
         raise RunFolderError(f"{path}: the first event is not the wiring that the run began with")
     node = build_node(resolved.nodes[name], name)
-    ears = [Endpoint(name, port) for port, message in node.inputs.items() if message == ANY]
-    wiring = _wiring(changes.popleft(), ears, path)
+    overhearers = [Endpoint(name, port) for port, message in node.inputs.items() if message == ANY]
+    wiring = _wiring(changes.popleft(), overhearers, path)
     period_ns = resolved.period_ns
     host = Host(
         name,
@@ -63,14 +63,14 @@ def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
 
     def change(event: Event) -> None:
         if event.what == REWIRED:
-            new = _wiring(event, ears, path)
-            for key, heard in new.ports(name).inputs.items():
-                host.hear(key, heard)
+            new = _wiring(event, overhearers, path)
+            for key, port_input in new.ports(name).inputs.items():
+                host.add_input(key, port_input)
             host.rewired(new)
         elif event.node != name:
             (host.left if event.what == LEFT else host.joined)(event.node, event.role)
 
-    for step, message in _as_sent(_by_step(read(path)), [event.frame for event in changes]):
+    for step, message in _in_order_sent(_by_step(read(path)), [event.frame for event in changes]):
         while changes and step > changes[0].frame:
             change(changes.popleft())
         host.deliver(message.key.removesuffix(f"/{channels.MALFORMED}"), message.payload, message.step, counted=False)
@@ -83,13 +83,13 @@ def replay(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
     return results
 
 
-def _as_sent(messages: Iterable[tuple[int, Recorded]], changes: Sequence[int]) -> Iterator[tuple[int, Recorded]]:
-    """The messages, those that share key and frame with another one in the order in which they were sent.
+def _in_order_sent(messages: Iterable[tuple[int, Recorded]], changes: Sequence[int]) -> Iterator[tuple[int, Recorded]]:
+    """The messages; those with the same key and frame in the order of sending.
 
-    changes: frames after which the run changed, ascending: messages from before a change do not come after it
+    changes: frames after which the run changed, ascending; no message is moved across a change
     """
     held: list[tuple[int, int, Recorded]] = []
-    coming = deque(changes)
+    upcoming = deque(changes)
 
     def release(before: int) -> Iterator[tuple[int, Recorded]]:
         ready = sorted((each for each in held if each[1] < before), key=lambda each: each[0])
@@ -97,8 +97,8 @@ def _as_sent(messages: Iterable[tuple[int, Recorded]], changes: Sequence[int]) -
         yield from ((step, message) for _, step, message in ready)
 
     for step, message in messages:
-        while coming and step > coming[0]:
-            yield from release(coming.popleft() + 1)
+        while upcoming and step > upcoming[0]:
+            yield from release(upcoming.popleft() + 1)
         if message.message == "clock":
             yield from release(message.frame - _HELD_FRAMES)
         if message.rank >= 0:
@@ -109,7 +109,7 @@ def _as_sent(messages: Iterable[tuple[int, Recorded]], changes: Sequence[int]) -
 
 
 def _by_step(messages: Iterable[Recorded]) -> Iterator[tuple[int, Recorded]]:
-    """Messages in order of frame, each put off to the step in which it was sent; with that step."""
+    """Pairs (step, message): messages by frame, delayed to the step of sending."""
     waiting: list[tuple[int, int, Recorded]] = []
     for count, message in enumerate(messages):
         while waiting and waiting[0][0] < message.frame:
@@ -124,16 +124,17 @@ def _by_step(messages: Iterable[Recorded]) -> Iterator[tuple[int, Recorded]]:
         yield step, late
 
 
-def _wiring(event: Event, ears: Sequence[Endpoint], path: Path) -> Wiring:
-    """The wiring that an event tells of, with these ports hearing every key, also where they did not in the run."""
+def _wiring(event: Event, overhearers: Sequence[Endpoint], path: Path) -> Wiring:
+    """The wiring in an event, with these overhearers even if the run lacked them."""
     try:
         wiring = Wiring.from_json(event.wiring)
     except (KeyError, TypeError, IndexError, AttributeError) as error:
         raise RunFolderError(f"{path}: the wiring of frame {event.frame} cannot be read: {error!r}") from None
-    return Wiring(wiring.wires, (*wiring.overhearers, *(ear for ear in ears if ear not in wiring.overhearers)))
+    added = [end for end in overhearers if end not in wiring.overhearers]
+    return Wiring(wiring.wires, (*wiring.overhearers, *added))
 
 
-def _unchanging(resolved: Resolved) -> list[Event]:
-    """The events of a run that went on as it began."""
+def _initial_events(resolved: Resolved) -> list[Event]:
+    """The events of a run that does not change."""
     joined = [Event(JOINED, -1, node, spec.role) for node, spec in resolved.nodes.items()]
     return [Event(REWIRED, -1, wiring=resolved.wiring), *joined]

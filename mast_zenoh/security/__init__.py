@@ -1,4 +1,6 @@
-"""Secures a mesh: keeps outsiders out, and nodes to their own wires. docs/security.md has the threat model.
+"""Secures a mesh against outsiders, and restricts nodes to their own wires.
+
+docs/security.md has the threat model.
 
 levels       open, tls, mtls, acl: the Zenoh settings of each
 authority    one certificate authority per deployment, a certificate per node
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def explain(credentials: Credentials | Path, endpoint: str | None = None) -> list[str]:
-    """Why these credentials would be refused at this endpoint, a sentence each; see `diagnosis.explain`."""
+    """Reasons why these credentials would be refused; see `diagnosis.explain`."""
     from mast_zenoh.security import diagnosis  # slow to load, and seldom needed
 
     return diagnosis.explain(credentials, endpoint)

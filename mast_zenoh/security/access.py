@@ -1,4 +1,4 @@
-"""Access rights on the router, from the wiring alone. Pure: a wiring in, Zenoh's `access_control` out.
+"""Access rights on the router: a pure function from a wiring to `access_control`.
 
 Everything is denied except these rights, given to each certificate by its common name:
 
@@ -40,7 +40,10 @@ REPORTS = ("counts", "failed")
 
 
 class Right(NamedTuple):
-    """A permitted message. flow: ingress (to the router) or egress; message: Zenoh's name; key: an expression."""
+    """A permitted message.
+
+    flow: ingress (to the router) or egress; message: Zenoh's name; key: an expression
+    """
 
     flow: str
     message: str
@@ -48,7 +51,7 @@ class Right(NamedTuple):
 
 
 def publish(key: str, subscribed_as: str = "") -> Iterator[Right]:
-    """Publish on a key. subscribed_as: the expression that its subscriber declares, if it is wider."""
+    """Publish on a key; subscribed_as: the subscriber's expression, if it is wider."""
     yield Right("ingress", "put", key)
     yield Right("egress", "declare_subscriber", subscribed_as or key)
 
@@ -60,7 +63,7 @@ def subscribe(key: str) -> Iterator[Right]:
 
 
 def query(key: str, answered_as: str = "") -> Iterator[Right]:
-    """Query a key. answered_as: the expression that the queryable declares, if it is wider."""
+    """Query a key; answered_as: the queryable's expression, if it is wider."""
     yield Right("ingress", "query", key)
     yield Right("egress", "declare_queryable", answered_as or key)
     yield Right("egress", "reply", key)
@@ -85,7 +88,10 @@ def watch(key: str) -> Iterator[Right]:
 
 
 def rights(wiring: Wiring, node: str, *, driver: str) -> list[Right]:
-    """The rights of a node, or of LAUNCHER; keys without the run's prefix, in a fixed order, each once."""
+    """The rights of a node or of LAUNCHER, each once, in a fixed order.
+
+    Keys are without the run's prefix.
+    """
     granted = _launcher() if node == LAUNCHER else _node(wiring, node, drives=node == driver)
     return list(dict.fromkeys(granted))
 

@@ -1,4 +1,4 @@
-"""One certificate authority per deployment. Its key never leaves the memory of the process that made it.
+"""One certificate authority per deployment, whose key never leaves this process.
 
 All certificates of a deployment are issued before any process starts, so the key is not needed later. They are
 worthless in another deployment, which trusts another authority. Node certificates are for clients only and the

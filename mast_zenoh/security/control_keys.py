@@ -1,4 +1,4 @@
-"""Keys that sign and verify control messages: Ed25519 (RFC 8032), new for every run."""
+"""Ed25519 keys (RFC 8032) for signing control messages, new for every run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ControlKeys:
 
     @classmethod
     def from_json(cls, content: bytes, where: str) -> ControlKeys:
-        """The keys that `to_json` wrote; raises CredentialsError, which names `where`, for anything else."""
+        """The keys that `to_json` wrote; otherwise CredentialsError, naming `where`."""
         if not content:
             raise CredentialsError(f"{where}: is missing")
         try:

@@ -1,4 +1,4 @@
-"""Credentials of a process: the authority it trusts and its own certificate, as a folder of files or in memory."""
+"""Credentials of a process, the authority and its own certificate, also as files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAX_COMMON_NAME = 64
 
 
 def common_name(run: str, name: str) -> str:
-    """The common name in the certificate of a node of a run; shortened by a digest beyond X.520's 64 characters."""
+    """The common name of a node's certificate; if too long for X.520, with a digest."""
     full = f"{name}.{run}"
     if len(full) <= _MAX_COMMON_NAME:
         return full
@@ -49,7 +49,7 @@ class Credentials:
 
     @classmethod
     def read(cls, folder: Path) -> Credentials:
-        """Read what `write` wrote; raises CredentialsError for a file that is missing or cannot be read."""
+        """Read what `write` wrote; raises CredentialsError for an unreadable file."""
 
         def content(name: str) -> bytes:
             try:
@@ -63,7 +63,7 @@ class Credentials:
         return cls(content(AUTHORITY), content(CERTIFICATE), content(KEY), control)
 
     def write(self, folder: Path) -> Path:
-        """Write the files into a folder with mode 0700, each with mode 0600: only this user can read them."""
+        """Write the files, mode 0600, into a folder, mode 0700: for this user only."""
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         names = (AUTHORITY, CERTIFICATE, KEY, CONTROL)
         for name, content in zip(names, (self.authority, self.certificate, self.key, self.control), strict=True):

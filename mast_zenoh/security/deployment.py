@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Deployment:
-    """Certificates and control keys of all processes of one run, and the router's settings.
+    """Certificates and control keys of a run's processes, and the router's settings.
 
     level:  one of `levels.LEVELS`; "open" makes nothing
     run, prefix: id of the run, and the prefix of all its keys

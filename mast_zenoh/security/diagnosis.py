@@ -1,4 +1,7 @@
-"""Why a certificate is refused: `look` collects the facts, `reasons` (pure) explains them in sentences."""
+"""Why a certificate is refused: `look` collects facts, `reasons` explains them.
+
+`reasons` is pure.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,10 @@ _BUSY = "it is busy or does not speak TLS"
 
 @dataclass(frozen=True)
 class Certificate:
-    """The relevant parts of a certificate. trusted: signed by our authority; names: hosts that it is valid for."""
+    """The relevant parts of a certificate.
+
+    trusted: signed by our authority; names: hosts that it is valid for
+    """
 
     common_name: str
     not_before: datetime
@@ -76,17 +82,17 @@ class Facts:
 
 #: Meaning of a router's alert, by OpenSSL's name for it.
 _VERDICTS = {
-    "CERTIFICATE_REQUIRED": "it requires a certificate, and none was shown",
-    "UNKNOWN_CA": "another authority has issued ours than the one it trusts",
-    "CERTIFICATE_EXPIRED": "it finds ours expired: compare the clocks of the two hosts",
-    "CERTIFICATE_UNKNOWN": "it does not accept ours",
-    "BAD_CERTIFICATE": "it does not accept ours",
-    "DECRYPT_ERROR": "ours was not signed by the authority that it names",
+    "CERTIFICATE_REQUIRED": "it requires a certificate, and none was presented",
+    "UNKNOWN_CA": "it trusts another authority than the one that issued our certificate",
+    "CERTIFICATE_EXPIRED": "it considers our certificate expired: compare the clocks of the two hosts",
+    "CERTIFICATE_UNKNOWN": "it does not accept our certificate",
+    "BAD_CERTIFICATE": "it does not accept our certificate",
+    "DECRYPT_ERROR": "our certificate was not signed by the authority that it names",
 }
 
 
 def explain(credentials: Credentials | Path, endpoint: str | None = None) -> list[str]:
-    """Reasons why these credentials would be refused at this endpoint, a sentence each; none if they are valid.
+    """Reasons why these credentials would be refused at this endpoint, as sentences.
 
     endpoint: of the router, tls/HOST:PORT; without it only the credentials are checked
     """
@@ -123,7 +129,7 @@ def _router_reasons(facts: Facts, router: Router) -> Iterator[str]:
     if certificate is not None:
         yield from _validity("the router's certificate", facts.host, certificate, facts.now)
         if not certificate.trusted:
-            yield f"the router at {facts.host} was certified by another authority than ours: it may be a rogue"
+            yield f"the router at {facts.host} has a certificate of another authority: it may be a rogue"
         elif facts.host not in certificate.names:
             text = ", ".join(certificate.names) or "no host at all"
             yield f"the router's certificate is not for {facts.host!r}, but for {text}"
@@ -147,7 +153,7 @@ def _utc_text(time: datetime) -> str:
 
 
 def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
-    """Collect the facts about credentials, and about the router at an endpoint (within about three seconds)."""
+    """Collect the facts about credentials and a router, within about three seconds."""
     where, unusable, too_wide = "the credentials", [], []
     if isinstance(credentials, Path):
         folder, where = credentials, str(credentials)
@@ -200,7 +206,7 @@ def look(credentials: Credentials | Path, endpoint: str | None = None) -> Facts:
 
 
 def _router(host: str, port: int, credentials: Credentials | None, authority: x509.Certificate | None) -> Router:
-    """Attempt a TLS handshake with the router as a client would, but accept any certificate to inspect it."""
+    """Try a TLS handshake as a client would, but accept any certificate to inspect it."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     if credentials is not None and credentials.certificate:

@@ -34,18 +34,18 @@ def check(level: str) -> str:
 
 
 def endpoint(level: str, address: str) -> str:
-    """An endpoint with the protocol of this level: tcp/HOST:PORT when open, else tls/HOST:PORT."""
+    """An endpoint with the level's protocol: tcp/HOST:PORT if open, else tls/…."""
     return f"{'tcp' if level == 'open' else 'tls'}/{address.partition('/')[2]}"
 
 
 def hosts(endpoints: Iterable[str]) -> list[str]:
-    """The hosts of endpoints such as tls/HOST:PORT, which a router's certificate must name. Each once, in order."""
+    """The hosts of endpoints tls/HOST:PORT, for a router's certificate; each once."""
     names = [end.partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")[0] for end in endpoints]
     return list(dict.fromkeys(host.strip("[]") for host in names))
 
 
 def router_settings(level: str, credentials: Credentials, access: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Settings of a router at this level. access: Zenoh's `access_control`, for the level "acl"."""
+    """Settings of a router at this level; access: `access_control` for level "acl"."""
     if check(level) == "open":
         return {}
     tls: dict[str, Any] = {
@@ -64,7 +64,7 @@ def router_settings(level: str, credentials: Credentials, access: Mapping[str, A
 
 
 def client_settings(credentials: Credentials) -> dict[str, Any]:
-    """Settings of a client that trusts one authority, and presents its certificate if it has one.
+    """Settings of a client with a trusted authority, and its certificate if any.
 
     The PEM texts are passed in memory: Zenoh keeps such values out of its logs, and no file has to stay readable.
     """

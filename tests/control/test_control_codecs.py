@@ -218,7 +218,7 @@ def bomb(shape: list[int], dtype: str = "<f8", raw: bytes = b"") -> msgpack.ExtT
 )
 def test_results_that_are_too_large_or_not_plain_values_are_refused(value: Any) -> None:
     try:
-        payload = msgpack.packb(OUTCOME | {"results": {"x": value}}, default=results._encode)
+        payload = msgpack.packb(OUTCOME | {"results": {"x": value}}, default=results.encode_extension)
     except ValueError:  # deeper than msgpack packs: write it by hand
         payload = results.pack(OUTCOME | {"results": {"x": "here"}}).replace(b"\xa4here", b"\x91" * 1500 + b"\x90")
     with pytest.raises(MessageError):

@@ -237,7 +237,7 @@ def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_na
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {}, {})))
     driver._on_counts(sample("counts/ego", flow.encode_counts(1, {}, {"clock": 10**9})))
     begun = time.monotonic()
-    reason = driver._await_quiet(everyone=True)
+    reason = driver._await_quiet(include_listeners=True)
     assert reason is not None
     assert (
         encode_reason(reason)
@@ -248,9 +248,9 @@ def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_and_is_na
 
 def test_a_node_that_reports_a_key_that_is_not_its_own_ends_the_run_and_is_named(driver: Driver) -> None:
     driver._on_counts(sample("counts/watch", flow.encode_counts(1, {"clock": 1}, {})))
-    reason = driver._await_quiet(everyone=True)
+    reason = driver._await_quiet(include_listeners=True)
     assert reason is not None
-    assert encode_reason(reason) == "implausible: watch reports messages sent on 'clock', on which it does not speak"
+    assert encode_reason(reason) == "implausible: watch reports messages sent on 'clock', which it does not publish on"
 
 
 def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Driver) -> None:
@@ -260,7 +260,7 @@ def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Driver) -> 
     for name in ("ego", "watch"):
         driver._on_counts(sample(f"counts/{name}", flow.encode_counts(1, {}, {})))
     expected = StopReason(StopKind.STALL, "ego has handled 0 of 3 messages of sim on clock")
-    assert driver._await_quiet(everyone=True) == expected
+    assert driver._await_quiet(include_listeners=True) == expected
 
 
 def test_a_node_comes_back_only_if_it_was_lost_before(driver: Driver) -> None:
@@ -297,7 +297,7 @@ def test_a_node_that_constantly_leaves_and_returns_ends_the_run_and_is_named(dri
     for there in [False, True] * 60:
         presence(driver, there)
         driver._wait(time.monotonic() + 1.0)
-    assert driver._over == StopReason(StopKind.IMPLAUSIBLE, "ego has gone and come back more than 50 times")
+    assert driver._end_reason == StopReason(StopKind.IMPLAUSIBLE, "ego has gone and come back more than 50 times")
 
 
 # -- the launcher ----------------------------------------------------------------------------------------------------
@@ -371,7 +371,7 @@ def test_a_reason_of_the_driver_becomes_the_error_that_names_the_node(context: R
 
 
 @pytest.mark.parametrize(("reason", "fails"), [("end", False), ("forged", True), ("", True)])
-def test_a_run_that_somebody_else_has_told_to_stop_is_not_ok(context: RunContext, reason: str, fails: bool) -> None:
+def test_a_run_stopped_from_outside_is_not_ok(context: RunContext, reason: str, fails: bool) -> None:
     take_result_of_driver(context, reason)
     assert (context.stop.problem is not None) == fails
     assert context.stop.requested
@@ -414,7 +414,7 @@ PIECES = [
 @pytest.mark.parametrize(
     "payload", [*RUBBISH, *map(encode, PIECES), encode({"do": "piece", "path": "../x", "offset": 0})]
 )
-def test_a_malformed_question_is_answered_with_an_error_and_the_file_server_lives(
+def test_a_malformed_query_is_answered_with_an_error_and_the_file_server_continues(
     file_server: FileServer, context: RunContext, payload: bytes
 ) -> None:
     for what in ("fetch", "file"):
@@ -513,7 +513,7 @@ def test_of_many_counts_only_the_newest_of_each_node_is_queued_at_the_driver(dri
 
 
 @pytest.mark.parametrize("what", ["fetch", "file"])
-def test_what_is_too_long_for_its_kind_does_not_wait_at_the_file_server(
+def test_oversized_queries_are_not_queued_at_the_file_server(
     file_server: FileServer, context: RunContext, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits = MagicMock()

@@ -81,7 +81,7 @@ def hold(frame: int, go: str, stall_timeout_s: float) -> None:
     carry_out, init = Driver._carry_out, Driver.__init__
 
     def waiting(self: Driver) -> str:
-        while self.frames == frame and not Path(go).exists() and not self._over:
+        while self.frames == frame and not Path(go).exists() and not self._end_reason:
             self._wait(time.monotonic() + 0.02)
         return carry_out(self)
 

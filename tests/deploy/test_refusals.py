@@ -22,7 +22,7 @@ from mast_zenoh.errors import BackendError, ConfigurationError, DiskFull, Engine
 from mast_zenoh.launch import run
 from mast_zenoh.launch.file_server import files_for_node, with_local_imports
 from mast_zenoh.messagelog.writer import MessageLog
-from mast_zenoh.runtime.file_client import _below, written_by
+from mast_zenoh.runtime.file_client import _below, files_written_by
 
 
 def small(name: str = "baseline") -> Resolved:
@@ -227,7 +227,7 @@ def test_the_scene_goes_to_whoever_drives_it_and_to_nobody_else(tmp_path: Path) 
 
 def test_only_who_writes_a_log_may_give_one() -> None:
     resolved = small()
-    assert {name: written_by(resolved, name) for name in resolved.nodes if written_by(resolved, name)} == {
+    assert {name: files_written_by(resolved, name) for name in resolved.nodes if files_written_by(resolved, name)} == {
         "recorder": (str(MessageLog().path),)
     }
 

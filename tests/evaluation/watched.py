@@ -76,13 +76,13 @@ class Watched(InProcess):
         except MessageError:
             return Read(header, None)
 
-    def _sent(self, message: Outgoing) -> None:
+    def _enqueue(self, message: Outgoing) -> None:
         for passage in self._ways.get(message.key, ()):
             self.arrivals.append(Arrival(passage, message.payload, message.step, message.flaw))
-        super()._sent(message)
+        super()._enqueue(message)
 
-    def _built(self, name: str) -> Host:
-        host = super()._built(name)
+    def _build_host(self, name: str) -> Host:
+        host = super()._build_host(name)
         mine = [passage for passage in self._wiring.passages() if passage.node == name]
         if mine:
             self._watch(host, mine)
@@ -90,7 +90,7 @@ class Watched(InProcess):
 
     def _watch(self, host: Host, passages: list[Passage]) -> None:
         """Record every call of relay and publish on the context of a node."""
-        relay, publish, out = host.relay, host.publish, host._out
+        relay, publish, out = host.relay, host.publish, host._send_payload
         leaving: list[tuple[bytes | Message, float]] = []
 
         def noted(key: str, payload: bytes | Message, flaw: str = "", after_s: float = 0.0) -> None:
@@ -114,7 +114,7 @@ class Watched(InProcess):
                 if host._key(port, passage.subject) == passage.sent:
                     self.forgeries += [(passage, Sent(content, step(None))) for content, _ in leaving]
 
-        host.relay, host.publish, host._out = relayed, published, noted  # type: ignore[method-assign]
+        host.relay, host.publish, host._send_payload = relayed, published, noted  # type: ignore[method-assign]
 
     def _arrival(self, name: str, received: Received) -> Arrival:
         """The arrival that was handed to a node as `received`: the first of this content not yet handed over."""

@@ -201,7 +201,7 @@ def test_in_real_time_completeness_is_measured_from_the_recording(
     specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in (("rec", "recorder"), ("sim", "simulator"))}
     handed_in = {"rec": {"recorded": {"messages": 7, "lost": 0}}}
     for mode, gap, expected in (("realtime", 185, False), ("realtime", None, True), ("lockstep", 185, True)):
-        monkeypatch.setattr(run_folder, "first_missing", lambda folder, publisher, gap=gap: gap)
+        monkeypatch.setattr(run_folder, "first_missing_frame", lambda folder, publisher, gap=gap: gap)
         record: dict[str, Any] = {"message": "", "mode": mode}
         run_folder.note_recording(tmp_path, record, handed_in, specs)
         assert record["recording"]["complete"] is expected

@@ -38,7 +38,7 @@ def hold_back(file: str) -> None:
     carry_out = Driver._carry_out
 
     def when_allowed(self: Driver) -> str:
-        while self.frames >= int(Path(file).read_text()) and not self._over:
+        while self.frames >= int(Path(file).read_text()) and not self._end_reason:
             self._wait(time.monotonic() + _LOOK_EVERY_S)
         return carry_out(self)
 

@@ -112,7 +112,7 @@ def test_who_drives_a_scene_that_nobody_else_is_left_to_see_does_not_play_on(lau
             os.kill(node["pid"], signal.SIGKILL)
     code, output = run.end()
     assert code == 23, output
-    assert "nobody else is on the mesh" in output
+    assert "no other node is on the mesh" in output
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -28,7 +28,7 @@ WIRING = Wiring((Wire("w", "", "clock", (Leg("w", Endpoint("a", "out"), (Endpoin
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that is refused asks why sooner than in a run."""
-    monkeypatch.setattr(sessions, "_ASK_WHY_MS", 500)
+    monkeypatch.setattr(sessions, "_DIAGNOSE_MS", 500)
 
 
 @contextmanager
@@ -76,7 +76,7 @@ def test_a_stranger_who_knows_whom_to_trust_is_refused_and_told_why(level: str) 
         assert "another authority" in refused(endpoint, Credentials(authority.pem, theirs.certificate, theirs.key))
         expired = authority.issue("a", begins=now - timedelta(hours=2), ends=now - timedelta(hours=1))
         assert "has expired" in refused(endpoint, expired)
-        assert "none was shown" in refused(endpoint, Credentials(authority.pem))
+        assert "none was presented" in refused(endpoint, Credentials(authority.pem))
 
 
 def test_the_router_itself_is_asked_for_the_name_that_it_is_reached_by() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from recordings import TAP, small_run, write
 
-from mast_zenoh.messagelog.completeness import first_missing
+from mast_zenoh.messagelog.completeness import first_missing_frame
 from mast_zenoh.messagelog.reader import read
 
 
@@ -32,10 +32,10 @@ def without(path: Path, *missing: tuple[str, int]) -> Path:
 def test_a_gap_in_the_numbers_of_a_publisher_is_found(
     tmp_path: Path, missing: tuple[tuple[str, int], ...], first: int | None
 ) -> None:
-    assert first_missing(without(tmp_path / "run.mcap", *missing), "simulator") == first
+    assert first_missing_frame(without(tmp_path / "run.mcap", *missing), "simulator") == first
 
 
 def test_an_unreadable_recording_may_lack_everything(tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_bytes(b"no recording")
-    assert first_missing(tmp_path / "run.mcap", "simulator") == 0
+    assert first_missing_frame(tmp_path / "run.mcap", "simulator") == 0
     assert len(list(read(without(tmp_path / "whole.mcap")))) == len(small_run())

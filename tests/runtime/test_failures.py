@@ -92,7 +92,7 @@ def test_a_handler_with_wrong_parameters_is_located_where_it_is_defined() -> Non
     assert "TypeError" in host.failures["on_clock"].exception
 
 
-def test_an_exception_is_told_on_one_short_line_even_if_it_cannot_format_itself() -> None:
+def test_an_exception_is_described_on_one_short_line_even_if_it_cannot_format_itself() -> None:
     class Mute(Exception):
         def __str__(self) -> str:
             raise ValueError
@@ -103,7 +103,7 @@ def test_an_exception_is_told_on_one_short_line_even_if_it_cannot_format_itself(
 
 
 @pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit(), asyncio.CancelledError("late")])
-def test_a_handler_ends_no_process_whatever_it_raises(error: BaseException) -> None:
+def test_no_error_of_a_handler_ends_the_process(error: BaseException) -> None:
     class Leaver(Node):
         inputs = {"clock": "clock"}
 
@@ -131,7 +131,7 @@ def test_a_node_without_a_clock_fails_in_the_frame_of_its_message() -> None:
     assert host.failures["on_status"].frames == {3, 6, -1}, "held up: the frame in which it was sent on"
 
 
-def test_a_node_that_hears_every_key_fails_in_the_frame_of_its_message() -> None:
+def test_a_node_that_receives_every_key_fails_in_the_frame_of_its_message() -> None:
     class Fails(Node):
         inputs = {"everything": ANY}
 
@@ -174,7 +174,7 @@ def test_failures_of_one_node_in_several_processes_are_one_entry() -> None:
     "entry",
     [None, [], {}, ENTRY | {"more": 1}, ENTRY | {"count": "3"}, ENTRY | {"count": True}, {"handler": "x"}],
 )
-def test_what_is_no_failure_is_refused(entry: object) -> None:
+def test_an_invalid_failure_entry_is_refused(entry: object) -> None:
     assert failure(dict(ENTRY)) == ENTRY
     with pytest.raises(MessageError, match="a handler failure: "):
         failure(entry)
@@ -189,7 +189,7 @@ def test_what_is_no_failure_is_refused(entry: object) -> None:
         ((1, 1, -1, -1), "failed once before the first frame"),
     ],
 )
-def test_a_failure_in_words(numbers: tuple[int, ...], words: str) -> None:
+def test_a_failure_is_described_as_text(numbers: tuple[int, ...], words: str) -> None:
     entry = ENTRY | dict(zip(("count", "frames", "first_frame", "last_frame"), numbers, strict=True))
     (line,) = failures.lines({"ego": [entry]}, {"ego": "logs/ego.log"})
     assert line == f"ego.on_tracks {words}: KeyError: 'x' (/a/node.py:3); log: logs/ego.log"
@@ -212,7 +212,7 @@ def test_failures_before_a_kill_count_in_one_process(tmp_path: Path) -> None:
         ("advance", NodeDied, "simulator.advance failed before frame 0"),
     ],
 )
-def test_a_node_that_cannot_start_and_a_scene_that_cannot_go_on_end_the_run(
+def test_a_node_that_cannot_start_and_a_scene_that_fails_end_the_run(
     method: str, error: type[Exception], words: str, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     process = InProcess(tiny("uncoordinated", "n_adversaries=1"))
@@ -229,7 +229,7 @@ def test_a_node_that_cannot_start_and_a_scene_that_cannot_go_on_end_the_run(
 
 
 @pytest.mark.parametrize("method", ["start", "advance"])
-def test_ctrl_c_in_a_node_is_no_failure_of_the_node(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_is_not_counted_as_a_failure_of_the_node(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     process = InProcess(tiny("uncoordinated", "n_adversaries=1"))
 
     def interrupted(*_: object) -> None:

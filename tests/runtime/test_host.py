@@ -99,7 +99,7 @@ def test_a_message_of_a_later_step_waits_for_its_clock() -> None:
     assert host.handled["agent/a/tracks"] == 1
 
 
-def test_a_clock_that_was_skipped_lets_go_what_waited_for_it() -> None:
+def test_a_later_clock_releases_messages_of_a_skipped_one() -> None:
     host = listening()
     host.deliver("agent/a/tracks", said_by("a", 1), 1)
     host.deliver("agent/b/tracks", said_by("b", 3), 3)
@@ -107,20 +107,20 @@ def test_a_clock_that_was_skipped_lets_go_what_waited_for_it() -> None:
     assert host.node.got == [("clock", 2), ("a", 1)]
 
 
-def test_a_message_from_outside_whose_step_nobody_knows_is_taken_at_once() -> None:
+def test_a_message_of_unknown_step_is_handled_immediately() -> None:
     host = listening()
     host.deliver("agent/a/tracks", said_by("a", 5), -1, counted=False)
     assert host.node.got == [("a", 5)]
     assert not host.handled
 
 
-def test_a_node_that_hears_no_clock_is_given_everything_at_once() -> None:
+def test_a_node_without_a_clock_handles_messages_immediately() -> None:
     host = listening(clocked=False)
     host.deliver("agent/a/tracks", said_by("a", 4), 4)
     assert host.node.got == [("a", 4)]
 
 
-def test_what_a_node_without_a_clock_passes_on_is_of_the_step_of_what_it_got() -> None:
+def test_a_node_without_a_clock_sends_in_the_step_of_the_received_message() -> None:
     outbox: list[Outgoing] = []
     relay = Listener(lambda received, context: context.relay("tracks_out", received))
     host = listening(relay, clocked=False, emit=outbox.append)
@@ -160,7 +160,7 @@ def test_in_any_order_of_arrival_each_message_is_handled_once_and_not_before_its
         ("clock", clock(0, source="mallory"), "clock"),
     ],
 )
-def test_what_is_wrong_costs_one_message_and_is_counted(key: str, payload: bytes, kind: str) -> None:
+def test_an_invalid_message_is_rejected_and_counted(key: str, payload: bytes, kind: str) -> None:
     host = listening()
     host.deliver(key, payload, -1)
     assert host.node.got == []
@@ -172,7 +172,7 @@ def test_what_is_wrong_costs_one_message_and_is_counted(key: str, payload: bytes
     assert host.node.got == [("a", 0)]
 
 
-def test_what_was_not_sent_by_a_node_of_the_run_is_never_counted_for_lock_step() -> None:
+def test_messages_from_outside_the_run_do_not_count_for_lock_step() -> None:
     host = listening()
     host.deliver("agent/a/tracks", b"rubbish", -1, counted=False)
     host.deliver("agent/a/tracks", said_by("a", 0), -1, counted=False)
@@ -200,7 +200,7 @@ def test_a_rejected_message_is_logged_once_for_each_key(caplog: pytest.LogCaptur
     assert sum(host.rejected.values()) == 6
 
 
-def test_a_handler_that_raises_costs_one_message_and_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_handler_that_raises_loses_one_message_and_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     def fail_on_even(received: Received, context: Context) -> None:
         if received.frame % 2 == 0:
             raise ZeroDivisionError(f"in frame {received.frame}")
@@ -249,7 +249,7 @@ def test_a_relayed_message_is_the_same_bytes() -> None:
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_a_message_relayed_in_a_later_frame_is_as_it_came(encode: bool) -> None:
+def test_a_message_relayed_in_a_later_frame_is_unchanged(encode: bool) -> None:
     kept: list[Received] = []
     outbox: list[Outgoing] = []
     host = listening(Listener(lambda received, context: kept.append(received)), encode=encode, emit=outbox.append)
@@ -295,7 +295,7 @@ def schema_of(out: Outgoing) -> str:
     return "status" if out.key == "out/status" else "tracks"
 
 
-def test_a_message_that_could_not_be_made_takes_no_number() -> None:
+def test_an_invalid_message_takes_no_sequence_number() -> None:
     outbox: list[Outgoing] = []
     host = listening(emit=outbox.append)
     with pytest.raises(MessageError, match=r"status: columns missing: \['mobile'\]"):
@@ -304,7 +304,7 @@ def test_a_message_that_could_not_be_made_takes_no_number() -> None:
     assert codec.decode(outbox[0].payload, "status").header.seq == 0
 
 
-def test_a_message_is_about_the_current_frame_unless_said() -> None:
+def test_a_message_is_about_the_current_frame_by_default() -> None:
     outbox: list[Outgoing] = []
     host = listening(emit=outbox.append)
     host.deliver("clock", clock(4), 4)
@@ -315,7 +315,7 @@ def test_a_message_is_about_the_current_frame_unless_said() -> None:
     assert [out.step for out in outbox] == [4, 4]
 
 
-def test_a_port_that_is_not_connected_swallows_what_is_published() -> None:
+def test_messages_to_an_unconnected_port_are_discarded() -> None:
     outbox: list[Outgoing] = []
     host = listening(emit=outbox.append)
     host.publish("nowhere", status())
@@ -383,7 +383,7 @@ class Speaker(Node):
 
 
 @pytest.mark.parametrize("slip", SLIPS)
-def test_bytes_and_messages_themselves_are_refused_alike(slip: str) -> None:
+def test_encoded_and_unencoded_messages_are_refused_alike(slip: str) -> None:
     schema, body, header = SLIPS[slip]
     outcomes = []
     for encode in (True, False):
@@ -400,7 +400,7 @@ def test_bytes_and_messages_themselves_are_refused_alike(slip: str) -> None:
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_what_a_node_receives_cannot_be_written_to(encode: bool) -> None:
+def test_received_messages_are_read_only(encode: bool) -> None:
     host = listening(encode=encode)
     outbox: list[Outgoing] = []
     ports = Ports({}, {("tracks", ""): "agent/a/tracks"})
@@ -413,14 +413,14 @@ def test_what_a_node_receives_cannot_be_written_to(encode: bool) -> None:
     body["position"][0] = 0.0  # the publisher's own array is still its own
 
 
-def test_a_key_that_the_node_does_not_hear_is_not_for_it() -> None:
+def test_messages_on_other_keys_are_ignored() -> None:
     host = listening()
     host.deliver("agent/c/tracks", said_by("c", 0), 0)
     assert not host.node.got
     assert not host.rejected
 
 
-def test_every_sound_message_is_shown_to_an_observer() -> None:
+def test_the_observer_gets_every_valid_message() -> None:
     host = listening()
     seen: list[tuple[str, int]] = []
     host.observe = lambda key, header: seen.append((key, header.frame))
@@ -473,7 +473,7 @@ def test_a_node_that_fails_at_the_end_still_ends() -> None:
     assert {name: failure.count for name, failure in host.failures.items()} == {"finish": 1}
 
 
-def test_counting_starts_anew_when_asked_and_rejections_are_kept() -> None:
+def test_counts_are_reset_on_request_and_rejections_are_kept() -> None:
     host = listening(Listener(lambda received, context: context.relay("tracks_out", received)))
     host.deliver("agent/a/tracks", said_by("a", 0), -1)
     host.deliver("agent/a/tracks", b"rubbish", -1)
@@ -515,7 +515,7 @@ def ear(*, encode: bool = True) -> Host:
     return Host("ear", Ear(), Ports(heard, {}), seed=7, encode=encode, emit=[].append)
 
 
-def test_a_node_that_hears_every_key_gets_the_bytes_and_the_header_at_once() -> None:
+def test_a_node_that_receives_every_key_gets_bytes_and_header_immediately() -> None:
     host = ear()
     host.deliver("agent/a/tracks", said_by("a", 3), 3)
     host.deliver("clock", clock(2), 2)
@@ -528,7 +528,7 @@ def test_a_node_that_hears_every_key_gets_the_bytes_and_the_header_at_once() -> 
     assert set(host.hears) == (CLOCK | TRACKS).keys()
 
 
-def test_it_gets_what_is_malformed_and_is_told_what_is_wrong_when_it_looks() -> None:
+def test_it_gets_malformed_messages_whose_body_raises_the_error() -> None:
     host = ear()
     for payload in (b"rubbish", said_by("mallory", 0), clock(0), said_by("a", 0)[:-1]):
         host.deliver("agent/a/tracks", payload, -1, counted=False)
@@ -565,7 +565,7 @@ def test_in_one_process_messages_are_encoded_only_for_a_node_that_asks_for_bytes
         _ = flawed.body
 
 
-def test_a_node_that_hears_every_key_is_spared_those_that_it_ignores_and_they_count_as_handled() -> None:
+def test_ignored_keys_are_not_delivered_but_count_as_handled() -> None:
     host = ear()
     host.ignore({"agent/a/tracks"})
     host.deliver("agent/a/tracks", said_by("a", 0), 0)

@@ -10,7 +10,7 @@ from tiny_world import Run, tiny
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
 from mast_zenoh.errors import RunError
-from mast_zenoh.runtime.inproc import InProcess, results_of
+from mast_zenoh.runtime.inproc import InProcess, find_result
 
 LINK = Path(__file__).with_name("lossy_link.py")
 ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")
@@ -54,7 +54,7 @@ def test_200_orders_of_delivery_give_the_same_bytes(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_so_they_do_when_messages_are_lost_or_late_and_the_broker_waits(name: str) -> None:
+def test_with_lost_and_late_messages_any_order_of_delivery_gives_the_same_bytes(name: str) -> None:
     plain = played(name, *KINDS[name], lossy=True)
     assert len(plain.messages["agent/infra_1/pose"]) == 8
     for shuffle in range(20):
@@ -63,14 +63,14 @@ def test_so_they_do_when_messages_are_lost_or_late_and_the_broker_waits(name: st
         assert shuffled.packed == plain.packed
 
 
-def test_so_they_do_when_messages_are_doubled() -> None:
+def test_with_duplicated_messages_any_order_of_delivery_gives_the_same_bytes() -> None:
     resolved = tiny(edit=lambda scenario: with_loss(scenario, doubles=True))
     plain = Run(resolved)
     for shuffle in range(5):
         assert Run(resolved, shuffle=shuffle).messages == plain.messages
 
 
-def test_an_agent_that_lacks_sensor_data_still_has_its_say_in_every_frame() -> None:
+def test_an_agent_without_sensor_data_still_publishes_in_every_frame() -> None:
     run = played("coordinated", *ATTACKED, lossy=True)
     for key in ("agent/infra_1/tracks/@tap/0", "agent/infra_1/tracks"):
         frames = [message.header.frame for message in run.decoded(key, "tracks")]
@@ -79,7 +79,7 @@ def test_an_agent_that_lacks_sensor_data_still_has_its_say_in_every_frame() -> N
 
 @pytest.mark.parametrize("lossy", [False, True])
 @pytest.mark.parametrize("name", KINDS)
-def test_passing_messages_themselves_gives_the_same_bytes_as_passing_bytes(name: str, lossy: bool) -> None:
+def test_unencoded_messages_give_the_same_bytes_as_encoded_ones(name: str, lossy: bool) -> None:
     plain = played(name, *KINDS[name], lossy=lossy)
     for shuffle in (None, 5):
         unencoded = Run(world(name, *KINDS[name], lossy=lossy), encode=False, shuffle=shuffle)
@@ -108,14 +108,14 @@ def test_interposers_that_change_nothing_leave_no_trace() -> None:
         assert tapped.messages[tap] == plain.messages[tap.split("/@tap")[0]]
 
 
-def test_an_attack_that_has_not_begun_leaves_no_trace() -> None:
+def test_an_attack_that_has_not_started_changes_nothing() -> None:
     plain = played("baseline")
     for name in ("uncoordinated", "coordinated"):
         waiting = played(name, "n_adversaries=2", "attack_start_s=99.0")
         assert {key: waiting.messages[key] for key in plain.messages} == plain.messages
 
 
-def test_the_same_seed_gives_the_same_run_and_another_one_another() -> None:
+def test_the_same_seed_gives_the_same_run_and_another_seed_another_run() -> None:
     for name in ("uncoordinated", "coordinated"):
         again = Run(tiny(name, *ATTACKED))
         assert again.messages == played(name, *ATTACKED).messages
@@ -129,7 +129,7 @@ def test_the_same_seed_gives_the_same_run_and_another_one_another() -> None:
 
 
 @pytest.mark.parametrize("name", ["uncoordinated", "coordinated"])
-def test_one_adversary_more_changes_nobody_elses_draws(name: str) -> None:
+def test_one_more_adversary_does_not_change_the_random_streams_of_others(name: str) -> None:
     """Common random numbers: what is not attacked is equal, and so is what the first adversary did."""
     plain, one, two = (
         played("baseline", infrastructure=3),
@@ -146,7 +146,7 @@ def test_one_adversary_more_changes_nobody_elses_draws(name: str) -> None:
 
 
 @pytest.mark.parametrize("infrastructure", [0, 1, 2, 6])
-def test_any_number_of_agents_will_do(infrastructure: int) -> None:
+def test_runs_work_with_any_number_of_agents(infrastructure: int) -> None:
     run = played("baseline", infrastructure=infrastructure)
     agents = ["ego", *(f"infra_{i + 1}" for i in range(infrastructure))]
     assert list(run.results["evaluator"]["metrics"]["agents"]) == agents
@@ -158,13 +158,13 @@ def test_any_number_of_agents_will_do(infrastructure: int) -> None:
     assert run.decoded("cc/collated", "collated")[-1].body["agents"].tolist() == sorted(agents)
 
 
-def test_more_agents_change_nothing_for_those_that_are_there() -> None:
+def test_more_agents_change_nothing_for_the_others() -> None:
     few, many = played("baseline", infrastructure=2), played("baseline", infrastructure=6)
     for agent in ("ego", "infra_1", "infra_2"):
         assert few.messages[f"agent/{agent}/tracks"] == many.messages[f"agent/{agent}/tracks"]
 
 
-def test_the_picture_is_worth_having() -> None:
+def test_the_picture_is_better_than_local_perception() -> None:
     """Not a figure to be proud of; but if the wires were crossed it would not hold."""
     found = played("baseline", infrastructure=3).results["evaluator"]["metrics"]["agents"]["ego"]
     assert found["picture"]["fn"]["mean"] < found["local"]["fn"]["mean"]
@@ -179,13 +179,13 @@ def test_messages_are_numbered_on_every_key_as_their_publisher_sent_them() -> No
         assert {message.header.source for message in messages} <= {wire["publisher"]}
 
 
-def test_progress_is_told_frame_by_frame() -> None:
+def test_progress_is_reported_frame_by_frame() -> None:
     told: list[int] = []
     outcome = InProcess(world("baseline"), progress=told.append).run()
     assert told == list(range(1, 13))
     assert outcome[""]["frames"] == 12
-    assert results_of(outcome, "metrics")["frames"] == 12
-    assert results_of(outcome, "nothing of this name") is None
+    assert find_result(outcome, "metrics")["frames"] == 12
+    assert find_result(outcome, "nothing of this name") is None
 
 
 def test_a_run_needs_one_node_that_drives_the_scene() -> None:

@@ -8,7 +8,7 @@ from tiny_world import tiny
 from mast_zenoh.launch import run
 
 
-def test_what_a_slow_link_makes_late_is_in_the_metrics_by_agent(tmp_path: Path) -> None:
+def test_late_messages_of_a_slow_link_are_in_the_metrics_by_agent(tmp_path: Path) -> None:
     def slow(scenario: dict) -> None:
         scenario["links"] = {"infra_1": dict(up=[dict(type="Delay", mean_s=0.25)]), "*": dict(up=[])}
 
@@ -19,7 +19,7 @@ def test_what_a_slow_link_makes_late_is_in_the_metrics_by_agent(tmp_path: Path) 
     assert (ended.folder / "checks.json").is_file()
 
 
-def test_where_nothing_is_late_nobody_is_named(tmp_path: Path) -> None:
+def test_without_late_messages_no_agent_is_named(tmp_path: Path) -> None:
     ended = run.run(tiny(), tmp_path / "run", runtime="inproc")
     assert json.loads((ended.folder / "metrics.json").read_text())["late"] == {}
     assert not (ended.folder / "checks.json").exists(), "there is nothing to check where nothing goes wrong"

@@ -30,7 +30,7 @@ def test_percentiles_are_of_the_frames_that_were_sent_and_came() -> None:
     assert latency.percentiles(SENT, {}) == {}
 
 
-def test_of_a_wires_subscribers_the_first_that_says_something_counts() -> None:
+def test_latency_is_that_of_the_first_subscriber_with_arrivals() -> None:
     wiring = Wiring((wire("a/tracks", "a", "evaluator", "broker", "cc"), wire("b", "broker"), wire("c", "cc")))
     arrived = {"evaluator": came("a/tracks", 90.0), "broker": came("a/tracks", 3.0), "cc": came("a/tracks", 40.0)}
     assert latency.by_wire(wiring, SENT, arrived)["a/tracks"] == {"p50": 3.0, "p95": 3.0, "p99": 3.0, "n": 1}
@@ -38,7 +38,7 @@ def test_of_a_wires_subscribers_the_first_that_says_something_counts() -> None:
     assert latency.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and handed in nothing"
 
 
-def test_what_only_listeners_hear_counts_at_the_first_and_what_nobody_heard_is_left_out() -> None:
+def test_a_wire_with_listeners_only_counts_at_the_first_and_one_without_arrivals_is_omitted() -> None:
     wiring = Wiring((wire("truth", "simulator", "evaluator", "watcher"), wire("dead", "x", "evaluator")))
     arrived = {"evaluator": came("truth", 7.0), "watcher": came("truth", 1.0), "recorder": came("dead", 1.0)}
     assert {key: found["p50"] for key, found in latency.by_wire(wiring, SENT, arrived).items()} == {"truth": 7.0}
@@ -66,7 +66,7 @@ def test_late_messages_are_counted_by_agent() -> None:
     assert late([]) == {}
 
 
-def test_only_what_a_broker_has_counted_is_taken_for_collation() -> None:
+def test_only_counts_of_brokers_are_collations() -> None:
     nodes = {name: NodeSpec(role, "", "", {}, "fail") for name, role in (("broker", "broker"), ("spy", "visualizer"))}
     counted = {"late": {"ego": 1}}
     handed_in = {"broker": {"collation": counted}, "spy": {"collation": 7}, "gone": {"collation": counted}}

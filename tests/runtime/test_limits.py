@@ -92,7 +92,7 @@ def clock(frame: int) -> bytes:
     return codec.encode(codec.conform(Header("clock", "simulator", frame, frame * 10**8, frame), {}))
 
 
-def test_what_a_flood_leaves_waiting_for_a_clock_is_bounded_and_costs_no_other_source_its_room() -> None:
+def test_a_floods_held_messages_are_bounded_and_take_no_other_sources_room() -> None:
     host, _ = hosting(Relay())
     big = codec.encode(said("b", n=20_000))
     assert 14 * MIB < len(big) < 16 * MIB
@@ -111,7 +111,7 @@ def test_what_a_flood_leaves_waiting_for_a_clock_is_bounded_and_costs_no_other_s
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_a_flood_through_a_delaying_link_costs_its_own_messages_alone(
+def test_a_flood_through_a_delaying_link_loses_only_its_own_messages(
     encode: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = len(codec.encode(said("b", n=10)))
@@ -133,7 +133,7 @@ def test_a_flood_through_a_delaying_link_costs_its_own_messages_alone(
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 40), st.booleans())))
 @settings(max_examples=100)
-def test_no_source_has_more_than_its_room_and_none_gets_less(steps: list[tuple[str, int, bool]]) -> None:
+def test_each_source_has_exactly_its_room(steps: list[tuple[str, int, bool]]) -> None:
     room = Room(Limit(5, 100))
     waiting: dict[str, list[int]] = {source: [] for source in "abc"}
     for source, size, leaves in steps:
@@ -147,7 +147,7 @@ def test_no_source_has_more_than_its_room_and_none_gets_less(steps: list[tuple[s
             mine.append(size)
 
 
-def test_the_inbox_drops_and_counts_what_one_source_sends_too_much_of() -> None:
+def test_the_inbox_drops_and_counts_excess_messages_of_a_source() -> None:
     inbox = Inbox(Limit(3, 1000))
     for number in range(5):
         assert inbox.put_sample("mallory", ("sample", "bad", bytes(400), number), 7) == (number < 2)
@@ -185,7 +185,7 @@ def handle_all(mesh: MeshNode) -> None:
             mesh.handle(mesh.inbox.get_nowait())
 
 
-def test_messages_of_an_epoch_to_come_are_bounded_by_source(caplog: pytest.LogCaptureFixture) -> None:
+def test_messages_of_a_later_epoch_are_bounded_by_source(caplog: pytest.LogCaptureFixture) -> None:
     mesh = on_no_mesh(Relay())
     big = codec.encode(said("b", n=20_000))
     with caplog.at_level(logging.WARNING):
@@ -201,7 +201,7 @@ def test_messages_of_an_epoch_to_come_are_bounded_by_source(caplog: pytest.LogCa
     assert mesh.host.handled[KEY_B] == 4, "the driver does not wait for what was dropped of this epoch"
 
 
-def test_a_node_that_is_slow_keeps_no_more_of_a_flood_than_its_source_may_have() -> None:
+def test_a_slow_node_keeps_no_more_of_a_flood_than_the_limit_of_its_source() -> None:
     mesh = on_no_mesh(Relay())
     big = codec.encode(said("b", n=20_000))
     for _ in range(30):
@@ -245,6 +245,6 @@ def _encoded(schema: str, n: int, agents: int) -> int:
     return len(codec.encode(codec.conform(Header(schema, "broker", 200, 20 * 10**9, 200), body)))
 
 
-def test_all_that_one_source_may_leave_waiting_fits_into_a_process() -> None:
+def test_the_limits_of_one_source_fit_into_the_memory_of_a_process() -> None:
     assert HELD.bytes + EARLY.bytes + INBOX.bytes + DELAYED.bytes <= 320 * MIB
     assert all(limit.bytes >= 2 * codec.MAX_BYTES for limit in (HELD, EARLY, INBOX, DELAYED))

@@ -72,7 +72,7 @@ DEFENCE = node("defence", "tracks:tracks poses:pose")
 # -- which wires, and which nodes ------------------------------------------------------------------------------------
 
 
-def test_an_adversary_hears_every_agents_pose_and_tells_them_apart_by_their_subject() -> None:
+def test_an_adversary_receives_every_agents_pose_with_its_subject() -> None:
     wiring = resolve(world(adversary_1=adversary("infra_1")), {"listen": [listen("agent/*/pose", "poses")]})
     assert heard(wiring, "adversary_1", "poses") == {"agent/ego/pose": "ego", "agent/infra_2/pose": "infra_2"}
     assert heard(wiring, "adversary_1", "pose") == {"agent/infra_1/pose": "infra_1"}, "a node hears a wire once"
@@ -80,7 +80,7 @@ def test_an_adversary_hears_every_agents_pose_and_tells_them_apart_by_their_subj
     assert sorted(heard(one_port, "adversary_1", "pose").values()) == sorted(AGENTS)
 
 
-def test_every_adversary_hears_the_pose_of_an_agent_that_is_named() -> None:
+def test_every_adversary_receives_the_pose_of_a_named_agent() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("infra_2"))
     wiring = resolve(nodes, {"listen": [listen("agent/ego/pose", "poses")]})
     for name in ("adversary_1", "adversary_2"):
@@ -97,7 +97,7 @@ def test_a_placeholder_means_the_agent_that_a_listener_is_bound_to() -> None:
 
 
 @pytest.mark.parametrize("every", ["agent/*/tracks", "agent/{agent}/tracks"])
-def test_a_node_that_is_bound_to_no_agent_hears_all_tracks(every: str) -> None:
+def test_a_node_that_is_bound_to_no_agent_receives_all_tracks(every: str) -> None:
     wiring = resolve(world(guard=DEFENCE), {"listen": [listen(every, "tracks", "defence")]})
     assert heard(wiring, "guard", "tracks") == {f"agent/{name}/tracks": name for name in AGENTS}
 
@@ -109,7 +109,7 @@ def test_one_node_of_a_role_can_be_named() -> None:
     assert len(wiring.ports("guard_2").inputs) == 3
 
 
-def test_a_wire_without_a_placeholder_is_heard_by_the_whole_role() -> None:
+def test_all_nodes_of_the_role_receive_a_wire_without_a_placeholder() -> None:
     nodes = world(guard=node("defence", "seen:picture"))
     wiring = resolve(nodes, {"listen": [listen("cc/picture", "seen", "defence")]})
     assert heard(wiring, "guard", "seen") == {"cc/picture": ""}
@@ -118,7 +118,7 @@ def test_a_wire_without_a_placeholder_is_heard_by_the_whole_role() -> None:
 # -- on which leg ----------------------------------------------------------------------------------------------------
 
 
-def test_a_listener_hears_what_the_subscribers_hear_unless_it_asks_for_the_source() -> None:
+def test_a_listener_receives_what_the_subscribers_receive_unless_it_requests_the_source() -> None:
     nodes = world(adversary_1=adversary("infra_1"), guard=DEFENCE, source_guard=DEFENCE)
     entries = [
         listen("agent/infra_1/tracks", "tracks", "defence", node="guard"),
@@ -168,7 +168,7 @@ def test_a_listener_stands_before_the_branches() -> None:
         (listen("cc/picture", "tracks", "recorder"), "recorder.+carries '\\*' messages|has no input port 'tracks'"),
     ],
 )
-def test_a_listener_that_cannot_be_is_refused_with_file_entry_and_reason(entry: dict[str, Any], reason: str) -> None:
+def test_an_impossible_listener_is_refused_with_file_entry_and_reason(entry: dict[str, Any], reason: str) -> None:
     nodes = world(adversary_1=adversary("infra_1"), recorder=node("recorder", "everything:*"))
     with pytest.raises(WiringError, match=rf"^rewrite_0\.toml: listen 1: .*{reason}"):
         resolve(nodes, {"insert": [ON_TRACKS], "listen": [entry]})
@@ -182,7 +182,7 @@ def test_a_listen_that_would_reach_no_node_of_its_role_is_refused() -> None:
     assert resolve(world(), {"listen": [listen("agent/*/pose", "poses")]}) == resolve(world()), "a role without nodes"
 
 
-def test_hearing_a_wire_already_on_the_port_that_is_named_is_no_error() -> None:
+def test_listening_on_a_port_that_has_the_wire_already_is_not_an_error() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"))
     twice = {"listen": [listen("agent/ego/pose", "pose"), listen("agent/ego/pose", "pose")]}
     wiring = resolve(nodes, twice)
@@ -230,7 +230,7 @@ def test_nodes_that_are_bound_to_no_agent_are_put_where_the_insert_says() -> Non
         (dict(node="adversary_9"), "node: no adversary is called 'adversary_9'; did you mean 'adversary_1'"),
     ],
 )
-def test_an_insert_that_names_what_is_not_there_is_refused(change: dict[str, str], reason: str) -> None:
+def test_an_insert_with_an_unknown_name_is_refused(change: dict[str, str], reason: str) -> None:
     with pytest.raises(WiringError, match=rf"^rewrite_0\.toml: insert 1: {reason}"):
         resolve(world(adversary_1=adversary("infra_1")), {"insert": [{**ON_TRACKS, **change}]})
 
@@ -291,7 +291,7 @@ def listening(
 
 @given(st.lists(LISTENS, max_size=4), st.booleans())
 @settings(max_examples=200)
-def test_listeners_hear_each_wire_once_and_nothing_of_their_own_and_change_nothing_for_others(
+def test_listeners_receive_each_wire_once_but_not_their_own_and_change_nothing_for_others(
     entries: list[dict[str, Any]], first: bool
 ) -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"), guard=DEFENCE)
@@ -324,7 +324,7 @@ def test_listeners_hear_each_wire_once_and_nothing_of_their_own_and_change_nothi
 # -- while a run goes on ---------------------------------------------------------------------------------------------
 
 
-def test_a_node_put_on_a_wire_while_a_run_goes_on_stands_before_its_listeners() -> None:
+def test_a_node_inserted_during_a_run_is_before_the_wires_listeners() -> None:
     wiring = resolve(world(guard=DEFENCE), {"listen": [listen("agent/ego/tracks", "tracks", "defence")]})
     changed = insert(wiring, "mallory", Place("agent/ego/tracks", "in", "out"))
     assert changed.ports("guard") == wiring.ports("guard")
@@ -334,7 +334,7 @@ def test_a_node_put_on_a_wire_while_a_run_goes_on_stands_before_its_listeners() 
         insert(wiring, "guard", Place("agent/ego/tracks", "in", "out"))
 
 
-def test_a_listener_at_the_source_keeps_its_key_while_a_run_goes_on() -> None:
+def test_a_listener_at_the_source_keeps_its_key_during_a_run() -> None:
     at_source = {"listen": [listen("agent/*/tracks", "tracks", "defence", leg="source")]}
     wiring = resolve(world(guard=DEFENCE), at_source)
     with pytest.raises(WiringError, match="guard listens at the source of 'agent/ego/tracks'"):
@@ -348,7 +348,7 @@ def test_a_listener_at_the_source_keeps_its_key_while_a_run_goes_on() -> None:
             remove(both, "first")
 
 
-def test_a_listener_that_leaves_listens_no_longer() -> None:
+def test_a_listener_that_leaves_receives_no_more() -> None:
     nodes = world(first=adversary("ego"))
     wiring = resolve(nodes, {"insert": [ON_TRACKS], "listen": [listen("agent/infra_1/tracks", "tracks")]})
     assert not any(found.listeners for found in remove(wiring, "first").wires)

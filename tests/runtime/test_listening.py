@@ -30,7 +30,7 @@ def guarded(scenario: dict[str, Any]) -> None:
     scenario["keyexpr"] = dict(rewrites=["on_tracks.toml", {"listen": listen}])
 
 
-def test_what_an_adversary_does_with_the_poses_it_hears_is_the_same_in_any_order_of_delivery() -> None:
+def test_an_adversary_that_listens_to_poses_is_deterministic_in_any_order_of_delivery() -> None:
     resolved, plain = tiny(edit=shadowed), Run(tiny())
     run = Run(resolved)
     assert not run.failures
@@ -46,7 +46,7 @@ def test_what_an_adversary_does_with_the_poses_it_hears_is_the_same_in_any_order
         assert Run(resolved, shuffle=shuffle).messages == run.messages
 
 
-def test_a_defence_hears_what_the_broker_hears_or_what_the_agents_sent() -> None:
+def test_a_defence_receives_the_brokers_messages_or_those_of_the_agents() -> None:
     run = Run(tiny(edit=guarded))
     assert not run.failures
     for name, leg in (("guard", ""), ("source_guard", "/@tap/0")):

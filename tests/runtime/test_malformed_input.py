@@ -71,7 +71,7 @@ def play(bench: Bench, run: Run, frames: range) -> None:
                     bench.host.deliver(key, payload, frame)
 
 
-def test_malformed_messages_cost_one_message_each_and_no_node(fuzzing: Fuzzing) -> None:
+def test_malformed_messages_are_lost_without_ending_a_node(fuzzing: Fuzzing) -> None:
     planned = TOTAL_LONG if fuzzing.long else TOTAL
     places: dict[tuple[str, str], list[int]] = {}
     for place, (name, node, _, _) in enumerate(inputs()):
@@ -124,7 +124,7 @@ def test_malformed_messages_are_of_many_kinds(schema: str) -> None:
 
 
 @pytest.mark.parametrize("odd", [float, bool])
-def test_a_size_that_only_equals_a_whole_number_is_refused_whatever_came_before(odd: type) -> None:
+def test_a_size_that_only_equals_an_integer_is_refused_regardless_of_earlier_messages(odd: type) -> None:
     payload = codec.encode(codec.conform(codec.Header("tracks", "ego", 0, 0, 0), tracks((1.0, 2.0))))
     codec.decode(payload, "tracks")
     fields = msgpack.unpackb(payload)
@@ -134,7 +134,7 @@ def test_a_size_that_only_equals_a_whole_number_is_refused_whatever_came_before(
             codec.decode(msgpack.packb(fields | {"body": body}), "tracks")
 
 
-def test_a_node_that_hears_nothing_but_rubbish_ends_well() -> None:
+def test_a_node_that_receives_only_malformed_messages_ends_normally() -> None:
     bench = Bench(world("baseline"), "evaluator")
     for key, hears in bench.ports.inputs.items():
         for payload in malformed(hears.message, sound(hears.message), 50, seed=(2,)):

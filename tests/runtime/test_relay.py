@@ -109,7 +109,7 @@ both = pytest.mark.parametrize("encode", [True, False], ids=["bytes", "objects"]
 
 
 @both
-def test_a_message_can_be_given_another_time_and_nothing_else(encode: bool) -> None:
+def test_relay_can_replace_the_time_of_a_message_alone(encode: bool) -> None:
     host, outbox = hosting(relaying(time_ns=123), encode=encode)
     clock(host, 0)
     send(host, status(0, n_tracks=4))
@@ -119,14 +119,14 @@ def test_a_message_can_be_given_another_time_and_nothing_else(encode: bool) -> N
 
 
 @both
-def test_exactly_the_bytes_that_are_given_are_sent(encode: bool) -> None:
+def test_a_payload_is_sent_unchanged(encode: bool) -> None:
     host, outbox = hosting(relaying(payload=b"\xc1 nonsense"), encode=encode)
     clock(host, 0)
     send(host, status(0))
     assert [out.payload for out in outbox] == [b"\xc1 nonsense"]
 
 
-def test_bytes_in_one_process_are_decoded_and_passed_on_as_they_are() -> None:
+def test_bytes_in_one_process_are_decoded_and_forwarded_unchanged() -> None:
     """A damaged message that still is one may be packed otherwise than we would: the next node keeps it."""
     sound = status(0, n_tracks=3)
     odd = codec.encode(sound).replace(b"\xa5frame\x00", b"\xa5frame\xcc\x00")
@@ -154,11 +154,11 @@ def test_damaged_bytes_in_one_process_cost_their_receiver_one_message() -> None:
     assert host.rejected.total() == 1
 
 
-def test_the_bytes_of_a_message_that_never_was_bytes_are_those_it_would_have() -> None:
+def test_a_message_that_was_not_encoded_has_the_bytes_of_its_encoding() -> None:
     assert Received(status(2), "a").encoded == codec.encode(status(2))
 
 
-def test_a_message_passed_on_twice_is_the_same_twice() -> None:
+def test_a_message_relayed_twice_is_sent_twice_unchanged() -> None:
     host, outbox = hosting(lambda received, context: [context.relay("status_out", received) for _ in range(2)] and None)
     clock(host, 0)
     send(host, status(0))
@@ -183,7 +183,7 @@ def test_in_lock_step_a_message_leaves_in_the_frame_into_which_its_delay_falls(
     assert host.sent["out"] == host.handled["in"] == 1
 
 
-def test_what_is_delayed_leaves_by_due_time_and_then_by_arrival_before_what_comes_in_that_frame() -> None:
+def test_delayed_messages_leave_by_due_time_then_arrival_before_those_of_the_frame() -> None:
     delays = iter([0.25, 0.1, 0.12, 0.0])
     host, outbox = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
     clock(host, 0)
@@ -196,7 +196,7 @@ def test_what_is_delayed_leaves_by_due_time_and_then_by_arrival_before_what_come
     assert said(outbox) == [(2, 1), (2, 2), (2, 0), (2, 3)]
 
 
-def test_what_is_due_together_leaves_as_it_came() -> None:
+def test_messages_due_at_the_same_time_leave_in_order_of_arrival() -> None:
     host, outbox = hosting(relaying(after_s=0.1))
     clock(host, 0)
     for seq in range(5):
@@ -205,7 +205,7 @@ def test_what_is_due_together_leaves_as_it_came() -> None:
     assert said(outbox) == [(1, seq) for seq in range(5)]
 
 
-def test_a_clock_that_never_came_holds_nothing_up() -> None:
+def test_a_missing_clock_does_not_block_delayed_messages() -> None:
     host, outbox = hosting(relaying(after_s=0.1))
     clock(host, 0)
     send(host, status(0))
@@ -213,7 +213,7 @@ def test_a_clock_that_never_came_holds_nothing_up() -> None:
     assert said(outbox) == [(3, 0)]
 
 
-def test_what_is_delayed_leaves_after_what_the_node_says_at_the_clock() -> None:
+def test_delayed_messages_leave_after_those_that_the_clock_handler_publishes() -> None:
     host, outbox = hosting(relaying(after_s=0.1), node=Reporting)
     clock(host, 0)
     send(host, status(0))
@@ -221,7 +221,7 @@ def test_what_is_delayed_leaves_after_what_the_node_says_at_the_clock() -> None:
     assert [(out.key, out.step) for out in outbox] == [("report", 0), ("report", 1), ("out", 1)]
 
 
-def test_a_message_that_is_delayed_is_not_sent_until_it_leaves() -> None:
+def test_a_delayed_message_counts_as_sent_when_it_leaves() -> None:
     host, _ = hosting(relaying(after_s=0.1))
     clock(host, 0)
     send(host, status(0))
@@ -240,7 +240,7 @@ def test_in_lock_step_the_time_is_that_of_the_frame() -> None:
     assert host.release() is None
 
 
-def test_in_real_time_a_message_leaves_when_its_time_has_come_and_not_at_a_clock() -> None:
+def test_in_real_time_a_delayed_message_leaves_when_it_is_due_not_at_a_clock() -> None:
     now = Time()
     host, outbox = hosting(relaying(after_s=0.05), now=now)
     clock(host, 0)
@@ -255,7 +255,7 @@ def test_in_real_time_a_message_leaves_when_its_time_has_come_and_not_at_a_clock
     assert said(outbox) == [(1, 0)]
 
 
-def test_in_real_time_the_clock_goes_on_between_frames_from_the_first() -> None:
+def test_in_real_time_the_time_advances_between_frames() -> None:
     now, seen = Time(), []
     host, _ = hosting(lambda received, context: seen.append(context.now_ns), now=now)
     assert host.now_ns == 0
@@ -269,7 +269,7 @@ def test_in_real_time_the_clock_goes_on_between_frames_from_the_first() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.floats(0.0, 1.0)), max_size=30))
 @settings(max_examples=60)
-def test_whatever_the_delays_each_message_leaves_once_and_not_before_its_time(plan: list[tuple[int, float]]) -> None:
+def test_each_delayed_message_leaves_once_and_not_early(plan: list[tuple[int, float]]) -> None:
     delays = iter([after_s for _, after_s in sorted(plan, key=lambda entry: entry[0])])
     host, outbox = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
     order = sorted(plan, key=lambda entry: entry[0])
@@ -284,7 +284,7 @@ def test_whatever_the_delays_each_message_leaves_once_and_not_before_its_time(pl
 
 
 @pytest.mark.parametrize("after_s", [-0.1, float("nan"), float("inf"), -float("inf"), 3601.0, 1e300])
-def test_a_delay_that_is_none_costs_one_message(after_s: float, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_invalid_delay_loses_one_message(after_s: float, caplog: pytest.LogCaptureFixture) -> None:
     delays = iter([after_s, 0.0])
     host, outbox = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
     clock(host, 0)
@@ -303,7 +303,7 @@ def test_a_delay_that_is_none_costs_one_message(after_s: float, caplog: pytest.L
         (dict(payload=b"", body={}), "no body or time_ns with it"),
     ],
 )
-def test_what_contradicts_itself_is_refused(how: dict[str, Any], problem: str) -> None:
+def test_contradictory_arguments_of_relay_are_refused(how: dict[str, Any], problem: str) -> None:
     host, _ = hosting(relaying())
     with pytest.raises(ConfigurationError, match=problem):
         host.relay("status_out", Received(status(0), "a"), **how)
@@ -322,13 +322,13 @@ def test_a_time_before_the_scene_is_refused_by_the_receiver() -> None:
             assert "time_ns" in out.flaw
 
 
-def test_a_node_that_hears_no_clock_cannot_delay() -> None:
+def test_a_node_without_a_clock_cannot_delay_messages() -> None:
     host, _ = hosting(relaying(), node=Deaf)
-    with pytest.raises(ConfigurationError, match="does not hear the clock"):
+    with pytest.raises(ConfigurationError, match="does not receive the clock"):
         host.relay("status_out", Received(status(0), "a"), after_s=0.2)
 
 
-def test_not_more_than_so_many_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_delayed_messages_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(context_module, "DELAYED", Limit(3, 10**6))
     host, outbox = hosting(relaying(after_s=0.1))
     clock(host, 0)

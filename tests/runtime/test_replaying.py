@@ -65,7 +65,7 @@ def test_a_run_is_measured_the_same_from_its_recording(tmp_path: Path, name: str
     assert_equal(once, again)
 
 
-def test_what_no_recording_tells_is_kept(tmp_path: Path) -> None:
+def test_results_that_are_not_in_a_recording_are_kept(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "run", "realistic_network", frames=30)
     metrics = json.loads((folder / measurement.METRICS).read_text())
     metrics |= {"latency_ms": {"sim_to_picture": {"p50": 12.0}}, "frames_per_second": 9.5, "late": {"ego": 3}}
@@ -115,7 +115,7 @@ def test_a_recording_with_an_end_but_without_the_last_frames_does_not_replace_me
         measurement.measure(folder)
 
 
-def test_a_run_without_metrics_is_measured_as_far_as_its_recording_goes_and_says_so(
+def test_a_run_without_metrics_is_measured_to_the_end_of_its_recording_and_reports_it(
     tmp_path: Path, whole: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = cut(whole, tmp_path / "run", 0.6)
@@ -138,7 +138,7 @@ def test_a_run_without_metrics_is_measured_as_far_as_its_recording_goes_and_says
     assert json.loads((folder / "metrics.json").read_text()) == metrics
 
 
-def test_a_recording_that_is_gone_is_told_from_one_that_never_was(tmp_path: Path) -> None:
+def test_a_removed_recording_is_distinguished_from_one_that_was_never_made(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "run", "baseline", frames=4)
     (folder / "messages.mcap").unlink()
     with pytest.raises(RunFolderError, match=r"messages\.mcap: missing; the run was recorded.* counts \d+ messages"):
@@ -149,7 +149,7 @@ def test_a_recording_that_is_gone_is_told_from_one_that_never_was(tmp_path: Path
     ("file", "content"),
     [("scenario.json", ""), ("scenario.json", "[]"), ("scenario.json", '{"nodes": 3}'), ("wiring.json", "")],
 )
-def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, file: str, content: str) -> None:
+def test_a_folder_that_is_not_a_runs_is_refused(tmp_path: Path, file: str, content: str) -> None:
     folder = recorded(tmp_path / "run", "baseline", frames=2)
     (folder / file).write_text(content)
     with pytest.raises(RunFolderError, match="cannot be read"):
@@ -157,7 +157,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, file: str, content: 
 
 
 @pytest.mark.parametrize("wiring", [{}, {"wires": 3}, {"wires": [{"key": "clock"}]}])
-def test_a_wiring_in_a_recording_that_is_none_is_named(tmp_path: Path, wiring: dict[str, Any]) -> None:
+def test_an_invalid_wiring_in_a_recording_is_reported(tmp_path: Path, wiring: dict[str, Any]) -> None:
     path, loaded = scenario.load("baseline")
     resolved = scenario.resolve(path, loaded, frames=2)
     log = MessageLog(tmp_path / "messages.mcap")

@@ -33,7 +33,7 @@ def test_arrays_of_text_come_out_as_objects(array: np.ndarray) -> None:
     assert back.tolist() == array.tolist()
 
 
-def test_nested_plain_values_are_as_they_were() -> None:
+def test_nested_plain_values_are_unchanged() -> None:
     value = {
         "metrics": {"mean": 1.25, "n": 3, "none": None, "yes": True, "rows": [1, [2.0, "x"]], "empty": {}},
         7: "seven",
@@ -47,12 +47,12 @@ def test_numbers_of_numpy_become_plain_ones() -> None:
     assert [type(value) for value in back.values()] == [int, float, bool]
 
 
-def test_what_is_neither_is_refused_by_name() -> None:
+def test_other_values_are_refused_with_their_type() -> None:
     with pytest.raises(TypeError, match="a result holds a set, expected plain values and arrays"):
         results.pack({"names": {"ego"}})
 
 
-def test_arrays_of_eight_dimensions_come_out_and_of_nine_do_not() -> None:
+def test_arrays_have_at_most_eight_dimensions() -> None:
     assert results.unpack(results.pack(np.zeros((1,) * 8))).shape == (1,) * 8
     with pytest.raises(MessageError):
         results.unpack(results.pack(np.zeros((1,) * 9)))
@@ -67,7 +67,7 @@ def test_arrays_that_would_be_lists_of_millions_are_for_tables_alone(array: np.n
         results.checked({"x": [{"y": array}]})
 
 
-def test_what_cannot_be_handed_in_is_found_where_it_stands_however_long_the_names_are() -> None:
+def test_the_place_of_an_invalid_value_is_reported_and_shortened() -> None:
     with pytest.raises(TypeError, match=r"^results\.a\.1\.b: found a set, expected plain values"):
         results.checked({"a": [0, {"b": {1}}]})
     results.checked({"x" * (1 << 20): {"y" * (1 << 20): list(range(1 << 17))}})  # as many names of 2 MB would be 256 GB

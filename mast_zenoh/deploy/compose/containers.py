@@ -1,4 +1,4 @@
-"""The nodes of a run as existing containers: starts, watches, pauses, disconnects and ends them."""
+"""Starts, watches, pauses, disconnects and ends the nodes of a run in containers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Container(Child):
 
 
 class Containers(Supervisor[Container]):
-    """The containers of one run; a context manager that notices every container that ends while it is entered.
+    """The containers of one run; a context manager that notices containers that end.
 
     label: `KEY=VALUE` of all containers of the run; container: gives the name of a node's container
     logs:  folder for the nodes' output; router: name of the router's container
@@ -147,7 +147,7 @@ class Containers(Supervisor[Container]):
         return child.ended_now.wait(seconds)
 
     def running(self) -> list[Container]:
-        """The nodes that run; raises EngineError if the router has ended, which makes nodes leave."""
+        """The running nodes; raises EngineError if the router has ended."""
         if self._router_code is not None:
             raise router_ended("the router", _signed(self._router_code), ROUTER)
         return super().running()
@@ -197,12 +197,12 @@ class Containers(Supervisor[Container]):
 
 
 def _signed(code: int) -> int:
-    """Docker's exit code in Python's form: negative for a signal, where Docker adds 128."""
+    """Docker's exit code in Python's form: negative for a signal instead of plus 128."""
     return code if code <= 128 else 128 - code
 
 
 def connected_as(settings: Mapping[str, Any]) -> list[str]:
-    """Options of `docker network connect` that restore a container's names and addresses on a network.
+    """`docker network connect` options that restore a container's names and addresses.
 
     settings: its part of `docker inspect`; only addresses that were requested are restored
     """

@@ -1,7 +1,8 @@
-"""A resolved scenario as a compose file: a router, and a service for every node. Pure.
+"""A resolved scenario as a compose file: services for the router and every node.
 
 Nodes have no access to the host except to their credentials, and reach only the router: the run has two networks
 without external access, `wired` for static nodes and `wireless` for mobile agents and interposers on their wires.
+Pure functions.
 """
 
 from __future__ import annotations
@@ -159,7 +160,7 @@ def is_mobile(resolved: Resolved, name: str) -> bool:
 
 
 def cut_s(resolved: Resolved, name: str) -> float:
-    """The longest time for which the scenario disconnects a node, s of wall-clock time."""
+    """The longest disconnection of a node in the scenario, s of wall-clock time."""
     steps = [step for step in resolved.steps if step.node == name]
     pairs = [pair for pair in pairwise(steps) if pair[0].action == "disconnect"]
     frames = max((after.frame - before.frame for before, after in pairs), default=0)

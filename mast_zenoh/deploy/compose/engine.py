@@ -1,4 +1,4 @@
-"""`mast deploy up --engine compose`: the nodes of a run as containers of this machine, made by docker-compose."""
+"""`mast deploy up --engine compose`: nodes as containers of this machine."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Compose(Engine):
 
     @classmethod
     def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """What containers have said that are gone is in the run folder."""
+        """The logs of containers that are gone are in the run folder."""
         containers = {entry["node"]: entry["where"] for entry in cls.status(folder, record)}
         names = [node] if node else sorted(path.stem for path in (folder / "logs").glob("*.log")) or list(containers)
         if follow and node in containers:
@@ -132,12 +132,12 @@ def command() -> list[str]:
 
 
 def _user() -> str:
-    """UID:GID of the processes inside: this user's, so that they can read its credentials, unless it is root."""
+    """UID:GID of the processes inside: this user's, to read credentials, unless root."""
     return f"{os.getuid()}:{os.getgid()}" if os.getuid() else image.USER
 
 
 def _hand_over(folder: Path, router: dict[str, Any], user: str) -> None:
-    """Write the router's settings, which hold its key, and make the user inside the owner of all credentials."""
+    """Write the router's settings with its key; the user inside owns all credentials."""
     credentials.write_settings(folder, router)
     if not os.getuid():
         uid, gid = map(int, user.split(":"))

@@ -1,4 +1,4 @@
-"""The compose files in deploy/compose/, as `mast deploy up` would write them for some shipped scenarios."""
+"""The compose files in deploy/compose/, as `mast deploy up` writes them."""
 
 from __future__ import annotations
 

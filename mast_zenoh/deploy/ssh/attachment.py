@@ -24,7 +24,7 @@ _NOT_STARTED = 127  # as from a shell
 
 
 def attaching(place: Mapping[str, Any]) -> str:
-    """The command that attaches to a warden on its host; place: the host's entry in run.json."""
+    """The command that attaches to a warden; place: the host's entry in run.json."""
     words = [place["python"], "-m", "mast_zenoh.deploy.ssh.relay", place["run_folder"]]
     return shlex.join(["env", f"PYTHONPATH={place['release']}", *words])
 
@@ -75,7 +75,7 @@ class Attachment:
         return command_id
 
     def answer(self, command_id: str, seconds: float) -> dict[str, Any] | None:
-        """The answer to a command; None if there is none within `seconds`, or the warden is gone."""
+        """The answer to a command; None after `seconds`, or if the warden is gone."""
         with self._changed:
             self._changed.wait_for(lambda: command_id in self._answers or self.gone, seconds)
             return self._answers.get(command_id)

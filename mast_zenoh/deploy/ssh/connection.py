@@ -1,4 +1,7 @@
-"""SSH to a host: readable errors, programs, files. The event loop runs in its own thread."""
+"""SSH connections to hosts: programs, files, and readable errors.
+
+The event loop runs in its own thread.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +64,7 @@ class Loop:
         return asyncio.run_coroutine_threadsafe(coroutine, self._loop)
 
     def run(self, coroutine: Coroutine[Any, Any, T], *, whole: bool = False) -> T:
-        """Run a coroutine, and wait for it. Raises Interrupted if a signal arrives meanwhile.
+        """Run a coroutine and wait for it; raises Interrupted if a signal arrives.
 
         whole: after a signal, wait until the coroutine has finished
         """
@@ -89,7 +92,7 @@ async def together(*coroutines: Coroutine[Any, Any, T]) -> list[T]:
 
 @contextlib.asynccontextmanager
 async def connected(host: Host) -> AsyncIterator[asyncssh.SSHClientConnection]:
-    """Open a connection to a host with a known key; raises EngineError for any failure."""
+    """Open a connection to a host with a known key; raises EngineError on failure."""
     try:
         import asyncssh
     except ImportError:
@@ -142,7 +145,7 @@ def _why(error: BaseException, known_hosts: Path, key: Path | None) -> str:
 async def run(
     ssh: asyncssh.SSHClientConnection, host: Host, words: Sequence[str], input_: str = "", seconds: float = _PROGRAM_S
 ) -> str:
-    """Run a program on the host; returns its standard output, raises EngineError if it fails."""
+    """Run a program on the host; returns its output, raises EngineError if it fails."""
     import asyncssh
 
     try:
@@ -158,7 +161,7 @@ async def run(
 
 
 async def messages_of(process: asyncssh.SSHClientProcess[str]) -> AsyncIterator[dict[str, Any]]:
-    """The lines of JSON that a process writes, without a last line that a lost connection has cut off."""
+    """The lines of JSON that a process writes, without a truncated last one."""
     async for line in process.stdout:
         if line.endswith("\n"):
             yield json.loads(line)

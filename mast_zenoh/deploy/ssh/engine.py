@@ -1,4 +1,4 @@
-"""`mast deploy up --engine ssh`: the nodes of a run on hosts with an SSH server and a Python."""
+"""`mast deploy up --engine ssh`: nodes on hosts with an SSH server and Python."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Ssh(Engine):
         self.hosts = content if patience_s is None else replace(content, patience_s=patience_s)
 
     def check(self, resolved: Resolved, secure: str) -> None:
-        """Check that every host with nodes or the router accepts the connection, and can run them."""
+        """Check that all hosts with nodes or the router are reachable and suitable."""
         levels.check(secure)
         used = self._used(resolved)
 
@@ -112,7 +112,7 @@ class Ssh(Engine):
 
     @classmethod
     def down(cls, folder: Path, record: dict[str, Any]) -> None:
-        """End the run on all hosts; raises EngineError for unreachable hosts after all others are done."""
+        """End the run on all hosts; raises EngineError at the end for unreachable ones."""
 
         async def end(host: Host, place: dict[str, Any]) -> None:
             if await _ask_warden(host, place, "leave", grace_s=1.0) is None:
@@ -128,7 +128,7 @@ def _places(record: Mapping[str, Any]) -> dict[str, tuple[Host, dict[str, Any]]]
 
 
 async def _ask_warden(host: Host, place: Mapping[str, Any], do: str, **more: Any) -> dict[str, Any] | None:
-    """The warden's answer; None if there is no warden or no installation. Raises EngineError."""
+    """The warden's answer; None without a warden or installation. Raises EngineError."""
     import asyncssh
 
     answer: dict[str, Any] | None = None

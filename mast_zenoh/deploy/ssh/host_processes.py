@@ -1,4 +1,7 @@
-"""Starts, signals and observes the processes of a run's nodes on this host. Imports nothing slow or large."""
+"""Starts, signals and observes the processes of a run's nodes on this host.
+
+Imports nothing slow or large.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ class NodeProcess:
 
     @property
     def is_stopped(self) -> bool:
-        """Whether a signal has stopped it, so that it notices nothing (proc(5), field 3 of stat)."""
+        """Whether a signal has stopped it (proc(5), field 3 of stat)."""
         try:
             return Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
         except OSError:
@@ -80,7 +83,7 @@ class HostProcesses:
         )
 
     def start(self, name: str, command: str, argv: list[str], env: dict[str, str]) -> dict[str, Any]:
-        """Start the process of a node on the launcher's command; returns the answer: its pid, or an error."""
+        """Start a node's process on the launcher's command; returns its pid or an error."""
         former = self._by_name.get(name)
         if former is not None and former.runs:
             return {"error": f"{name} is already running"}

@@ -1,4 +1,7 @@
-"""hosts.toml: the hosts, how to reach them, and the placement of a run's nodes. Pure, except for reading it."""
+"""hosts.toml: the hosts, how to reach them, and the placement of a run's nodes.
+
+Pure, except for reading the file.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +82,9 @@ class Hosts:
     patience_s: float = 30.0
 
     def placed(self, nodes: Mapping[str, NodeSpec]) -> dict[str, str]:
-        """The host of every node: the host that names it, else hosts with its role, else the spread hosts, in turn.
+        """The host of every node.
+
+        It is the host that names the node, else hosts with its role, else the spread hosts, in turn.
 
         Spread hosts are those with `spread`; if there are none, those without nodes and roles; else all.
         Raises ConfigurationError for a name that is not in the scenario or is on two hosts, and for an unknown role.
@@ -118,7 +123,7 @@ class Hosts:
 
 
 def read(path: Path) -> Hosts:
-    """Read a hosts file; raises ConfigurationError, naming the file and the path inside it."""
+    """Read a hosts file; ConfigurationError names the file and the path inside it."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -128,7 +133,7 @@ def read(path: Path) -> Hosts:
 
 
 def parse(text: str, place: str) -> Hosts:
-    """Parse a hosts file's text; raises ConfigurationError, naming the place and the path inside it."""
+    """Parse a hosts file's text; ConfigurationError names `place` and the path inside."""
     try:
         data = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:

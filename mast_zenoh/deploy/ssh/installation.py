@@ -1,4 +1,4 @@
-"""Installs packages on a host: an environment of third-party packages, once per set of versions, and our own wheel.
+"""Installs packages on a host: ours, and others once per set of versions.
 
     FOLDER/environments/KEY/      a virtual environment with the wheels of third parties
     FOLDER/releases/KEY/          this package, as it is here
@@ -40,7 +40,7 @@ class Installed:
 
 
 class Packages:
-    """The packages to install: our own wheel, built into a folder, and the names of all others."""
+    """The packages to install: our wheel, built into a folder, and the others' names."""
 
     def __init__(self, folder: Path) -> None:
         self.version = release.version_string()  # of the sources in the wheel
@@ -55,7 +55,10 @@ class Packages:
 
 
 async def probe(ssh: asyncssh.SSHClientConnection, host: Host, packages: Packages) -> dict[str, Any]:
-    """Properties and installed packages of a host; raises EngineError, DiskFull or VersionMismatch if unsuitable."""
+    """Properties and installed packages of a host.
+
+    Raises EngineError, DiskFull or VersionMismatch if it is unsuitable.
+    """
     output = await connection.run(ssh, host, [host.python, "-c", _PRINT_PLATFORM])
     python, machine = output.split()
     if tuple(map(int, python.split("."))) < _OLDEST:
@@ -111,10 +114,10 @@ async def _copy_and_unpack(
         raise EngineError(f"{host.called}: {target}: {error}") from None
 
 
-def _compare(host: Host, packages: Packages, theirs: str, folder: str) -> None:
-    if theirs != packages.version:
+def _compare(host: Host, packages: Packages, remote: str, folder: str) -> None:
+    if remote != packages.version:
         raise VersionMismatch(
-            f"{host.called}: its copy is mast-zenoh {theirs}, the launcher {packages.version}: remove {folder} there"
+            f"{host.called}: its copy is mast-zenoh {remote}, the launcher {packages.version}: remove {folder} there"
         )
 
 

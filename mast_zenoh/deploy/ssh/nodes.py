@@ -1,4 +1,4 @@
-"""The nodes of a run on hosts with SSH, which the hosts' wardens start, watch, pause, kill and end."""
+"""The nodes of a run on hosts with SSH, controlled through the hosts' wardens."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
         child.start = child.attachment.tell("start", name=child.name, argv=list(argv), env=env)
 
     def end_now(self, child: RemoteNode) -> None:
-        """Kill a node, and wait until it has ended; raises EngineError if the host does not answer."""
+        """Kill a node and wait for its end; raises EngineError without an answer."""
         self._signal([child], signal.SIGKILL)
         if not self.wait(child, _ANSWER_S):
             raise EngineError(f"{child.name} does not end")
@@ -107,7 +107,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
         """Do nothing: the host keeps only the log."""
 
     def running(self) -> list[RemoteNode]:
-        """The nodes that run; raises EngineError if the router has ended, which makes nodes leave."""
+        """The running nodes; raises EngineError if the router has ended."""
         if self._router is not None:
             attachment, start = self._router
             code = exit_of(attachment, ROUTER, start)
@@ -129,7 +129,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
             child.notes.append(f"{child.attachment.host.called} is out of reach")
 
     def _signal(self, children: Iterable[RemoteNode], number: int) -> None:
-        """Send a signal, and wait until the hosts have done so. Raises EngineError if one does not answer."""
+        """Send a signal and wait for the hosts; raises EngineError without an answer."""
         names_on: dict[Attachment, list[str]] = {}
         for child in children:
             names_on.setdefault(child.attachment, []).append(child.name)
@@ -140,7 +140,7 @@ class RemoteNodes(Supervisor[RemoteNode]):
 
 
 def exit_of(attachment: Attachment, name: str, start: str) -> int | None:
-    """Exit code of a process on a host; a host that has lost its supervisor has lost its processes too."""
+    """Exit code of a process on a host; killed if the host has lost its warden."""
     state = attachment.state(name, start)
     if state is not None and state["exit"] is not None:
         code: int = state["exit"]

@@ -1,4 +1,4 @@
-"""The host's side of `installation`: a standalone program, which the host's Python reads from its standard input.
+"""The host's side of `installation`: a standalone program for the host's Python.
 
     python3 - probe FOLDER ENVIRONMENT RELEASE     prints properties of this host, as JSON
     python3 - unpack NEW TARGET VENV               unpacks wheels in NEW to TARGET, a virtual environment if VENV is 1
@@ -83,7 +83,7 @@ def unpack(new: str, target: str, venv: str) -> dict[str, Any]:
 
 
 def verify(environment: str, release: str) -> dict[str, Any]:
-    """Import what nodes import, once, so that the compiled modules are cached for them."""
+    """Import what nodes import, so that the compiled modules are cached."""
     return {"version": _run(environment, release, _IMPORT_ALL + _SAY_VERSION)}
 
 
@@ -114,7 +114,7 @@ def _run(environment: str, release: str, program: str) -> str:
 
 
 def _sweep(runs: str) -> None:
-    """Remove folders of runs whose supervisor was killed, for example when the host was switched off."""
+    """Remove folders of runs whose warden was killed, such as by switching off."""
     for control in glob.glob(os.path.join(runs, "*", "*", "control")):
         folder, former = os.path.dirname(control), os.getcwd()
         with socket.socket(socket.AF_UNIX) as client:

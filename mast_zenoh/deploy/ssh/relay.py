@@ -1,4 +1,4 @@
-"""Connects standard input and output of this process to the socket of a run's warden: `python -m … FOLDER`."""
+"""Connects standard input and output to a warden's socket: `python -m … FOLDER`."""
 
 from __future__ import annotations
 

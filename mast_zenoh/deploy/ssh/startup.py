@@ -1,4 +1,4 @@
-"""Starts a run on hosts with SSH, up to a mesh whose nodes can be started: the steps of `Ssh.join`."""
+"""Starts a run on hosts with SSH until its nodes can be started, for `Ssh.join`."""
 
 from __future__ import annotations
 
@@ -46,17 +46,19 @@ _SETTINGS = "router.json"
 class Startup:
     """Starts a run step by step. Callbacks on the stack remove all that it makes.
 
-    told: the content of hosts.toml; hosts: those of them that are used
+    hosts_file: the content of hosts.toml; hosts: those of them that are used
     """
 
-    def __init__(self, told: hostsfile.Hosts, hosts: dict[str, Host], context: RunContext, stack: ExitStack) -> None:
-        self.told = told
+    def __init__(
+        self, hosts_file: hostsfile.Hosts, hosts: dict[str, Host], context: RunContext, stack: ExitStack
+    ) -> None:
+        self.hosts_file = hosts_file
         self.hosts = hosts
         self.context = context
         self.deployment: Deployment | None = None
         self.stack = stack
         self.run_id = context.run_id
-        self.placed = told.placed(context.resolved.nodes)
+        self.placed = hosts_file.placed(context.resolved.nodes)
         self.loop = stack.enter_context(Loop(context.signals))
         self.changed = threading.Condition()
         self.attachments: dict[str, Attachment] = {}
@@ -66,7 +68,7 @@ class Startup:
         self.router: tuple[Attachment, str] | None = None  # see RemoteNodes
 
     def run(self) -> Mesh:
-        """Run all steps; returns the session, the supervisor of the nodes, and their credentials."""
+        """Run all steps; returns the session, the nodes' supervisor and credentials."""
         with tempfile.TemporaryDirectory(prefix="mast-wheel-") as folder:
             packages = Packages(Path(folder))
             self._on_all(lambda host, ssh: self._install(host, ssh, packages))
@@ -106,7 +108,7 @@ class Startup:
         reach = asdict(self.hosts[name])
         reach |= {key: str(Path(reach[key]).expanduser().resolve()) for key in ("key", "known_hosts") if reach[key]}
         nodes = [node for node, host in self.placed.items() if host == name]
-        nodes += [ROUTER] if self.told.router_on == name else []
+        nodes += [ROUTER] if self.hosts_file.router_on == name else []
         return {
             "reach": reach | {"nodes": [], "roles": []},
             "run_folder": self._folder(name),
@@ -118,7 +120,7 @@ class Startup:
     async def _start_warden(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
         installed = self.installed[host.name]
         words = ["env", f"PYTHONPATH={installed.release}", installed.python, "-m", "mast_zenoh.deploy.ssh.warden"]
-        patience_s = self.told.patience_s + _LATER_S
+        patience_s = self.hosts_file.patience_s + _LATER_S
         await connection.run(ssh, host, [*words, self._folder(host.name), str(patience_s)])
 
     def _attach(self) -> None:
@@ -128,7 +130,10 @@ class Startup:
             self.loop.begin(self.attachments[name].stay())
 
     def _log(self, name: str, offset: int, piece: bytes) -> None:
-        """Append to a log, in the event loop. A name with a path is ignored: hosts must not choose where to write."""
+        """Append to a log, in the event loop.
+
+        A name with a path is ignored: hosts must not choose where to write.
+        """
         if posixpath.basename(name) != name:
             return
         path = self.context.folder / "logs" / f"{name}.log"
@@ -166,7 +171,10 @@ class Startup:
             )
 
     def _leave(self) -> None:
-        """Make every host end what still runs and remove its folder. Unreachable hosts do so by themselves."""
+        """End the run on every host, and remove its folder.
+
+        Unreachable hosts do so by themselves.
+        """
         if not self.attachments:
             self._attach()
         attachments = [attachment for attachment in self.attachments.values() if not attachment.gone]
@@ -179,19 +187,19 @@ class Startup:
         if unreachable:
             self.context.show(
                 f"[yellow]out of reach at the end: {', '.join(unreachable)}: all is removed there after "
-                f"{self.told.patience_s + _LATER_S:.0f} s, or `mast deploy down {self.context.folder}`"
+                f"{self.hosts_file.patience_s + _LATER_S:.0f} s, or `mast deploy down {self.context.folder}`"
             )
 
     # -- the router ----------------------------------------------------------------------------------------------
 
     def _route(self) -> zenoh.Session:
         """Start the router, here or on its host, and open the launcher's session."""
-        on, context = self.told.router_on, self.context
+        on, context = self.hosts_file.router_on, self.context
         if on == LAUNCHER:
-            addresses = {n: self.told.address or self.reached_from[n] for n in self.hosts}
+            addresses = {n: self.hosts_file.address or self.reached_from[n] for n in self.hosts}
         else:
-            addresses = dict.fromkeys(self.hosts, self.told.address or self.hosts[on].address)
-        port = self.told.port or free_port()
+            addresses = dict.fromkeys(self.hosts, self.hosts_file.address or self.hosts[on].address)
+        port = self.hosts_file.port or free_port()
         sockets = {n: f"tcp/{bracketed(address)}:{port}" for n, address in addresses.items()}
         self.endpoints = {n: levels.endpoint(context.secure, socket) for n, socket in sockets.items()}
         endpoints = list(dict.fromkeys(self.endpoints.values()))
@@ -199,7 +207,7 @@ class Startup:
         deployment = self.deployment = self.stack.enter_context(context.make_deployment(levels.hosts(endpoints)))
         if on != LAUNCHER:
             return self.stack.enter_context(self._router_on(self.hosts[on], port, deployment, endpoints[0]))
-        if self.told.address and not is_local(self.told.address):  # such as that of a gateway
+        if self.hosts_file.address and not is_local(self.hosts_file.address):  # such as that of a gateway
             endpoints = [levels.endpoint(context.secure, f"tcp/0.0.0.0:{port}")]
         try:
             session, _ = open_router(*endpoints, security=deployment.router)
@@ -244,7 +252,7 @@ class Startup:
         return argv, self._environment(name)
 
     def _mast_node(self, name: str) -> list[str]:
-        patience = ["--patience", str(self.told.patience_s)]
+        patience = ["--patience", str(self.hosts_file.patience_s)]
         return [self.installed[name].python, "-m", "mast_zenoh.runtime.remote_node", "--run", self.run_id, *patience]
 
     def _environment(self, name: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""The supervisor of one run on one host: a separate process and session, which survives a lost connection.
+"""The supervisor of a run on a host: a process that survives a lost connection.
 
     python -m mast_zenoh.deploy.ssh.warden FOLDER PATIENCE      goes to the background when it is ready
 
@@ -44,7 +44,7 @@ _MAX_QUEUED = 1 << 20  # bytes for one connection; beyond that, logs wait
 
 
 class Connection:
-    """A connected client; offsets: how much of each log has been sent, for a client that wants logs."""
+    """A connected client; offsets: how much of each log was sent, if it wants logs."""
 
     def __init__(self, client: socket.socket) -> None:
         self.client = client
@@ -79,7 +79,7 @@ class Warden:
         self.selector.register(self.listener, selectors.EVENT_READ)
 
     def serve(self) -> None:
-        """Serve until told to leave or without a launcher for too long; then remove the folder."""
+        """Serve until a leave command or a lost launcher; then remove the folder."""
         reader, writer = os.pipe()
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
@@ -202,7 +202,7 @@ class Warden:
             self._end(_LAST_GRACE_S, self.leaving)
 
     def _left(self) -> bool:
-        """Whether it may exit: all processes have ended, and all clients have received their messages."""
+        """Whether it may exit: processes have ended, clients have received their messages."""
         return self.leaving is not None and self.leaving in self.answers and not any(c.queued for c in self.connections)
 
     # -- messages to clients -------------------------------------------------------------------------------------
@@ -224,7 +224,7 @@ class Warden:
             node.reported = True
 
     def _queue_logs(self, connection: Connection, max_queued: float) -> None:
-        """Queue new output of all processes in turn, up to `most` queued bytes."""
+        """Queue new output of all processes in turn, up to `max_queued` queued bytes."""
         if connection.offsets is None:
             return
         names = self.processes.names()

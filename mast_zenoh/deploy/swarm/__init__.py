@@ -1,4 +1,4 @@
-"""Runs a scenario in a Docker swarm, where Docker places the nodes, restarts them and spreads them over machines.
+"""Runs a scenario in a Docker swarm: Docker places and restarts the nodes.
 
 document   the stack file, made from the compose file;  placement: the machines on which a node may run
 tasks      the state of nodes' tasks;  services: the nodes of a run as services;  logs: their output

@@ -1,8 +1,8 @@
-"""A resolved scenario as a stack file: the compose file of the same run, converted for a swarm. Pure.
+"""A resolved scenario as a stack file: the compose file, converted for a swarm.
 
 Docker restarts a node after a failure if its `on_exit` says so, as often as a launcher would; other nodes are never
 restarted. Names are resolved by DNS only (`dnsrr`): each service has one task, and virtual addresses would need a
-kernel with IPVS.
+kernel with IPVS. Pure functions.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def text(resolved: Resolved, run: str, **options: Any) -> str:
 
 
 def router_exit(mode: str) -> str:
-    """The `on_exit` of the router: in lock-step its end is the run's, because messages in transit are lost.
+    """The router's `on_exit`: in lock-step its end is the run's, as messages are lost.
 
     The run would take disconnected nodes for gone, and play the scene on without them.
     """

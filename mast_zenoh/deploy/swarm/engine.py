@@ -1,4 +1,4 @@
-"""`mast deploy up --engine swarm`: the nodes of a run as services, which Docker places on the machines of a swarm."""
+"""`mast deploy up --engine swarm`: nodes as services on the machines of a swarm."""
 
 from __future__ import annotations
 
@@ -135,9 +135,9 @@ class Swarm(Engine):
         stacks.remove(record["deployment"]["stack"])
 
 
-def check_here(ours: Mapping[str, str] = os.environ) -> None:
-    """Raise EngineError if DOCKER_HOST names another machine's engine: the router would run there."""
-    where = ours.get("DOCKER_HOST", "")
+def check_here(launcher_environment: Mapping[str, str] = os.environ) -> None:
+    """Raise EngineError if DOCKER_HOST is another machine: the router would run there."""
+    where = launcher_environment.get("DOCKER_HOST", "")
     if where and not where.startswith(("unix://", "npipe://")):
         raise EngineError(f"DOCKER_HOST is {where}: expected the engine of this machine; start the run on that machine")
 
@@ -173,7 +173,7 @@ def reference(image: str) -> str:
 
 
 def check_size(settings: Path) -> None:
-    """Raise EngineError if the router's settings, which grow with the wiring, are too large for a secret."""
+    """Raise EngineError if the router's settings are too large for a secret."""
     if (size := settings.stat().st_size) > document.LARGEST_SECRET:
         raise EngineError(
             f"the router's settings, with the rights of all nodes, are {size} bytes: a secret of a swarm is at most "

@@ -18,7 +18,7 @@ def keep_logs(wanted: Iterable[tuple[str, Path, str]]) -> None:
 
 
 def keep_log(task: str, path: Path, refused: str = "") -> None:
-    """Append the log of a task or service to a file, or `refused`: why Docker has not started it."""
+    """Append a task's or service's log to a file, or `refused`: why it did not start."""
     with path.open("ab") as log:
         if refused:
             log.write(f"{refused}\n".encode())

@@ -16,7 +16,7 @@ _LOCAL_ACTIONS = ("kill", "pause", "resume")
 
 
 class Machine(NamedTuple):
-    """A machine of the swarm: its id there, its host name, whether tasks may be placed on it, and its labels."""
+    """A machine of the swarm: id, host name, whether it accepts tasks, and labels."""
 
     id: str
     name: str
@@ -55,12 +55,12 @@ def resolve(wanted: Mapping[str, str], nodes: Collection[str]) -> dict[str, str]
 
 
 def pinned(steps: Iterable[tuple[int, str, str]]) -> frozenset[str]:
-    """The nodes that must be on the launcher's machine because of their steps, (frame, action, node)."""
+    """The nodes that their steps (frame, action, node) bind to the launcher's machine."""
     return frozenset(node for _, action, node in steps if action in _LOCAL_ACTIONS)
 
 
 def check(machines: list[Machine], place: Mapping[str, str], pinned: Collection[str]) -> None:
-    """Raise EngineError if no machine can run a node, or if a pinned node is placed elsewhere.
+    """Raise EngineError if a node has no machine, or a pinned node another one.
 
     machines: the launcher's machine first
     """

@@ -1,4 +1,4 @@
-"""The nodes of a run as existing services of a swarm: Docker starts and restarts them.
+"""The nodes of a run as services of a swarm, which Docker starts and restarts.
 
 A service has one task at a time. If a task fails and Docker makes another, the node has ended and is restarted at
 once. Kills and starts of the scenario scale the service between 0 and 1.
@@ -149,7 +149,7 @@ class Services(Supervisor[Service]):
         self._keep_logs([child])
 
     def running(self) -> list[Service]:
-        """The nodes that run; raises EngineError if Docker finds no machine for one, or if the router has ended."""
+        """The running nodes; raises EngineError if one has no machine or the router ended."""
         self._look(_LOOK_EVERY_S)
         self._check_router()
         for child in self.children.values():
@@ -170,7 +170,7 @@ class Services(Supervisor[Service]):
         return ended
 
     def end(self, grace_s: float) -> None:
-        """Resume all nodes and ask them to leave. Nodes that do not are killed with the stack."""
+        """Resume all nodes and ask them to leave; others are killed with the stack."""
         self._look()
         running = self.running_now()
         self.resume(running)
@@ -235,7 +235,7 @@ class Services(Supervisor[Service]):
             docker("service", "scale", "--detach", *(f"{child.service}={to}" for child in changed))
 
     def _until_gone(self, child: Service) -> None:
-        """Wait until Docker has removed its newest task: scaled up before that, the service would get no new one.
+        """Wait until Docker has removed its newest task: earlier scaling would start none.
 
         If the task ends while the service is scaled to 0, Docker may not remove it (its two changes of the task
         collide, and one is not retried) until it is told to scale again.

@@ -15,7 +15,10 @@ _OF_MACHINE = ("container", "network")
 
 
 def left(stack: str) -> dict[str, list[str]]:
-    """Ids of a stack's remaining parts, by kind; containers of this machine only. Raises EngineError."""
+    """Ids of a stack's remaining parts by kind; only this machine's containers.
+
+    Raises EngineError.
+    """
     active = docker("info", "--format", "{{.Swarm.LocalNodeState}}").strip() != "inactive"
     parts = {}
     for kind in dict.fromkeys((*(_OF_SWARM if active else ()), *_OF_MACHINE)):
@@ -25,7 +28,7 @@ def left(stack: str) -> dict[str, list[str]]:
 
 
 def remove(stack: str, seconds: float = _REMOVED_S) -> None:
-    """Remove a stack if it exists, and wait until nothing is left of it. Raises EngineError."""
+    """Remove a stack if it exists, and wait until it is gone; raises EngineError."""
     deadline = time.monotonic() + seconds
     while parts := left(stack):
         if time.monotonic() > deadline:

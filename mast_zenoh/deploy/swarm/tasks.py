@@ -1,4 +1,4 @@
-"""The tasks of a stack as listed by Docker: each is one attempt to run a node on some machine."""
+"""Tasks of a stack as listed by Docker: each is one attempt to run a node."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Task(NamedTuple):
 
 
 def of(stack: str) -> dict[str, list[Task]]:
-    """The tasks of a stack by node, the newest first; none if there is no such stack. Raises EngineError."""
+    """The tasks of a stack by node, newest first; none without it. Raises EngineError."""
     form = "\t".join(f"{{{{.{field}}}}}" for field in _FIELDS)
     try:
         return parse(stack, docker("stack", "ps", stack, "--no-trunc", "--format", form).splitlines())

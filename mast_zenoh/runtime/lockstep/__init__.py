@@ -1,1 +1,1 @@
-"""When the next frame may begin, and what happens to processes before it. State machines without I/O."""
+"""State machines, without I/O: when a frame may begin, and what precedes it."""

@@ -1,4 +1,4 @@
-"""When the messages of each frame came, for measuring latency."""
+"""Arrival times of the messages of each frame, for measuring latency."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import time
 
 from mast_zenoh.messages.schemas import Header
 
-NOTED_FRAMES = 4096  #: the newest frames of which times are kept, by key
+MAX_FRAMES = 4096  #: number of frames, by key, whose times are kept: the newest
 
 
 class Arrivals:
-    """by_key: by key and frame when the first message came, ns on the wall clock.
+    """Arrival times of the newest frames, so that memory is bounded.
 
-    Of the newest frames only, so that no run is long enough to fill the memory.
+    by_key: time of the first message of each frame by key, ns on the wall clock
     """
 
     def __init__(self) -> None:
         self.by_key: dict[str, dict[int, int]] = {}
 
     def note(self, key: str, header: Header) -> None:
-        """A sound message has come."""
-        came = self.by_key.setdefault(key, {})
-        came.setdefault(header.frame, time.time_ns())
-        if len(came) > NOTED_FRAMES:
-            del came[next(iter(came))]
+        """Note the arrival of a valid message."""
+        arrived_ns = self.by_key.setdefault(key, {})
+        arrived_ns.setdefault(header.frame, time.time_ns())
+        if len(arrived_ns) > MAX_FRAMES:
+            del arrived_ns[next(iter(arrived_ns))]

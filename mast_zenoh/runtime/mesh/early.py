@@ -1,4 +1,4 @@
-"""Messages of epochs that this node has not entered yet."""
+"""Early messages: those of epochs that this node has not entered yet."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mast_zenoh.runtime.limits import EARLY, Room
 
 
 class Early(NamedTuple):
-    """A message of an epoch to come: key, payload, and what its stamp says."""
+    """A message of a later epoch: key, payload, and the contents of its stamp."""
 
     key: str
     payload: bytes
@@ -18,7 +18,7 @@ class Early(NamedTuple):
 
 
 class EarlyMessages:
-    """Keeps early messages until their epoch begins, as many as there is room for by source."""
+    """Keeps early messages until their epoch begins, limited by source."""
 
     def __init__(self) -> None:
         self._kept: list[Early] = []
@@ -33,15 +33,15 @@ class EarlyMessages:
         return True
 
     def note_dropped(self, key: str, count: int = 1) -> None:
-        """Messages of the next epoch have been dropped: the driver will wait for them."""
+        """Count dropped messages of the next epoch: the driver will wait for them."""
         self._dropped[key] += count
 
     def take_dropped(self) -> Counter[str]:
-        """How many messages of the epoch that begins have been dropped, by key."""
+        """Remove and return the number of dropped messages of the new epoch, by key."""
         dropped, self._dropped = self._dropped, Counter()
         return dropped
 
     def take(self) -> list[Early]:
-        """All that has been kept."""
+        """Remove and return all kept messages."""
         kept, self._kept, self._room = self._kept, [], Room(EARLY)
         return kept

@@ -1,4 +1,4 @@
-"""From a resolved scenario to one of its nodes as a process on a mesh, wherever that process runs."""
+"""Builds a node of a resolved scenario and hosts it as a process on a mesh."""
 
 from __future__ import annotations
 
@@ -26,12 +26,15 @@ from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.credentials import CONTROL, Credentials
 from mast_zenoh.wiring.model import Wiring
 
-#: Niceness of a node that only listens: no frame waits for it, so it leaves the processor to the others.
+#: Niceness of a node that publishes nothing: no frame waits for it, so other nodes have priority.
 LISTENER_NICENESS = 10
 
 
 def build(resolved: Resolved, name: str, node: type[Node] | None = None, place: str = "scenario.json") -> Any:
-    """A node of a scenario, the class being that in its file unless it is given; runs the user's modules first."""
+    """Build a node of a scenario, after importing the user's modules.
+
+    node: its class; None: the class in the node's file;  place: the scenario's file, for error messages
+    """
     for file in resolved.modules:
         loading.module(Path(file))
     spec = resolved.nodes[name]
@@ -39,9 +42,11 @@ def build(resolved: Resolved, name: str, node: type[Node] | None = None, place: 
 
 
 def join(endpoint: str, credentials: Path | Credentials | None, *, patient: bool = False) -> zenoh.Session:
-    """A session on the mesh. Raises CredentialsError for unusable credentials before it connects.
+    """Open a session on the mesh.
 
     patient: see `session.open_client`
+
+    Raises CredentialsError for unusable credentials before it connects.
     """
     if credentials is None:
         return open_client(endpoint, patient=patient)
@@ -51,7 +56,7 @@ def join(endpoint: str, credentials: Path | Credentials | None, *, patient: bool
 
 
 def signatures(run: str, credentials: Path | Credentials | None) -> Signatures:
-    """Signs and checks control messages with these credentials; raises CredentialsError."""
+    """Signatures of control messages with these credentials; raises CredentialsError."""
     if credentials is None:
         return Signatures(run)
     where = f"{credentials}/{CONTROL}" if isinstance(credentials, Path) else CONTROL
@@ -63,9 +68,9 @@ def _own(credentials: Path | Credentials) -> Credentials:
 
 
 def use_batch_scheduling() -> None:
-    """Have processes that wake up preempt this one less often: in lock-step no node gains by running sooner.
+    """Reduce preemption by waking processes: none gains by it in lock-step.
 
-    For all threads that there are, and those that they will start.
+    Affects all current threads and those that they start.
     """
     if hasattr(os, "SCHED_BATCH"):
         with contextlib.suppress(PermissionError):  # a container may forbid it; it is only faster
@@ -77,29 +82,29 @@ def host(
     resolved: Resolved,
     run: str,
     name: str,
-    built: Any,
+    instance: Any,
     session: zenoh.Session,
     without: Collection[str],
     signatures: Signatures,
 ) -> MeshNode:
-    """The node on the mesh, before its life begins. From now on SIGTERM asks it to leave."""
+    """Put a built node on the mesh, not yet running; from now on SIGTERM stops it."""
     wiring = Wiring.from_json(resolved.wiring)
     lockstep = resolved.mode == "lockstep"
-    common = (run, name, built, wiring, resolved.seed, session)
-    more: dict[str, Any] = {"signatures": signatures, "period_ns": resolved.period_ns, "lockstep": lockstep}
-    more |= {"without": without, "timespan": resolved.timespan}
-    if isinstance(built, Source):
+    common = (run, name, instance, wiring, resolved.seed, session)
+    options: dict[str, Any] = {"signatures": signatures, "period_ns": resolved.period_ns, "lockstep": lockstep}
+    options |= {"without": without, "timespan": resolved.timespan}
+    if isinstance(instance, Source):
         roles = {other: spec.role for other, spec in resolved.nodes.items()}
         timetable = Timetable(resolved, lockstep=lockstep)
-        hosted: MeshNode = Driver(*common, **more, expected=roles, rate=resolved.rate, timetable=timetable)
+        mesh_node: MeshNode = Driver(*common, **options, expected=roles, rate=resolved.rate, timetable=timetable)
     else:
-        hosted = MeshNode(*common, **more)
+        mesh_node = MeshNode(*common, **options)
     if not lockstep:
-        hosted.note_arrivals()
+        mesh_node.note_arrivals()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
-    signal.signal(signal.SIGTERM, lambda *_: hosted.inbox.put(("stop", "terminated")))
+    signal.signal(signal.SIGTERM, lambda *_: mesh_node.inbox.put(("stop", "terminated")))
     if not wiring.ports(name).outputs:
         os.nice(LISTENER_NICENESS)
-    gc.freeze()  # what is there now stays: collections need not look at it again
+    gc.freeze()  # existing objects stay: the garbage collector need not scan them again
     gc.set_threshold(50_000, 20, 20)
-    return hosted
+    return mesh_node

@@ -1,4 +1,4 @@
-"""What waits for the main thread of a node's process: samples of its wires, and everything else that happens."""
+"""Events for the main thread of a node's process, including samples of wires."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ Event = tuple[Any, ...]
 
 
 class Inbox:
-    """A queue of events, ("sample", key, payload, epoch, step) being those of wires, which are limited by source.
+    """A queue of events from Zenoh's threads to the main thread.
 
-    Zenoh's threads put, the main thread gets. For samples that were dropped there is an event ("dropped",), which
-    `take_dropped` belongs to.
+    Samples of wires are events ("sample", key, payload, epoch, step), limited by source. The event ("dropped",)
+    announces that samples were dropped; `take_dropped` returns their number.
     """
 
     def __init__(self, limit: Limit = INBOX) -> None:
         self.room = Room(limit)
         self._queue: queue.SimpleQueue[tuple[Event, str, int]] = queue.SimpleQueue()
-        self._lock = threading.Lock()  # of the room and of what was dropped
+        self._lock = threading.Lock()  # of `room` and `_dropped`
         self._dropped: Counter[tuple[str, int]] = Counter()
 
     def put(self, event: Event) -> None:
-        """Add an event that is no sample."""
+        """Add an event that is not a sample."""
         self._queue.put((event, "", -1))
 
     def put_sample(self, source: str, event: Event, epoch: int) -> bool:
-        """Add the event of a sample; False when its source has no room left: it is dropped, and counted by key.
+        """Add the event of a sample; False if it is dropped: its source has no room left.
 
         epoch: in which it counts for lock-step
         """
@@ -46,17 +46,17 @@ class Inbox:
         return False
 
     def take_dropped(self) -> Counter[tuple[str, int]]:
-        """How many samples have been dropped since the last call, by key and epoch."""
+        """Number of samples dropped since the last call, by key and epoch."""
         with self._lock:
             dropped, self._dropped = self._dropped, Counter()
         return dropped
 
     def get(self, timeout: float | None = None) -> Event:
-        """The next event; raises queue.Empty when there is none in time."""
+        """The next event; raises queue.Empty if there is none within `timeout`, s."""
         return self._taken(*self._queue.get(timeout=timeout))
 
     def get_nowait(self) -> Event:
-        """The next event; raises queue.Empty when there is none."""
+        """The next event; raises queue.Empty if there is none."""
         return self._taken(*self._queue.get_nowait())
 
     def _taken(self, event: Event, source: str, size: int) -> Event:

@@ -1,4 +1,4 @@
-"""Whether the launcher is there, by its liveliness token: what lives elsewhere does not outlive it for long."""
+"""Watches the launcher's liveliness token, so that remote nodes do not outlive it."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ import zenoh
 
 from mast_zenoh.control import control_prefix
 
-#: A file in the folder of temporary files, there while the launcher is: for health checks.
+#: A file in the folder of temporary files that exists while the launcher does: for health checks.
 UP = "mast-up"
 
 
 class LauncherWatch:
-    """Watches whether the launcher is there: a context.
+    """A context that watches whether the launcher is present.
 
-    patience_s: for so long it may be away, at the beginning too; then `leave` is called, once, in a thread
+    patience_s: how long it may be absent, s, also at the beginning; then `leave` is called, once, in a thread
     """
 
     def __init__(self, session: zenoh.Session, run: str, patience_s: float, leave: Callable[[], None]) -> None:
         self.patience_s = patience_s
         self.gone = False
         self._leave = leave
-        self._there = False
+        self._present = False
         self._changed = threading.Condition()
-        self._over = False
+        self._closing = False
         handler: Any = zenoh.handlers.Callback(self._note, indirect=False)
         key = f"{control_prefix(run)}/launcher"
         self._subscriber = session.liveliness().declare_subscriber(key, handler, history=True)
@@ -41,25 +41,25 @@ class LauncherWatch:
 
     def __exit__(self, *_: object) -> None:
         with self._changed:
-            self._over = True
+            self._closing = True
             self._changed.notify()
         self._subscriber.undeclare()
         (Path(tempfile.gettempdir()) / UP).unlink(missing_ok=True)
 
     def _note(self, token: zenoh.Sample) -> None:
         with self._changed:
-            self._there = token.kind == zenoh.SampleKind.PUT
+            self._present = token.kind == zenoh.SampleKind.PUT
             self._changed.notify()
 
     def _watch(self) -> None:
         up = Path(tempfile.gettempdir()) / UP
         with self._changed:
-            while not self._over:
+            while not self._closing:
                 with contextlib.suppress(OSError):
-                    up.touch() if self._there else up.unlink(missing_ok=True)
-                if self._there:
+                    up.touch() if self._present else up.unlink(missing_ok=True)
+                if self._present:
                     self._changed.wait()
-                elif not self._changed.wait_for(lambda: self._there or self._over, self.patience_s):
+                elif not self._changed.wait_for(lambda: self._present or self._closing, self.patience_s):
                     self.gone = True
                     break
         if self.gone:

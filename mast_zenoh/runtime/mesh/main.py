@@ -1,11 +1,12 @@
-"""The `main` of a node's process. The launcher starts it for the file of a node, which needs no `main` of its own:
+"""The `main` of a node's process, started by the launcher for the file of a node:
 
     python -P -m mast_zenoh.runtime nodes/agent.py --run-folder DIR --run ID --name infra_1 --endpoint TCP
 
-A file that ends with `main(TheNode)` can also be started by itself: `python nodes/agent.py --run-folder DIR …`.
+The file needs no `main` of its own. One that ends with `main(TheNode)` can also be started directly:
+`python nodes/agent.py --run-folder DIR …`.
 
-The process leaves when it is told to stop, when it gets SIGTERM, and when its standard input closes: the launcher
-holds the other end, so that a launcher that dies, however it dies, takes its nodes with it.
+The process ends when it is told to stop, when it gets SIGTERM, and when its standard input closes. The launcher holds
+the other end, so nodes end with the launcher, however it dies.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ from mast_zenoh.runtime.mesh import hosting
 from mast_zenoh.runtime.mesh.node import MeshNode
 
 ORPHAN_GRACE_S = 2.0
-PR_SET_PDEATHSIG = 1  #: of prctl(2): which signal a process gets when its parent dies
+PR_SET_PDEATHSIG = 1  #: of prctl(2): the signal that a process gets when its parent dies
 
 
 def main(node: type[Node] | None = None) -> None:
     """Run one node as this process; ends the process.
 
-    node: its class; None: the class that the scenario names, in the file that is the first argument
+    node: its class; None: the class that the scenario names, in the file given as the first argument
     """
     faulthandler.enable()
     _wake_when_orphaned()
@@ -62,36 +63,36 @@ def main(node: type[Node] | None = None) -> None:
 
 def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
     """Build the node from its run folder and host it until it is told to stop."""
-    hosted: list[MeshNode] = []
-    if not arguments.stay:  # from the very beginning: a launcher may be killed while we are still starting
-        threading.Thread(target=_leave_with_launcher, args=(hosted, arguments.credentials), daemon=True).start()
+    mesh_nodes: list[MeshNode] = []
+    if not arguments.stay:  # first of all: the launcher may be killed while this process is starting
+        threading.Thread(target=_leave_with_launcher, args=(mesh_nodes, arguments.credentials), daemon=True).start()
     os.chdir(arguments.run_folder)
     resolved = Resolved.read(Path())
-    built = hosting.build(resolved, arguments.name, node, f"{arguments.run_folder}/scenario.json")
+    instance = hosting.build(resolved, arguments.name, node, f"{arguments.run_folder}/scenario.json")
     if resolved.mode == "lockstep":
         hosting.use_batch_scheduling()  # before there is a session, so that Zenoh's threads do so too
     with hosting.join(arguments.endpoint, arguments.credentials, patient=resolved.patient) as session:
         without = [name for name in arguments.without.split(",") if name]
         signatures = hosting.signatures(arguments.run, arguments.credentials)
-        hosted.append(hosting.host(resolved, arguments.run, arguments.name, built, session, without, signatures))
-        hosted[0].run_until_stopped()
+        mesh_nodes.append(hosting.host(resolved, arguments.run, arguments.name, instance, session, without, signatures))
+        mesh_nodes[0].run_until_stopped()
 
 
 def _wake_when_orphaned() -> None:
-    """A process that stands still does not see that its launcher has gone: have the kernel make it go on then."""
+    """Have the kernel resume this process if its launcher dies while it is suspended."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
 
 
-def _leave_with_launcher(hosted: list[MeshNode], credentials: Path | None) -> None:
-    """Wait for the end of standard input; then leave, at the latest after a grace. No key stays behind."""
+def _leave_with_launcher(mesh_nodes: list[MeshNode], credentials: Path | None) -> None:
+    """Wait for the end of standard input, then delete the credentials and leave."""
     while os.read(0, 4096):
         pass
     if credentials is not None:
         shutil.rmtree(credentials, ignore_errors=True)
         with contextlib.suppress(OSError):
-            credentials.parent.rmdir()  # by the last process
-    for node in hosted:
+            credentials.parent.rmdir()  # succeeds in the last process
+    for node in mesh_nodes:
         node.inbox.put(("stop", "orphaned"))
         threading.Event().wait(ORPHAN_GRACE_S)
     os._exit(3)

@@ -1,4 +1,4 @@
-"""The driver's view of which nodes are expected, which are there, and which were lost."""
+"""The driver's view of the nodes: expected, alive and lost ones."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from mast_zenoh.messagelog.churn import BACK, LOST
 from mast_zenoh.runtime.mesh.inbox import Event
 from mast_zenoh.runtime.mesh.newest import NewestByNode
 
-#: How often a node may be lost and come back; one that does so more often is not sound.
+#: Maximum number of losses of a node that comes back; more often, the run ends.
 MAX_LOSSES = 50
 
 
 class Presence(NamedTuple):
-    """A node's liveliness token: whether it has gone since the driver looked last, and whether it is there now."""
+    """A liveliness token: whether it disappeared since the last look, and exists now."""
 
     gone: bool
-    there: bool
+    present: bool
 
     def followed_by(self, newer: Presence) -> Presence:
-        """Both in one, if the driver looks only now."""
-        return Presence(self.gone or newer.gone, newer.there)
+        """This change and a newer one combined."""
+        return Presence(self.gone or newer.gone, newer.present)
 
-    def rest(self) -> Presence | None:
-        """That a node is back, which the driver takes after, and apart from, that it has gone."""
-        return Presence(False, True) if self.gone and self.there else None
+    def remaining(self) -> Presence | None:
+        """A node's return, which the driver takes after its loss, in an event of its own."""
+        return Presence(False, True) if self.gone and self.present else None
 
 
 class Membership:
-    """Which nodes take part, from what the scenario, changes of the wiring and the liveliness tokens say.
+    """Participating nodes, from the scenario, wiring changes and liveliness tokens.
 
     own:      the driver's name;  put: adds an event to the inbox
     expected: name to role of all nodes that may take part
-    alive:    those that are there
-    leaving:  those whose end the scenario wants
-    churn:    who was lost and came back, see messagelog.churn
+    alive:    nodes with a liveliness token
+    leaving:  nodes that the scenario ends
+    churn:    losses and returns of nodes, see messagelog.churn
     """
 
     def __init__(self, own: str, expected: dict[str, str], put: Callable[[Event], None]) -> None:
@@ -46,36 +46,39 @@ class Membership:
         self.alive: set[str] = {own}
         self.leaving: set[str] = set()
         self.churn: list[dict[str, Any]] = []
-        self._presence = NewestByNode("alive", put, Presence.followed_by, Presence.rest)
+        self._presence = NewestByNode("alive", put, Presence.followed_by, Presence.remaining)
 
     @property
     def present(self) -> dict[str, str]:
-        """Name to role of the expected nodes that are there."""
+        """Name to role of the expected nodes that are alive."""
         return {name: role for name, role in self.expected.items() if name in self.alive}
 
     def differs(self, members: dict[str, str]) -> bool:
-        """Whether these are others than the nodes that are expected and there."""
+        """Whether `members` differ from the expected nodes that are alive."""
         return (self.alive & self.expected.keys()) != members.keys()
 
     def on_token(self, token: zenoh.Sample) -> None:
-        """A node's token has come or gone, in Zenoh's thread; an event announces it to the main thread."""
-        there = token.kind == zenoh.SampleKind.PUT
-        self._presence.note(str(token.key_expr).rpartition("/")[2], Presence(not there, there))
+        """Note a change of a node's token, in Zenoh's thread, for the main thread."""
+        present = token.kind == zenoh.SampleKind.PUT
+        self._presence.note(str(token.key_expr).rpartition("/")[2], Presence(not present, present))
 
     def take(self, name: str, frame: int, members: dict[str, str]) -> str:
-        """Take what an event has announced of a node; see `note`.
+        """Take the change of a node that an event has announced; returns as `note` does.
 
-        If it has gone and is back, it has gone here: a further event says that it is back, so that a new epoch can
-        begin between the two.
+        For a node that was lost and is back, this is the loss: another event announces the return, so that a new epoch
+        can begin between the two.
         """
         presence = self._presence.take(name)
-        return self.note(name, presence.there and not presence.gone, frame, members)
+        return self.note(name, presence.present and not presence.gone, frame, members)
 
-    def note(self, name: str, there: bool, frame: int, members: dict[str, str]) -> str:
-        """A node has come or gone; members: of the current epoch. Returns why the run cannot go on, or ""."""
+    def note(self, name: str, present: bool, frame: int, members: dict[str, str]) -> str:
+        """Note that a node has appeared or gone; returns why the run must end, or "".
+
+        members: of the current epoch
+        """
         events = [each["what"] for each in self.churn if each["node"] == name]
         lost = events[-1:] == [LOST]
-        if there or name == self.own:  # the driver's own token may come late
+        if present or name == self.own:  # the driver's own token may come late
             self.alive.add(name)
             self.leaving.discard(name)
             if lost:
@@ -83,7 +86,7 @@ class Membership:
             return ""
         self.alive.discard(name)
         if name in members and name in self.expected and name not in self.leaving:
-            if lost:  # it was back for less time than the driver took to look
+            if lost:  # it was back too briefly for the driver to notice
                 self.churn.append({"frame": frame, "node": name, "what": BACK})
             self.churn.append({"frame": frame, "node": name, "what": LOST})
             if sum(each["node"] == name for each in self.churn) > 2 * MAX_LOSSES:

@@ -1,4 +1,7 @@
-"""The newest value of each node, announced in the inbox once until it is taken: so no flood fills a queue."""
+"""The newest value of each node, announced by one event at a time.
+
+A flood of values cannot fill the inbox: a newer value replaces one that has not been taken yet.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,11 @@ T = TypeVar("T")
 
 
 class NewestByNode(Generic[T]):
-    """Zenoh's threads note values, the main thread takes them when it gets the event (kind, node).
+    """Zenoh's threads note values; the main thread takes them on events (kind, node).
 
     put:   adds an event to the inbox
-    merge: the value that waits and a newer one to the one that waits from now on
-    rest:  of a value that is taken, what is left to be taken in a further event; None: nothing
+    merge: combines the waiting value with a newer one
+    remaining: what remains of a taken value, for another event; None: nothing
     """
 
     def __init__(
@@ -24,17 +27,17 @@ class NewestByNode(Generic[T]):
         kind: str,
         put: Callable[[Event], None],
         merge: Callable[[T, T], T] = lambda waiting, newer: newer,
-        rest: Callable[[T], T | None] = lambda taken: None,
+        remaining: Callable[[T], T | None] = lambda taken: None,
     ) -> None:
         self._kind = kind
         self._put = put
         self._merge = merge
-        self._rest = rest
+        self._remaining = remaining
         self._waiting: dict[str, T] = {}
         self._lock = threading.Lock()
 
     def note(self, node: str, value: T) -> None:
-        """A newer value of a node has come."""
+        """Note a newer value of a node."""
         with self._lock:
             announced = node in self._waiting
             self._waiting[node] = self._merge(self._waiting[node], value) if announced else value
@@ -42,12 +45,12 @@ class NewestByNode(Generic[T]):
             self._put((self._kind, node))
 
     def take(self, node: str) -> T:
-        """The value of a node that an event has announced."""
+        """Take the value of a node that an event has announced."""
         with self._lock:
             taken = self._waiting.pop(node)
-            rest = self._rest(taken)
-            if rest is not None:
-                self._waiting[node] = rest
-        if rest is not None:
+            remaining = self._remaining(taken)
+            if remaining is not None:
+                self._waiting[node] = remaining
+        if remaining is not None:
             self._put((self._kind, node))
         return taken

@@ -1,9 +1,8 @@
 """Hosts one node as a process on a Zenoh mesh.
 
 Zenoh's threads only put samples and control messages into this process's inbox; the main thread takes them out, lets
-the host handle them, and sends what the node has published. A node that is `prompt` handles what comes in real time in
-Zenoh's thread at once, if nothing waits before it: from thread to thread costs more time than passing a message on.
-The package's docstring has the table of control keys.
+the host handle them, and sends the node's messages. In real time, a node that is `prompt` handles a sample immediately
+in Zenoh's thread, if no other waits: switching threads takes longer than relaying a message.
 """
 
 from __future__ import annotations
@@ -37,15 +36,15 @@ from mast_zenoh.runtime.mesh.stamp import ATTACHMENT, MARK
 from mast_zenoh.runtime.mesh.wiring_follower import WiringFollower
 from mast_zenoh.wiring.model import Wiring
 
-_LINGER_S = 0.01  # for messages that are likely to be on their way
+_LINGER_S = 0.01  # for messages that are probably in transit
 
 
 class MeshNode:
-    """One node on the mesh; `run_until_stopped` is its life.
+    """One node on the mesh, run by `run_until_stopped`.
 
-    signatures: of control messages; period_ns: of the scene's frames; lockstep: whether time goes by frames
-    without: nodes that are not up now
-    timespan: the frames and times that messages can have; None: any
+    signatures: of control messages; period_ns: interval of the scene's frames, ns
+    lockstep: whether time advances with frames; without: nodes that are not running yet
+    timespan: valid frames and times of messages; None: any
     """
 
     def __init__(
@@ -86,12 +85,12 @@ class MeshNode:
         self.stop_reason: str | None = None
         self.invalid = InvalidMessages(self.host.log.warning)  # control messages, by key
         self.arrivals = Arrivals()
-        self.of_host: dict[str, Any] = {}  # facts of its host, for run.json
+        self.host_facts: dict[str, Any] = {}  # facts of its host, for run.json
         self.lockstep = lockstep
         self._prefix = prefix(run)
-        self._process = os.urandom(8).hex()  # tells this process from others that are the same node before and after it
+        self._process = os.urandom(8).hex()  # distinguishes this process from earlier and later ones of this node
         self.host.on_failure = self._report_failure
-        self._cpu_begun = time.process_time()
+        self._cpu_start_s = time.process_time()
         self.outlets = Outlets(session, self._prefix, self.host.log, lockstep=lockstep)
         self.drains = DrainQueries(
             name, self.host, self.ports, self.outlets, wiring, put=self.inbox.put, refuse=self.invalid.note
@@ -111,39 +110,41 @@ class MeshNode:
         self._subscribers: list[Any] = []
         self._declare(wiring)
 
-    # -- life ----------------------------------------------------------------------------------------------------
+    # -- running -------------------------------------------------------------------------------------------------
 
     def run_until_stopped(self) -> None:
-        """Join the mesh, take part until told to stop, hand in the results."""
+        """Join the mesh, take part until the run stops, hand in the results."""
         self.await_matching()
         alive = self.session.liveliness().declare_token(f"{self._prefix}/alive/{self.name}")
         while self.stop_reason is None:
-            self.turn()
+            self.run_once()
         self.intake.prompt = False
-        with self.intake.inside:
+        with self.intake.lock:
             self.hand_in()
         alive.undeclare()
 
-    def turn(self) -> None:
-        """Send what is due, handle one event, or report when there is none."""
-        with self.intake.inside:
+    def run_once(self) -> None:
+        """Send what is due, then handle one event, or report if there is none."""
+        with self.intake.lock:
             due_s = self.host.release()
         try:
             event: Event | None = self.inbox.get_nowait()
         except queue.Empty:
-            event = self.idle(due_s)
+            event = self.wait_for_event(due_s)
         if event is None:
             return
-        with self.intake.inside:
+        with self.intake.lock:
             self.handle(event)
         if event[0] == "sample":
-            self.intake.taken += 1
+            self.intake.handled += 1
 
-    def idle(self, due_s: float | None = None) -> Event | None:
-        """With nothing to do, report, and wait for the next event; None when a delayed message is due after `due_s`.
+    def wait_for_event(self, due_s: float | None = None) -> Event | None:
+        """Report, then wait for the next event; None if a delayed message is due first.
 
-        While less has come than in the frames before, more is likely to be on its way: linger a little, because a
-        report too many costs the driver more than the wait costs us. It is sent in any case.
+        due_s: time until then, s; None: no message is delayed
+
+        While fewer messages were received than in the frames before, more are probably in transit. Waiting briefly for
+        them costs less than an unnecessary report costs the driver.
         """
         if due_s is None and self.intake.expects_more:
             try:
@@ -175,15 +176,15 @@ class MeshNode:
 
     def report(self) -> None:
         """Tell the driver what has been sent and handled."""
-        with self.intake.inside:
+        with self.intake.lock:
             if self.epoch and not self.follower.busy:
                 sent = self.outlets.counted(self.host.sent)
                 self._counts.put(flow.encode_counts(self.epoch, sent, self.host.handled))
 
     def hand_in(self) -> None:
-        """Finish the node and hand in its results to the launcher."""
+        """Finish the node, and hand in its results to the launcher."""
         self.intake.note_dropped()
-        cpu_s = round(time.process_time() - self._cpu_begun, 4)
+        cpu_s = round(time.process_time() - self._cpu_start_s, 4)
         outcome = {
             "results": self.host.finish() if self.intake.started else {},
             "rejected": {f"{key}: {reason}": n for (key, reason), n in self.host.rejected.items()},
@@ -197,12 +198,12 @@ class MeshNode:
             "cpu_s": cpu_s,
             "arrived_ns": self.arrivals.by_key,
             **self.extra_results(),
-            **self.of_host,
+            **self.host_facts,
         }
         results_client.hand_in(self.session, self._prefix, self.name, results.pack(outcome), self.host.log)
 
     def _report_failure(self, failure: Failure) -> None:
-        """Tell the launcher at once, ahead of the counts: a process that is killed hands in nothing."""
+        """Report a failure immediately: a process that is killed hands in no results."""
         self._failed.put(reports.encode_failure(self._process, failure.entry()))
 
     def extra_results(self) -> dict[str, Any]:
@@ -210,19 +211,19 @@ class MeshNode:
         return {}
 
     def note_arrivals(self) -> None:
-        """From now on note when the first message of each frame comes on each key, for measuring latency."""
+        """From now on note when messages arrive, for measuring latency."""
         self.host.observe = self.arrivals.note
 
     # -- messages ------------------------------------------------------------------------------------------------
 
     def _put(self, message: Outgoing) -> None:
-        """Send what the node publishes at once, so that its subscribers can begin while this node goes on."""
+        """Send a message immediately: subscribers can handle it while this node continues."""
         assert isinstance(message.payload, bytes)
         attachment = ATTACHMENT.pack(MARK, self.epoch, message.step)
         self.outlets[message.key].put(message.payload, attachment)
 
     def _on_control(self, key: str, sample: zenoh.Sample) -> None:
-        """Take up an epoch, stop or leave, in Zenoh's thread; one that is malformed or not signed takes no room."""
+        """Receive an epoch, stop or leave, in Zenoh's thread; invalid ones are dropped."""
         decode: Callable[[bytes], Any] = flow.decode_epoch if key == "epoch" else flow.decode_stop
         try:
             message = self.signatures.open(key, sample.payload.to_bytes(), decode)
@@ -234,17 +235,17 @@ class MeshNode:
     def _enter_epoch(self, epoch: int, members: dict[str, str], update: WiringUpdate | None = None) -> None:
         if epoch <= self.epoch or self.name not in members:
             return
-        before, self.members, self.epoch = self.members, members, epoch
+        previous, self.members, self.epoch = self.members, members, epoch
         self.host.reset_counts()
         self.host.handled.update(self.intake.enter_epoch(epoch))
         if not self.intake.started:
             self.intake.started = True
-            self._cpu_begun = time.process_time()
+            self._cpu_start_s = time.process_time()
             self.host.start({name: role for name, role in members.items() if name != self.name})
         else:
-            for name in sorted(before.keys() - members.keys()):
-                self.host.left(name, before[name])
-            for name in sorted(members.keys() - before.keys()):
+            for name in sorted(previous.keys() - members.keys()):
+                self.host.left(name, previous[name])
+            for name in sorted(members.keys() - previous.keys()):
                 self.host.joined(name, members[name])
         if update is not None:
             self.follower.follow(update)
@@ -252,7 +253,7 @@ class MeshNode:
                 self.host.rewired(update.wiring)
         self.intake.deliver_early()
         if update is not None:
-            self.report()  # the change goes on when all nodes have reported: do not linger
+            self.report()  # immediately: the change continues when all nodes have reported
 
     # -- declarations --------------------------------------------------------------------------------------------
 
@@ -270,7 +271,7 @@ class MeshNode:
         self._counts, self._failed = (self._declare_control(f"{kind}/{self.name}") for kind in ("counts", "failed"))
 
     def _declare_control(self, key: str) -> zenoh.Publisher:
-        """A publisher of control messages, with a queue of their own: they overtake data that cannot be delivered."""
+        """Declare a publisher of control messages; their own queue overtakes blocked data."""
         return self.session.declare_publisher(
             f"{self._prefix}/@control/{key}",
             congestion_control=zenoh.CongestionControl.BLOCK,
@@ -279,15 +280,18 @@ class MeshNode:
         )
 
     def _subscribe_wire(self, key: str) -> None:
-        """Subscribe to a key of a wire: its messages go to the inbox."""
+        """Subscribe to a key of a wire; its messages go to the inbox."""
         self._subscribers.append(self.subscribe(key, self.intake.callback(key)))
 
     def subscribe(self, key: str, callback: Callable[[zenoh.Sample], None]) -> Any:
-        """A subscriber below the run's prefix whose callback runs in Zenoh's own thread: it must return at once."""
+        """Declare a subscriber below the run's prefix.
+
+        Its callback runs in Zenoh's thread and must return quickly.
+        """
         handler = zenoh.handlers.Callback(callback, indirect=False)
         return self.session.declare_subscriber(f"{self._prefix}/{key}", handler)
 
     def await_matching(self) -> None:
-        """Wait until every wire that another node listens to has its subscriber, so that no first message is lost."""
-        heard = self.outlets.heard(self.follower.wiring, self.name, self.without)
-        self.outlets.await_subscribers([*heard, self._counts, self._failed])
+        """Wait until all wires with subscribers are matched, so that no message is lost."""
+        subscribed = self.outlets.subscribed(self.follower.wiring, self.name, self.without)
+        self.outlets.await_subscribers([*subscribed, self._counts, self._failed])

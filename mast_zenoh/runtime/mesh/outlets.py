@@ -19,7 +19,7 @@ _MATCH_TIMEOUT_S = 10.0
 class Outlet:
     """One output of a node.
 
-    key: the key that it publishes on now;  newest: the message that was published last
+    key: the current key;  newest: the last published message
     """
 
     def __init__(self, key: str, publisher: zenoh.Publisher) -> None:
@@ -41,21 +41,21 @@ class Outlet:
         self._kept = []
 
     def move(self, key: str, publisher: zenoh.Publisher) -> int:
-        """Publish on another key from now on, first what was held back. Returns how many messages that were."""
-        before, self.key, self.publisher = self.publisher, key, publisher
+        """Publish on another key, beginning with held messages; returns their number."""
+        previous, self.key, self.publisher = self.publisher, key, publisher
         kept, self._kept = self._kept or [], None
         for payload, attachment in kept:
             publisher.put(payload, attachment=attachment)
-        before.undeclare()
+        previous.undeclare()
         return len(kept)
 
 
 class Outlets(dict[str, Outlet]):
-    """All outlets of a node, by the key that each had when the process began: by that its host knows it.
+    """All outlets of a node, by their initial keys, which the host uses throughout.
 
     prefix: of all keys of the run
-    lockstep: whether the run waits for every message. In real time it does not: a subscriber that nothing reaches any
-        more would block the router for all others.
+    lockstep: whether messages block rather than being dropped. In real time, an unreachable subscriber would block the
+        router for all others.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str, log: logging.Logger, *, lockstep: bool) -> None:
@@ -66,11 +66,11 @@ class Outlets(dict[str, Outlet]):
         self._congestion = zenoh.CongestionControl.BLOCK if lockstep else zenoh.CongestionControl.DROP
 
     def add(self, key: str, message: str) -> None:
-        """Declare a further outlet, for messages of this type."""
+        """Declare an outlet for messages of this type."""
         self[key] = Outlet(key, self.declare_publisher(key, message))
 
     def declare_publisher(self, key: str, message: str) -> zenoh.Publisher:
-        """A publisher of a wire's messages on one of its keys; all legs alike, so that none can be told by it."""
+        """Declare a publisher of a wire on one of its keys; all legs have equal settings."""
         schema = SCHEMAS[message]
         return self._session.declare_publisher(
             f"{self._prefix}/{key}",
@@ -79,8 +79,11 @@ class Outlets(dict[str, Outlet]):
             express=True,
         )
 
-    def heard(self, wiring: Wiring, name: str, without: Collection[str]) -> list[zenoh.Publisher]:
-        """Publishers of the legs of node `name` that another node listens to; `without`: nodes that are not up."""
+    def subscribed(self, wiring: Wiring, name: str, without: Collection[str]) -> list[zenoh.Publisher]:
+        """Publishers of the legs of node `name` that have subscribers.
+
+        without: nodes that are not running
+        """
         return [
             self[leg.key].publisher
             for wire, leg in wiring.legs()
@@ -89,21 +92,21 @@ class Outlets(dict[str, Outlet]):
         ]
 
     def counted(self, sent: Mapping[str, int]) -> dict[str, int]:
-        """Messages by the keys that they were sent on, from those by the keys that the host knows."""
+        """Message counts by current key, from those by initial key."""
         return {self[key].key if key in self else key: n for key, n in sent.items()}
 
     def await_subscribers(self, publishers: Sequence[zenoh.Publisher]) -> None:
-        """Wait until each of these publishers has a subscriber; after a while warn, and go on without."""
+        """Wait until each publisher has a subscriber; after a timeout, warn and continue."""
         pending = threading.Semaphore(0)
         direct: Any = zenoh.handlers.Callback(lambda status: pending.release(), indirect=False)
         listeners = [publisher.declare_matching_listener(direct) for publisher in publishers]
         deadline = time.monotonic() + _MATCH_TIMEOUT_S
         while missing := [publisher for publisher in publishers if not publisher.matching_status]:
-            left = deadline - time.monotonic()
-            if left <= 0:
+            remaining_s = deadline - time.monotonic()
+            if remaining_s <= 0:
                 names = ", ".join(str(publisher.key_expr) for publisher in missing)
-                self._log.warning("nobody listens to %s after %.0f s; going on", names, _MATCH_TIMEOUT_S)
+                self._log.warning("no subscriber for %s after %.0f s; continuing", names, _MATCH_TIMEOUT_S)
                 break
-            pending.acquire(timeout=min(left, 0.1))
+            pending.acquire(timeout=min(remaining_s, 0.1))
         for listener in listeners:
             listener.undeclare()

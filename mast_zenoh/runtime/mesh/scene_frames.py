@@ -1,4 +1,4 @@
-"""The frames of the node that drives the scene: made ahead of time, and sent when they are due."""
+"""Prepares the frames of the scene in advance, and sends each when it is due."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from collections.abc import Callable
 
 from mast_zenoh.node import Context, Source
 from mast_zenoh.runtime.context import Outgoing
-from mast_zenoh.runtime.mesh.arrivals import NOTED_FRAMES
+from mast_zenoh.runtime.mesh.arrivals import MAX_FRAMES
 
 
 class SceneFrames:
-    """Makes each frame while the mesh is busy with the one before, and keeps it until it is sent.
+    """Prepares each frame while the mesh handles the previous one.
 
-    Until its clock is sent, a frame is no more than bytes in this process: no node can act on it too early.
+    Until it is sent, a frame is only bytes in this process: no node can act on it too early.
 
     send:    sends a message
     sent:    messages of the current epoch, by key
-    sent_ns: when the newest frames were sent, ns on the wall clock
+    sent_ns: times when the newest frames were sent, ns on the wall clock
     """
 
     def __init__(self, source: Source, context: Context, send: Callable[[Outgoing], None]) -> None:
@@ -35,18 +35,18 @@ class SceneFrames:
         self._ready.append(message)
 
     def prepare(self) -> None:
-        """Make the next frame; it has no messages at the end of the scene."""
+        """Prepare the next frame; at the end of the scene it has no messages."""
         self._ready = []
         self._source.advance(self._context)
 
     def send(self, number: int) -> bool:
-        """Send the frame that is ready, as this one; False if there is none."""
+        """Send the prepared frame as frame `number`; False if there is none."""
         if self._ready is None:
             self.prepare()
         if not self._ready:
             return False
         self.sent_ns[number] = time.time_ns()
-        self.sent_ns.pop(number - NOTED_FRAMES, None)
+        self.sent_ns.pop(number - MAX_FRAMES, None)
         for message in self._ready:
             self._send(message)
             self.sent[message.key] += 1

@@ -1,4 +1,4 @@
-"""Zenoh sessions as this testbed opens them: everything explicit, nothing discovered."""
+"""Zenoh sessions with this testbed's settings: explicit endpoints, no discovery."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ log = logging.getLogger("mast")
 
 _WAIT_BEFORE_DROP = "transport/link/tx/queue/congestion_control/drop/wait_before_drop"
 
-#: Off, because it finds meshes that nobody meant: multicast and gossip. Off, because it goes around network shaping
-#: and TLS: shared memory (on by default from 3 KiB up). Off, because nobody needs it: a stamp by every router.
-#: Of what may be dropped (real time) nothing is, as long as everybody reads, however busy the machine: room for 16
-#: batches and 1 s (µs here); with Zenoh's 2 batches and 1 ms about 5 % were lost on a machine with nothing else to do.
+#: Multicast and gossip are off because they find unrelated meshes; shared memory (default from 3 KiB up), because
+#: it bypasses network shaping and TLS; timestamps of routers, because they are not used.
+#: Queues of 16 batches, and 1 s (µs here) before a message is dropped in real time: nothing is lost on a busy machine
+#: while all processes read. With Zenoh's 2 batches and 1 ms about 5 % were lost on an idle machine.
 _ALWAYS: dict[str, Any] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
@@ -38,20 +38,20 @@ _ALWAYS: dict[str, Any] = {
     _WAIT_BEFORE_DROP: 1_000_000,
 }
 
-#: ms, the lease in lock-step on one machine. A node that a debugger, a full memory or a closed lid holds up is waited
-#: for; that a process has ended shows at once, by its sockets.
+#: The lease in lock-step on one machine, ms: a node stopped by a debugger, full memory or suspend is waited for.
+#: The end of a process is noticed immediately, by its sockets.
 _PATIENT_LEASE_MS = 3_600_000
 
-#: The same for a link on which nothing more fits: Zenoh gives up one on which a message has waited for 5 s (µs here).
+#: The same for a blocked link (µs here): by default, Zenoh closes one on which a message has waited for 5 s.
 _PATIENT: dict[str, Any] = {
     "transport/link/tx/lease": _PATIENT_LEASE_MS,
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1000 * _PATIENT_LEASE_MS,
 }
 
-#: ms, the same for a router whose links may be cut: while it waits for one that nothing reaches, the others wait too.
+#: Time before a router whose links may be cut drops a message, ms: an unreachable link delays all others.
 CUT_LINKS_WAIT_MS = 50
 
-#: A link that does not acknowledge for so long ends: less than the lease, see `_end_silent_links`.
+#: Time without acknowledgements after which a link ends, ms: less than the lease, see `_end_silent_links`.
 _SILENCE_MS = 1500
 
 _CLIENT: dict[str, Any] = {
@@ -60,12 +60,15 @@ _CLIENT: dict[str, Any] = {
     "connect/retry": {"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 2},
 }
 
-#: How long a client with credentials tries before it asks itself why it does not get in.
-_ASK_WHY_MS = 5000
+#: How long a client with credentials tries to connect before it looks for a reason, ms.
+_DIAGNOSE_MS = 5000
 
 
 def open_session(settings: Mapping[str, Any]) -> zenoh.Session:
-    """A session with these settings (path to value) over those that all of ours have; raises zenoh.ZError."""
+    """Open a session with these settings (path to value) and the common ones.
+
+    Raises zenoh.ZError if it cannot be opened.
+    """
     config = zenoh.Config()
     for path, value in {**_ALWAYS, **settings}.items():
         config.insert_json5(path, json.dumps(value))
@@ -74,17 +77,22 @@ def open_session(settings: Mapping[str, Any]) -> zenoh.Session:
 
 def open_router(
     listen: str = "tcp/127.0.0.1:0",
-    *more: str,
+    *more_endpoints: str,
     security: Mapping[str, Any] | None = None,
     links_may_be_cut: bool = False,
     patient: bool = False,
 ) -> tuple[zenoh.Session, str]:
-    """(session, endpoint) of a router in this process; port 0 is a free one, and the endpoint says which.
+    """Open a router in this process; returns (session, endpoint).
 
-    security: its settings as `security.levels.router_settings` makes them; none: an open mesh
-    patient: clients that say nothing for long are waited for
+    listen: endpoint; with port 0 a free port is chosen, which the returned endpoint contains
+    security: settings from `security.levels.router_settings`; None: an open mesh
+    patient: wait for clients that do not respond
     """
-    settings: dict[str, Any] = {"mode": "router", "listen/endpoints": [listen, *more], "adminspace/enabled": True}
+    settings: dict[str, Any] = {
+        "mode": "router",
+        "listen/endpoints": [listen, *more_endpoints],
+        "adminspace/enabled": True,
+    }
     if links_may_be_cut:
         settings[_WAIT_BEFORE_DROP] = 1000 * CUT_LINKS_WAIT_MS
     if patient:
@@ -98,37 +106,37 @@ def open_router(
                 _end_silent_links(locators)
             return session, str(locators[0])
     session.close()
-    raise OSError(f"the router at {listen} does not say where it listens")
+    raise OSError(f"the router at {listen} does not report its endpoint")
 
 
 def _end_silent_links(locators: Sequence[str]) -> None:
-    """Have the kernel end links of this process's router whose other end acknowledges nothing, before the lease does.
+    """Have the kernel end this router's links that acknowledge nothing.
 
-    Zenoh gives its sockets SO_LINGER: to close one with bytes that nobody acknowledges blocks a thread of the router
-    for up to 10 s, and with it other clients (eclipse-zenoh/zenoh#1101). A socket that has timed out closes at once.
-    What is accepted inherits TCP_USER_TIMEOUT from the listening socket.
+    Zenoh's sockets have SO_LINGER: closing one with unacknowledged bytes blocks a thread of the router for up to 10 s,
+    and with it other clients (eclipse-zenoh/zenoh#1101). A socket that has timed out closes immediately. Accepted
+    sockets inherit TCP_USER_TIMEOUT from the listening socket.
     """
     ports = {int(locator.rpartition(":")[2]) for locator in locators if locator.startswith(("tcp/", "tls/"))}
     for name in os.listdir("/proc/self/fd") if sys.platform == "linux" else ():
         with contextlib.suppress(OSError):
             if not stat.S_ISSOCK(os.fstat(int(name)).st_mode):
                 continue
-            with socket.socket(fileno=os.dup(int(name))) as ours:
-                listens = ours.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
-                if listens and ours.family != socket.AF_UNIX and ours.getsockname()[1] in ports:
-                    ours.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _SILENCE_MS)
+            with socket.socket(fileno=os.dup(int(name))) as own:
+                listens = own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+                if listens and own.family != socket.AF_UNIX and own.getsockname()[1] in ports:
+                    own.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _SILENCE_MS)
 
 
 def open_client(
     endpoint: str, credentials: Credentials | None = None, *, try_ms: int | None = None, patient: bool = False
 ) -> zenoh.Session:
-    """A client of the router at `endpoint`; it retries until the router is there and answers.
+    """Open a client session with the router at `endpoint`; retries until it answers.
 
-    With credentials it raises CredentialsError, which says why, when they are refused, or the router's are. What only
-    time can help is logged: no router yet, or one that answers nothing, as it does while others flood it.
+    try_ms: try only once, for this time, and raise zenoh.ZError
+    patient: have the router wait for this client when it does not respond
 
-    try_ms: try once, for so long, and raise zenoh.ZError
-    patient: the router is to wait for it, however long it says nothing
+    With credentials it raises CredentialsError, with the reason, if a side refuses the other's. Temporary problems are
+    logged: no router yet, or one that does not answer, such as one flooded by others.
     """
     settings = _CLIENT | {"connect/endpoints": [endpoint]}
     if patient:
@@ -138,16 +146,18 @@ def open_client(
         return open_session(settings)
     if credentials is None:
         return open_session(settings)
-    settings |= client_settings(credentials) | {"connect/timeout_ms": _ASK_WHY_MS}
+    settings |= client_settings(credentials) | {"connect/timeout_ms": _DIAGNOSE_MS}
     logged = ""
     while True:
         try:
             return open_session(settings)
         except zenoh.ZError:
             reasons = explain(credentials, endpoint)
-        why = "; ".join(reasons) or f"{endpoint}: no connection within {_ASK_WHY_MS / 1000:g} s, and no reason for it"
+        problem = (
+            "; ".join(reasons) or f"{endpoint}: no connection within {_DIAGNOSE_MS / 1000:g} s, for no known reason"
+        )
         if any(UNREACHED not in reason for reason in reasons):
-            raise CredentialsError(why)
-        if why != logged:
-            log.warning("%s; trying again", why)
-            logged = why
+            raise CredentialsError(problem)
+        if problem != logged:
+            log.warning("%s; trying again", problem)
+            logged = problem

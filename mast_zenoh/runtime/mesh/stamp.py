@@ -1,5 +1,8 @@
-"""What a data message carries beside its payload: a mark of this testbed's nodes, the epoch, and the step that it was
-sent in. An interposer's messages carry the same as the publisher's would, so there is nothing to tell them by."""
+"""The stamp attached to a data message: a mark of this testbed, epoch and step.
+
+The step is that in which the message was sent. An interposer's messages have the same stamp as the publisher's would,
+so it does not reveal them.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ MARK = b"MAST"
 
 
 def stamp_of(attachment: bytes | None) -> tuple[int, int]:
-    """Epoch and step of an attachment; (-1, -1) for one that is none of this testbed's nodes."""
+    """Epoch and step of an attachment; (-1, -1) for one that is not from this testbed."""
     if attachment is None or len(attachment) != ATTACHMENT.size:
         return -1, -1
     mark, epoch, step = ATTACHMENT.unpack(attachment)

@@ -1,14 +1,14 @@
-"""How the wiring of a running mesh changes, and the driver's part: it leads all nodes through one change at a time.
+"""The driver's part in changing the wiring of a running mesh.
 
-A change takes two epochs. In the first all nodes learn of it: the subscribers of a new key subscribe to it, and its
-publisher declares it. When all have reported that they have, the second begins: the new wiring is active, and
-publishers switch to their new keys, each between two of its own messages. In lock-step both begin while the mesh is
-quiet. In real time frames go on, and a publisher that is to go around a node (which is released) holds its messages
-back until that node has passed on all that it got; see `drain`.
+It makes one change at a time, in two epochs. The first announces it: the subscribers of a new key subscribe to it, and
+its publisher declares it. When all nodes have reported this, the second begins: the new wiring is active, and each
+publisher switches to its new key between two of its messages. In lock-step both epochs begin while the mesh is quiet.
+In real time frames continue, and a publisher that is to bypass a released node holds its messages back until that node
+has forwarded everything that it received; see `drain`.
 
     @control/rewire    launcher → driver    a query: the new wiring, which nodes join and leave; answered when done
 
-`wiring_follower` is what each node does, the driver's own included.
+`wiring_follower` is the part of each node, the driver included.
 """
 
 from __future__ import annotations
@@ -30,37 +30,37 @@ from mast_zenoh.runtime.mesh.membership import Membership
 from mast_zenoh.runtime.mesh.wiring_follower import WiringFollower
 from mast_zenoh.wiring.model import Wiring
 
-MAX_WAITING = 64  #: changes that wait for those before
-CHANGE_TIMEOUT_S = 20.0  #: how long the nodes may take to learn of a change
+MAX_WAITING = 64  #: maximum number of queued changes
+CHANGE_TIMEOUT_S = 20.0  #: for all nodes to report an epoch of a change
 
 
 @dataclass
 class Change:
-    """A change of the wiring that has been requested; frame: the first that may go the new way."""
+    """A requested change of the wiring; frame: the first that may use the new wiring."""
 
     wiring: Wiring
     join: dict[str, str]
     leave: tuple[str, ...]
     query: zenoh.Query
-    requested: float = field(default_factory=time.monotonic)
-    begun: float = 0.0
+    requested_at: float = field(default_factory=time.monotonic)
+    started_at: float = 0.0
     frame: int = 0
 
     def reply(self, **answer: Any) -> None:
-        """Answer the query with what has become of the change."""
+        """Answer the query with the outcome of the change."""
         self.query.reply(self.query.key_expr, flow.encode_rewired(**answer))
         self.query.drop()
 
 
 class WiringCoordinator:
-    """Carries out requested changes of the wiring, one after the other.
+    """Carries out requested changes of the wiring one at a time.
 
-    membership: of the nodes; those that join and leave become and stop being expected
-    pacer:      says which nodes have not reported in the current epoch, and is told of the wiring of the next
-    follower:   of the driver itself
-    frame:      returns the frame that is sent next
-    begin_epoch: begins an epoch, which says `update`
-    update:     what every epoch says of the wiring since the first change; None before
+    membership: of the nodes; those that join or leave are added to or removed from the expected ones
+    pacer:      knows which nodes have not reported in the current epoch, and gets the wiring of the next
+    follower:   the driver's own
+    frame:      returns the next frame
+    begin_epoch: begins an epoch with `update`
+    update:     the wiring update in every epoch since the first change; None before
     """
 
     def __init__(
@@ -82,67 +82,68 @@ class WiringCoordinator:
         self._begin_epoch = begin_epoch
         self._waiting: deque[Change] = deque()
         self._change: Change | None = None
-        self._since = 0.0  # when the current epoch of the change began
+        self._epoch_began = 0.0  # monotonic clock, s
 
     def add(self, request: Rewire, query: zenoh.Query) -> None:
-        """Take up a change as soon as those before it are done; from any thread. Raises MessageError for too many."""
+        """Queue a change, from any thread; raises MessageError if too many wait."""
         if len(self._waiting) >= MAX_WAITING:
             raise MessageError(f"rewire: more than {MAX_WAITING} changes wait")
         self._waiting.append(Change(*request, query))
 
-    def turn(self) -> bool:
-        """Go on with the change as far as possible; whether it waits for reports of the nodes."""
+    def advance(self) -> bool:
+        """Advance the change as far as possible; returns whether it waits for reports."""
         change = self._change
         if change is None:
             return self._begin()
         assert self.update is not None
-        late = time.monotonic() - self._since > CHANGE_TIMEOUT_S
+        timed_out = time.monotonic() - self._epoch_began > CHANGE_TIMEOUT_S
         if not self.update.active and not change.join.keys() <= self._membership.alive:
-            return self._call_off(change, f"{', '.join(change.join)} ended before it took part")
+            return self._cancel(change, f"{', '.join(change.join)} ended before it took part")
         if self._pacer.silent or self._follower.busy:
-            if late and not self.update.active:
-                return self._call_off(change, f"not ready within {CHANGE_TIMEOUT_S:.0f} s: {self._missing()}")
-            if not late:
+            if timed_out and not self.update.active:
+                return self._cancel(change, f"not ready within {CHANGE_TIMEOUT_S:.0f} s: {self._missing()}")
+            if not timed_out:
                 return True
-            self._log.warning("the wiring has changed, but not a word from %s", self._missing())
+            self._log.warning("the wiring has changed, but without a report from %s", self._missing())
         if not self.update.active:
             for name in change.leave:
                 self._membership.expected.pop(name, None)
             change.frame = self._frame()  # in real time the next may begin before all nodes report that they switched
-            self._epoch(WiringUpdate(change.wiring, True, change.leave))
+            self._announce(WiringUpdate(change.wiring, True, change.leave))
             return True
         self.update = WiringUpdate(change.wiring, True)
         self._change = None
-        change.reply(frame=change.frame, took_ms=round((time.monotonic() - change.begun) * 1e3, 3))
+        change.reply(frame=change.frame, took_ms=round((time.monotonic() - change.started_at) * 1e3, 3))
         return self._begin()
 
     def _begin(self) -> bool:
-        """Begin the next change; the nodes that join must be there."""
+        """Begin the next change once the joining nodes are alive; returns as `advance`."""
         if not self._waiting:
             return False
         change = self._waiting[0]
         if not change.join.keys() <= self._membership.alive:
-            if time.monotonic() - change.requested > CHANGE_TIMEOUT_S:
+            if time.monotonic() - change.requested_at > CHANGE_TIMEOUT_S:
                 self._waiting.popleft().reply(error=f"{', '.join(change.join)} is not there")
             return False
         self._change = self._waiting.popleft()
-        change.begun = time.monotonic()
+        change.started_at = time.monotonic()
         self._membership.expected |= change.join
-        self._epoch(WiringUpdate(change.wiring, False, change.leave))
+        self._announce(WiringUpdate(change.wiring, False, change.leave))
         return True
 
-    def _call_off(self, change: Change, why: str) -> bool:
-        """Call off a change before any node has switched: the wiring stays as it was."""
+    def _cancel(self, change: Change, reason: str) -> bool:
+        """Cancel a change before any node has switched: the wiring remains unchanged."""
         for name in change.join:
             self._membership.expected.pop(name, None)
         self._change = None
-        self._epoch(WiringUpdate(self._follower.wiring, True))
-        change.reply(error=why)
+        self._announce(WiringUpdate(self._follower.wiring, True))
+        change.reply(error=reason)
         return False
 
-    def _epoch(self, update: WiringUpdate) -> None:
+    def _announce(self, update: WiringUpdate) -> None:
+        """Begin an epoch with this update."""
         self.update = update
-        self._since = time.monotonic()
+        self._epoch_began = time.monotonic()
         self._pacer.rewire(update.wiring)
         self._begin_epoch()
 

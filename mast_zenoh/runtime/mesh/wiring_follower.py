@@ -1,4 +1,4 @@
-"""One node's part in a change of the wiring of a running mesh; `wiring_coordinator` tells how a change goes."""
+"""A node's part in a change of the wiring, which `wiring_coordinator` describes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from mast_zenoh.wiring.model import Ports, Wiring
 
 
 class WiringFollower:
-    """Does what epochs say of the wiring: subscribes to new keys, and moves outlets to theirs.
+    """Applies the wiring updates of epochs: subscribes to new keys, and moves outlets.
 
-    ports:  of the node when it was started;  drains: the queries of other nodes, which depend on the wiring too
-    subscribe: has the messages of a key come to this node
-    ask:    asks a node whether it has passed on what came on a key from an outlet; the answer is an event, see `resume`
-    report: tells the driver what this node has sent and handled
+    ports:  of the node when it was started;  drains: answers other nodes' queries, which depend on the wiring too
+    subscribe: subscribes this node to a key
+    ask:    asks a node whether it has forwarded an outlet's messages on a key; the answer is an event, see `resume`
+    report: sends the driver this node's counts
     """
 
     def __init__(
@@ -46,12 +46,12 @@ class WiringFollower:
         self._subscribe = subscribe
         self._ask = ask
         self._report = report
-        self._next: dict[str, tuple[str, zenoh.Publisher]] = {}  # by outlet: its next key and publisher
-        self._draining: dict[str, float] = {}  # outlets that hold back, since when
+        self._next: dict[str, tuple[str, zenoh.Publisher]] = {}  # next key and publisher, by outlet
+        self._draining: dict[str, float] = {}  # when each outlet began to hold messages back
 
     @property
     def wiring(self) -> Wiring:
-        """The wiring that the node follows now."""
+        """The node's current wiring."""
         return self._drains.wiring
 
     @property
@@ -60,7 +60,7 @@ class WiringFollower:
         return bool(self._draining)
 
     def follow(self, update: WiringUpdate) -> None:
-        """Do what an epoch says."""
+        """Apply the update of an epoch."""
         self._prepare(update.wiring)
         leaving = self._name in update.leaving
         self._drains.enter_epoch(leaving=leaving)
@@ -69,25 +69,25 @@ class WiringFollower:
         if update.active:
             self._switch(update)
 
-    def resume(self, outlet_key: str, between: str, answered: bool) -> None:
-        """Go on with an outlet: the node in between has passed on everything, or does not answer."""
+    def resume(self, outlet_key: str, interposer: str, answered: bool) -> None:
+        """Release an outlet: the interposer has forwarded everything, or does not answer."""
         held_s = time.monotonic() - self._draining.pop(outlet_key)
         kept = self._move(outlet_key)
         if answered:
-            self._host.log.info("%d messages waited %.1f ms for %s", kept, held_s * 1e3, between)
+            self._host.log.info("%d messages waited %.1f ms for %s", kept, held_s * 1e3, interposer)
         else:
             self._host.log.warning(
-                "%s has not said within %.1f s that it has passed on what it got: that may be lost; %d messages waited",
-                *(between, held_s, kept),
+                "%s has not confirmed within %.1f s that it forwarded everything: messages may be lost; %d waited",
+                *(interposer, held_s, kept),
             )
         self._report()
 
     def _prepare(self, wiring: Wiring) -> None:
-        """Subscribe to what is new, and declare what is to be published on other keys than now."""
+        """Subscribe to new keys, and declare publishers for keys that change."""
         ports = wiring.ports(self._name)
-        for key, heard in ports.inputs.items():
+        for key, port_input in ports.inputs.items():
             if key not in self._host.hears:
-                self._host.hear(key, heard)
+                self._host.add_input(key, port_input)
                 self._subscribe(key)
         types = {leg.key: wire.message for wire, leg in wiring.legs()}
         new = []
@@ -95,7 +95,7 @@ class WiringFollower:
             outlet, key = self._outlets[outlet_key], ports.outputs.get(end, "")
             if outlet_key in self._draining or key == self._next.get(outlet_key, (outlet.key,))[0]:
                 continue
-            if outlet_key in self._next:  # a change that was called off
+            if outlet_key in self._next:  # of a cancelled change
                 self._next.pop(outlet_key)[1].undeclare()
             if key not in ("", outlet.key):
                 self._next[outlet_key] = key, self._outlets.declare_publisher(key, types[key])
@@ -104,17 +104,17 @@ class WiringFollower:
             self._outlets.await_subscribers(new)
 
     def _switch(self, update: WiringUpdate) -> None:
-        """Publish on the new keys: at once, or when the node in between has passed on what it got."""
+        """Publish on the new keys, now or after the interposer has forwarded everything."""
         taps = {} if self._lockstep else taps_into(self.wiring, update.leaving)
         for outlet_key in [key for key in self._next if key not in self._draining]:
             outlet = self._outlets[outlet_key]
-            between = taps.get(outlet.key)
-            if between is None:
+            interposer = taps.get(outlet.key)
+            if interposer is None:
                 self._move(outlet_key)
             else:
                 outlet.hold_back()
                 self._draining[outlet_key] = time.monotonic()
-                self._ask(between, outlet.key, outlet_key)
+                self._ask(interposer, outlet.key, outlet_key)
         self._drains.wiring = update.wiring
 
     def _move(self, outlet_key: str) -> int:

@@ -109,7 +109,7 @@ def _wrong_message(value: Any, random: Random) -> bytes:
 
 def _not_utf8(value: Any, random: Random) -> bytes:
     altered = _with_part(value, "\udcff\udcfe", random)
-    return bytes(msgpack.packb(altered, default=results._encode, unicode_errors="surrogateescape"))
+    return bytes(msgpack.packb(altered, default=results.encode_extension, unicode_errors="surrogateescape"))
 
 
 def _wrong_type(value: Any, random: Random) -> bytes:

@@ -27,7 +27,7 @@ def pacer() -> Pacer:
     return made
 
 
-def test_it_is_not_quiet_until_everyone_has_reported() -> None:
+def test_the_mesh_is_not_quiet_until_all_nodes_have_reported() -> None:
     made = pacer()
     made.report("simulator", 1, {}, {})
     made.report("agent", 1, {}, {})
@@ -37,7 +37,7 @@ def test_it_is_not_quiet_until_everyone_has_reported() -> None:
     assert made.quiet()
 
 
-def test_a_message_under_way_is_not_quiet_whoever_reports_first() -> None:
+def test_with_a_message_in_transit_the_mesh_is_not_quiet_in_any_order_of_reports() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("broker", 1, {}, {"clock": 1})
@@ -48,7 +48,7 @@ def test_a_message_under_way_is_not_quiet_whoever_reports_first() -> None:
     assert made.quiet()
 
 
-def test_reports_of_another_epoch_or_of_strangers_say_nothing() -> None:
+def test_reports_of_another_epoch_or_of_non_members_are_ignored() -> None:
     made = pacer()
     made.begin_epoch(MEMBERS)
     for name in MEMBERS:
@@ -57,7 +57,7 @@ def test_reports_of_another_epoch_or_of_strangers_say_nothing() -> None:
     assert made.silent == set(MEMBERS)
 
 
-def test_the_dead_are_not_waited_for() -> None:
+def test_dead_nodes_are_not_waited_for() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("broker", 1, {}, {"clock": 1})
@@ -65,32 +65,32 @@ def test_the_dead_are_not_waited_for() -> None:
     assert made.quiet()
 
 
-def test_who_only_listens_is_waited_for_only_when_everyone_is() -> None:
+def test_listeners_are_waited_for_only_on_request() -> None:
     made = Pacer(WIRING)
     made.begin_epoch({**MEMBERS, "evaluator": "evaluator"})
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("agent", 1, {}, {"clock": 1})
     made.report("broker", 1, {"collated": 1}, {"clock": 1})
     assert made.quiet()
-    assert not made.quiet(everyone=True)
+    assert not made.quiet(include_listeners=True)
     made.report("evaluator", 1, {}, {"clock": 1, "collated": 1})
-    assert made.quiet(everyone=True)
+    assert made.quiet(include_listeners=True)
 
 
-def test_a_key_on_which_a_node_does_not_speak_or_that_it_does_not_hear_is_refused_and_named() -> None:
+def test_a_key_that_a_node_neither_publishes_nor_receives_is_refused_and_named() -> None:
     made = pacer()
     assert made.report("agent", 1, {"tracks": 1}, {"clock": 1}) == ""
     said = made.report("agent", 1, {"collated": 1}, {})
-    assert said == "agent reports messages sent on 'collated', on which it does not speak"
+    assert said == "agent reports messages sent on 'collated', which it does not publish on"
     said = made.report("agent", 1, {}, {"tracks": 1})
-    assert said == "agent reports messages handled on 'tracks', which it does not hear"
+    assert said == "agent reports messages handled on 'tracks', which it does not receive"
     assert made.report("stranger", 1, {"tracks": 1}, {}) == "", "who is no member says nothing"
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("broker", 1, {}, {"clock": 1, "tracks": 1})
     assert made.quiet(), "what was refused changes nothing"
 
 
-def test_what_was_heard_in_the_wiring_before_may_still_be_reported() -> None:
+def test_messages_of_the_previous_wiring_may_still_be_reported() -> None:
     made = pacer()
     made.rewire(Wiring(WIRING.wires[:1]))
     made.begin_epoch(MEMBERS)
@@ -98,18 +98,18 @@ def test_what_was_heard_in_the_wiring_before_may_still_be_reported() -> None:
     assert made.report("broker", 2, {}, {"tracks": 1}) == ""
 
 
-def test_who_has_handled_more_than_was_sent_is_named() -> None:
+def test_a_node_that_has_handled_more_than_was_sent_is_named() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 3}, {})
     made.report("agent", 1, {"tracks": 3}, {"clock": 3})
     made.report("broker", 1, {"collated": 3}, {"clock": 3, "tracks": 10**9})
     assert not made.quiet()
     assert made.implausible() == (
-        "agent reports 3 messages sent on tracks, broker 1000000000 handled: one of the two does not tell the truth"
+        "agent reports 3 messages sent on tracks, broker 1000000000 handled: one of the two reports is false"
     )
 
 
-def test_who_has_handled_more_of_the_drivers_messages_than_were_sent_is_the_one_that_is_named() -> None:
+def test_a_node_that_has_handled_more_than_the_driver_sent_is_the_one_that_is_named() -> None:
     made = Pacer(Wiring((*WIRING.wires[1:], wire("clock", "simulator", "agent"))))
     made.begin_epoch(MEMBERS)
     made.report("simulator", 1, {"clock": 3}, {})
@@ -118,7 +118,7 @@ def test_who_has_handled_more_of_the_drivers_messages_than_were_sent_is_the_one_
     assert made.implausible() == "agent reports 4 messages of simulator handled on clock, of which 3 were sent"
 
 
-def test_a_publisher_that_is_still_busy_has_not_reported_what_it_sent_and_nobody_is_accused() -> None:
+def test_the_count_of_a_busy_publisher_is_not_final_and_no_node_is_accused() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 1}, {})
     made.report("agent", 1, {}, {})
@@ -127,7 +127,7 @@ def test_a_publisher_that_is_still_busy_has_not_reported_what_it_sent_and_nobody
     assert made.implausible() == ""
 
 
-def test_a_publisher_that_reports_too_little_is_named_by_all_who_hear_it() -> None:
+def test_a_publisher_that_reports_too_few_messages_is_named() -> None:
     made = Pacer(WIRING)
     made.begin_epoch({**MEMBERS, "evaluator": "evaluator"})
     made.report("simulator", 1, {"clock": 0}, {})
@@ -138,7 +138,7 @@ def test_a_publisher_that_reports_too_little_is_named_by_all_who_hear_it() -> No
     assert made.implausible().startswith("agent reports 2 messages of simulator handled on clock, of which 0 were sent")
 
 
-def test_whatever_reports_of_a_sound_mesh_are_still_missing_nobody_is_accused() -> None:
+def test_missing_reports_of_a_correct_mesh_accuse_no_node() -> None:
     """Of three frames, each node's newest report that has come is of any; the driver's own count is that of now."""
     made = pacer()
     made.report("simulator", 1, {"clock": 3}, {})
@@ -159,13 +159,13 @@ def test_a_node_behind_a_busy_one_may_have_more_to_report_than_it_has_yet() -> N
     made.report("evaluator", 1, {}, {"clock": 2, "collated": 2})
     assert made.implausible() == "", "the broker may have handled what the agent has sent since"
     made.report("agent", 1, {"tracks": 1}, {"clock": 2})
-    assert made.implausible() != "", "now nobody is busy: one of the two does not tell the truth"
+    assert made.implausible() != "", "now nobody is busy: one of the two reports is false"
 
 
-def test_who_reports_more_than_all_others_have_heard_is_named_first() -> None:
+def test_a_node_that_reports_more_than_all_others_have_handled_is_named_first() -> None:
     made = pacer()
     made.report("simulator", 1, {"clock": 2}, {})
     made.report("agent", 1, {}, {"clock": 1})
     made.report("broker", 1, {}, {"clock": 1})
-    said = "simulator reports 2 messages sent on clock, of which all who hear it have handled 1 (agent, broker)"
+    said = "simulator reports 2 messages sent on clock, of which all its subscribers have handled 1 (agent, broker)"
     assert list(made.unsettled()) == [said]

@@ -39,7 +39,7 @@ def driver() -> Driver:
     return Driver()
 
 
-def test_a_node_that_is_gone_and_back_before_the_driver_looks_was_lost_and_came_back(driver: Driver) -> None:
+def test_a_node_that_goes_and_returns_before_the_driver_notices_was_lost_and_came_back(driver: Driver) -> None:
     driver.token(False, True)
     driver.take(1)
     assert "a" not in driver.membership.alive, "a new epoch can begin without it"
@@ -48,7 +48,7 @@ def test_a_node_that_is_gone_and_back_before_the_driver_looks_was_lost_and_came_
     assert driver.membership.alive == {"driver", "a"}
 
 
-def test_a_node_that_goes_again_before_the_driver_sees_it_back_is_not_lost_twice_in_a_row(driver: Driver) -> None:
+def test_a_node_that_goes_again_before_the_driver_notices_its_return_is_not_lost_twice_in_a_row(driver: Driver) -> None:
     driver.token(False, True)
     driver.take(1)
     driver.token(False)
@@ -57,14 +57,14 @@ def test_a_node_that_goes_again_before_the_driver_sees_it_back_is_not_lost_twice
     assert driver.events == []
 
 
-def test_a_node_whose_end_the_scenario_wants_is_not_lost(driver: Driver) -> None:
+def test_a_node_that_the_scenario_ends_is_not_lost(driver: Driver) -> None:
     driver.membership.leaving.add("a")
     driver.token(False)
     assert driver.take(1) == ""
     assert driver.churn == []
 
 
-def test_a_node_that_comes_and_goes_all_the_time_ends_the_run_by_name(driver: Driver) -> None:
+def test_a_node_that_constantly_goes_and_returns_ends_the_run_and_is_named(driver: Driver) -> None:
     reasons = []
     for _ in range(MAX_LOSSES + 1):
         driver.token(False)
