@@ -1,4 +1,6 @@
-"""Tables, figures and pages of a run, or of several compared. See docs/report.md and docs/studies.md.
+"""Tables, figures and pages of one run or of compared runs.
+
+See docs/report.md and docs/studies.md.
 
 runfolder, files   contents of a run folder
 comparison         the reference run of a comparison

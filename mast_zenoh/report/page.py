@@ -13,7 +13,10 @@ from mast_zenoh.version import __version__
 
 
 def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
-    """Write `report.html` into a folder, which is created if missing; returns its path."""
+    """Write `report.html` into a folder and return its path.
+
+    Creates the folder if it is missing.
+    """
     page = environment().get_template(template).render(content, version=__version__)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.html"

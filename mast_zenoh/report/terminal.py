@@ -21,8 +21,9 @@ from mast_zenoh.report.tables.scores import as_rich, score_table
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
-    """Print the results of run folders by label; the reference is `baseline`, or else the first.
+    """Print the results of run folders by label.
 
+    The reference is `baseline`, or else the first.
     A run without a readable metrics.json gets dashes. Runs with links or faults also get the causes of their errors;
     runs with checks get the outcome of every check.
     """
@@ -35,7 +36,7 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
 
 
 def show_run(console: Console, run_folder: Path, against: Path | None = None) -> None:
-    """Print the results of one run and its largest change, over a reference run if given.
+    """Print one run's results and its largest change, over a reference if given.
 
     Raises NotComparable if the two cannot be compared.
     """

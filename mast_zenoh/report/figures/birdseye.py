@@ -41,7 +41,10 @@ _HALO = [patheffects.withStroke(linewidth=2.5, foreground=GROUND)]
 
 
 def draw_birdseye(axes: Axes, view: FrameView, estimator: str, window: tuple[float, float, float]) -> None:
-    """Draw one estimator's boxes (one of `view.PANELS`) of a frame; `window` as from `view.window`, m."""
+    """Draw the boxes of one estimator in a frame.
+
+    estimator: one of `view.PANELS`; window: as from `view.window`, m
+    """
     x, y, half = window
     dark_axes(axes)
     axes.set_xlim(x - half, x + half)
@@ -142,7 +145,9 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
 def _free_side(
     occupied: list[tuple[float, float, float, float]], at: Floats, letters: int, half: float, preferred: Bools
 ) -> tuple[bool, bool]:
-    """(right, above): the side of a position for a label without overlap, `preferred` if free.
+    """(right, above): the side of a position where a label does not overlap others.
+
+    preferred: used if free
 
     occupied: boxes of earlier labels (left, right, bottom, top), m; the new one is appended
     """
@@ -159,7 +164,7 @@ def _free_side(
 
 
 def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:
-    """Legend handles for `views`: all outcomes, and agents and attacks if there are any."""
+    """Legend handles for `views`: all outcomes, and agents and attacks if present."""
     handles: list[Artist] = []
     for outcome in ("truth matched", "track matched", "truth missed", "track false", "unevaluated"):
         if outcome == "unevaluated" and not any(len(of[outcome]) for v in views for of in v.boxes.values()):

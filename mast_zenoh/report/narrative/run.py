@@ -20,7 +20,7 @@ from mast_zenoh.report.tables.scores import ScoreTable
 
 
 def headline(run: RunFolder, reference: Reference | None = None) -> str:
-    """One sentence without a full stop on a run: its failure, or else its largest change.
+    """A sentence without a full stop on a run's failure or else its largest change.
 
     reference: the run that it is compared with; None: uses its own measurements
     """
@@ -28,7 +28,7 @@ def headline(run: RunFolder, reference: Reference | None = None) -> str:
 
 
 def result(run: RunFolder, reference: Reference | None = None) -> str:
-    """The largest change of any kind, and its cause, in one sentence without a full stop.
+    """The largest change and its cause, in a sentence without a full stop.
 
     It begins with the reference if that failed.
     """
@@ -56,7 +56,7 @@ def _result(run: RunFolder, reference: Reference | None) -> str:
 
 
 def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
-    """The effect of a change of the picture in transit on its use; empty for other changes."""
+    """The effect of a change of the picture in transit on its use; empty for others."""
     if change.estimate not in changes.IN_TRANSIT or change.agent != run.ego:
         return ""
     all_changes = changes.attributed(run) if reference is None else changes.against(run, reference.run)
@@ -215,7 +215,7 @@ def _blame(run: RunFolder) -> list[str]:
 
 
 def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
-    """One sentence without a full stop on several runs: the largest change over the reference."""
+    """A sentence without a full stop on the largest change over the reference."""
     failed = [label for label, run in runs.items() if status(run)]
     if failed:
         return capital(f"{join_names(failed)} did not end well: the numbers may be wrong")
@@ -229,7 +229,10 @@ def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
 
 
 def _changes(runs: Mapping[str, RunFolder], table: ScoreTable) -> dict[str, Change]:
-    """The largest change of each run over the reference; runs without changes are omitted."""
+    """The largest change of each run over the reference.
+
+    Runs without changes are omitted.
+    """
     if table.reference is None:
         return {}
     others = {label: run for label, run in runs.items() if label != table.reference}

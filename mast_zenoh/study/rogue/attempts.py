@@ -69,12 +69,18 @@ class Attempt(ABC):
 
     @property
     def key(self) -> str:
-        """The key of its forged messages, by which they are counted, so unique among attempts; or ""."""
+        """The key of its forged messages, or "".
+
+        Messages are counted by key, so it is unique among attempts.
+        """
         return ""
 
     @abstractmethod
     def make(self, attacked_run: AttackedRun) -> Outcome:
-        """Carry out the attempt and return its immediate effects; `reached` is counted after the run."""
+        """Carry out the attempt and return its immediate effects.
+
+        `reached` is counted after the run.
+        """
 
 
 class Inject(Attempt):
@@ -162,7 +168,7 @@ class AskRouter(Attempt):
 
 
 class RogueRouter(Attempt):
-    """Redirect a node's connection to a rogue router, which is a client of the real one.
+    """Redirect a node's connection to a rogue router, itself a client of the real one.
 
     node: the redirected node; wire: key of messages forged for it; shows: credentials of the rogue router
     """
@@ -205,7 +211,10 @@ class RogueRouter(Attempt):
         return outcome
 
     def _settings(self, attacked_run: AttackedRun) -> dict[str, Any]:
-        """Settings of a router that forwards to the real one, with the outsider's best certificate."""
+        """Settings of a rogue router, with the outsider's best certificate.
+
+        It forwards to the real router.
+        """
         upstream = {
             "connect/endpoints": [attacked_run.endpoint],
             "connect/exit_on_failure": False,
