@@ -31,6 +31,8 @@ def scenario(
     agents = agents_of(calm["scene"])
     return calm | dict(
         name="chaos",
-        faults=random_schedule(chaos_seed, duration_s, agents, servers=servers, settle_s=settle_s, most=most_faults),
+        faults=random_schedule(
+            chaos_seed, duration_s, agents, servers=servers, settle_s=settle_s, max_faults=most_faults
+        ),
         run=dict(mode="lockstep", seed=0, frames=round(duration_s * 10.0)),
     )

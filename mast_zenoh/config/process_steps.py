@@ -11,7 +11,7 @@ ACTIONS = ("kill", "leave", "start", "pause", "resume", "disconnect", "connect")
 #: Actions for real time only: in lock-step, the run waits for every node.
 REALTIME = ("pause", "resume", "disconnect", "connect")
 
-#: Actions that last until another one ends them, and that other one.
+#: Actions that last until another one ends them, with that other action.
 UNDONE_BY = {"pause": "resume", "disconnect": "connect"}
 
 

@@ -29,7 +29,10 @@ def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
 
 
 def checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
-    """The scenario itself; raises ConfigurationError for an unknown key or a value that is not a dict."""
+    """Return a valid scenario.
+
+    Raises ConfigurationError for an unknown key or a value that is not a dict.
+    """
     for key, value in scenario.items():
         if key not in KEYS:
             raise ConfigurationError(f"{place}: {key}: unknown key{nearest(str(key), KEYS)}")

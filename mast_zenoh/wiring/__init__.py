@@ -1,1 +1,4 @@
-"""Publishers and subscribers of every key: maps, rewrites, and the resulting model. Pure functions."""
+"""Publishers and subscribers of every key: maps, rewrites, the resulting model.
+
+Pure functions.
+"""

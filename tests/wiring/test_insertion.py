@@ -137,7 +137,7 @@ def test_removing_a_publisher_removes_its_wires_and_removing_a_listener_its_inpu
     assert [found.key for found in without.wires] == ["clock", "b/out"]
     assert without.overhearers == ()
     assert all(
-        end.node not in ("a", "d") for key in without.wires for end in (*key.subscribers, *key.hearers(key.legs[-1]))
+        end.node not in ("a", "d") for key in without.wires for end in (*key.subscribers, *key.receivers(key.legs[-1]))
     )
 
 

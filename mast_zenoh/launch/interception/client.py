@@ -26,7 +26,7 @@ from mast_zenoh.launch import liveness
 from mast_zenoh.launch.interception.server import SECRET_FILE, seal
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh.session import open_client
-from mast_zenoh.scenario.nodes import inform, node_spec
+from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.insertion import Place, insert
@@ -58,7 +58,7 @@ def intercept(
     record = _running(run)
     resolved = Resolved.read(run)
     node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
-    inform({node: spec}, Recording.load(run / RECORDING))
+    add_surroundings({node: spec}, Recording.load(run / RECORDING))
     told = {"file": spec.file, "type": spec.type, "role": spec.role, "config": spec.config, "on_exit": spec.on_exit}
     return _ask(run, record, {"do": "intercept", "name": node, "spec": told, "place": place_json(place)})
 
