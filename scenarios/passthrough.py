@@ -1,4 +1,7 @@
-"""An interposer on every agent's wires that changes nothing: measures its cost, and proves that it leaves no trace."""
+"""An interposer on every agent's wires that changes nothing, to measure its cost.
+
+It also proves that interposers leave no trace.
+"""
 
 from baseline import scenario as baseline
 

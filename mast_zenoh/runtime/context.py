@@ -77,7 +77,7 @@ class NodeContext:
         self.time_ns = 0
         self.log = logging.getLogger(f"mast.{name}")
         self._hears = dict(ports.inputs)
-        self.hears: Mapping[str, Input] = self._hears
+        self.subscriptions: Mapping[str, Input] = self._hears
         self.sent: Counter[str] = Counter()
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.first_rejected: dict[str, tuple[int, str]] = {}

@@ -111,7 +111,7 @@ class Host(NodeContext):
 
         `counted`: it was sent by a node of this run, so that lock-step waits until it is handled.
         """
-        hears = self.hears.get(key)
+        hears = self.subscriptions.get(key)
         if hears is None:
             return
         if self._overhears:

@@ -85,7 +85,7 @@ class Study:
 
 
 def load(name: str, settings: Sequence[str] = ()) -> Study:
-    """Load a study from a file or by its name, with `--set` settings of its parameters.
+    """Load a study from a file or by its name, with `--set` settings.
 
     Raises ConfigurationError, which names the file, the key, the value found and the value expected.
     """

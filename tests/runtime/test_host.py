@@ -525,7 +525,7 @@ def test_a_node_that_hears_every_key_gets_the_bytes_and_the_header_at_once() -> 
     ]
     assert host.handled == {"agent/a/tracks": 1, "clock": 1}
     assert (host.frame, host.time_ns) == (2, 2 * 10**8), "it knows how far the run is"
-    assert set(host.hears) == (CLOCK | TRACKS).keys()
+    assert set(host.subscriptions) == (CLOCK | TRACKS).keys()
 
 
 def test_it_gets_what_is_malformed_and_is_told_what_is_wrong_when_it_looks() -> None:

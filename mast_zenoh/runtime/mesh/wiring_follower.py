@@ -86,7 +86,7 @@ class WiringFollower:
         """Subscribe to what is new, and declare what is to be published on other keys than now."""
         ports = wiring.ports(self._name)
         for key, heard in ports.inputs.items():
-            if key not in self._host.hears:
+            if key not in self._host.subscriptions:
                 self._host.hear(key, heard)
                 self._subscribe(key)
         types = {leg.key: wire.message for wire, leg in wiring.legs()}
