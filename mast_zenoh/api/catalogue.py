@@ -24,11 +24,11 @@ from mast_zenoh.report.tables.scores import MEASURES
 #: By kind: a heading for each base class whose subclasses `type=…` can name.
 _BASES: Mapping[str, Mapping[str, type]] = {
     "attacks": {
-        "attacks, of an adversary": attacks.Attack,
-        "coordination, of a coordinator": attacks.Coordination,
+        "attacks by an adversary": attacks.Attack,
+        "coordination of several adversaries": attacks.Coordination,
         "selections: what to insert, hide and move": attacks.Selection,
-        "propagations: how false objects move": attacks.Propagation,
-        "imitations: how false objects look": attacks.Imitation,
+        "propagations: motion of false objects": attacks.Propagation,
+        "imitations: appearance of false objects": attacks.Imitation,
     },
     "trackers": {
         "pipelines of agents": AgentPipeline,
@@ -36,21 +36,21 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "assignments: assigns measurements to tracks": tracking.Assignment,
     },
     "fusion": {
-        "mission estimators: what an agent makes of its tracks and the picture": MissionEstimator,
+        "mission estimators: combine an agent's tracks with the picture": MissionEstimator,
         "pipelines of the command centre": Pipeline,
-        "clusterers: which tracks are one object": fusion.Clusterer,
-        "fusions: one state of a cluster": fusion.Fusion,
+        "clusterers: group tracks of one object": fusion.Clusterer,
+        "fusions: fuse a cluster into one state": fusion.Fusion,
         "group trackers: clusters over time": fusion.GroupTracker,
     },
     "scenes": {
-        "scenes: where the truth comes from": scenes.Scene,
-        "detectors: detections of what a lidar sees": sensing.Detector,
+        "scenes: ground truth": scenes.Scene,
+        "detectors: detections from lidar visibility": sensing.Detector,
     },
-    "links": {"rules: what a link does to messages": links.Rule},
+    "links": {"rules: effects of a link on messages": links.Rule},
     "faults": {"faults of nodes and of their messages": Fault},
     "metrics": {
-        "further metrics, named in evaluator=dict(metrics=[…])": metrics.Metric,
-        "assigners: which track is which object": metrics.Assigner,
+        "optional metrics, listed in evaluator=dict(metrics=[…])": metrics.Metric,
+        "assigners: match tracks to true objects": metrics.Assigner,
     },
 }
 #: Kinds that are files, by the name of the function that each file defines.
@@ -201,7 +201,7 @@ def _special(kind: str) -> Iterator[Entry]:
         for name, ways in links.PROFILES.items():
             rules = ", then ".join(_rule(rule) for rule in ways["up"]) or "no rule"
             both = "up and down" if ways["up"] == ways["down"] else "up"
-            yield Entry(name, "profiles, of an agent's link", f"{both}: {rules}")
+            yield Entry(name, "profiles of an agent's link", f"{both}: {rules}")
     if kind == "faults":
         for name, (required, optional) in HOST_FAULTS.items():
             names_and_defaults = [("at", ""), ("hosts", ""), *((parameter, "") for parameter in required)]

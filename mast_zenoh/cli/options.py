@@ -113,7 +113,7 @@ def reporting(folder: Path, command: str = "report") -> Iterator[None]:
 
     Raises RunFolderError for results that cannot be reported: a user's evaluator may return anything.
     """
-    hint = f"the results in {folder} are complete but for the report: `mast {command} {folder}` writes it"
+    hint = f"the results in {folder} are complete except for the report: `mast {command} {folder}` writes it"
     try:
         yield
     except (KeyboardInterrupt, OSError) as exception:

@@ -75,7 +75,7 @@ def check_texts(schema: str, column: Column, texts: Sequence[object] | NDArray[A
 def check_values(schema: str, column: Column, array: NDArray[Any]) -> None:
     """Check values: finite and plausible numbers, quaternions not zero, valid indices."""
     if column.dtype == "float64":
-        # The sum of squares is not finite if one value is not, and too large if one is absurd: one pass, no temporary.
+        # One pass without temporaries: the sum of squares is not finite, or too large, if any value is.
         # The mean is limited, not the sum, so that a message collated from many valid ones is valid.
         flat = array.reshape(-1)
         squares = np.vdot(flat, flat)

@@ -7,7 +7,8 @@ comparison         the reference run of a comparison
 figures/           the pictures and charts of runs and of studies
 tables/            rows and cells, for every output
 narrative/         results in words
-html, study_page   the pages, which page renders from templates/;  faulted: tables for links, faults, wall clock
+html, study_page   the pages, which page renders from templates/
+fault_tables       tables for links, faults and the wall clock
 terminal           results on the terminal
 study_facts        configurations, seeds and failed trials of a study
 """

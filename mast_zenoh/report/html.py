@@ -15,7 +15,7 @@ import numpy as np
 from mast_zenoh.control import failures
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.faulted import CAUSE_GROUPS, cause_rows, check_rows, late_rows, latency_rows
+from mast_zenoh.report.fault_tables import CAUSE_GROUPS, cause_rows, check_rows, late_rows, latency_rows
 from mast_zenoh.report.figures.catalogue import frame_choice, run_figures, study_figures
 from mast_zenoh.report.figures.view import (
     PANELS,

@@ -14,7 +14,7 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.report import files
-from mast_zenoh.report.faulted import with_faults
+from mast_zenoh.report.fault_tables import with_faults
 from mast_zenoh.report.files import Reader, Table, rows
 from mast_zenoh.scenes.recording import Recording
 

@@ -10,7 +10,7 @@ from rich.markup import escape
 
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.faulted import cause_table, check_lines
+from mast_zenoh.report.fault_tables import cause_table, check_lines
 from mast_zenoh.report.narrative.circumstances import reference_status, status
 from mast_zenoh.report.narrative.explanations import explanations
 from mast_zenoh.report.narrative.phrases import effects, plural

@@ -7,7 +7,7 @@ import re
 from mast_zenoh.errors import ConfigurationError
 
 _MAX = 100
-#: Path separators, special characters of key expressions, control characters, and surrogates (bytes that are no text).
+#: Path separators, special characters of key expressions, control characters, and surrogates (bytes that are not text).
 _REFUSED = re.compile(r"[/\\*#?$\x00-\x1f\x7f\ud800-\udfff]")
 
 

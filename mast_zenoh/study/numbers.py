@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from mast_zenoh.metrics import CAUSES
 
 NAN = float("nan")
-#: The estimator of numbers that tell what an adversary achieved.
+#: The estimator of an adversary's achievements.
 ACHIEVED = "achieved"
-#: Prefix of the metrics that tell what an estimate would mean for driving.
+#: Prefix of metrics of an estimate's consequences for driving.
 DRIVING = "driving"
 #: s; a trial with a smaller minimum time to collision is critical: van der Horst (1990), see `braking.TimeToCollision`.
 CRITICAL_S = 1.5

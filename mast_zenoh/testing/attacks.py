@@ -22,7 +22,7 @@ def check_attack(attack: Attack) -> None:
 
     It must fulfil what the documentation of `Attack` promises.
 
-    attack: as newly made; it is copied, and not changed
+    attack: a new instance; it is copied, and not changed
     Raises AssertionError.
     """
     for n in samples.COUNTS:

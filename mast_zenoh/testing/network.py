@@ -21,7 +21,7 @@ def check_link_rule(rule: Rule) -> None:
 
     It must fulfil what the documentation of `Rule` promises.
 
-    rule: as newly made; it is copied, and not changed
+    rule: a new instance; it is copied, and not changed
     Raises AssertionError.
     """
     subject = type(rule).__name__

@@ -23,7 +23,7 @@ def check_tracker(tracker: Tracker) -> None:
 
     It must fulfil what the documentation of `Tracker` promises.
 
-    tracker: as newly made; it is copied, and not changed
+    tracker: a new instance; it is copied, and not changed
     Raises AssertionError.
     """
     subject = type(tracker).__name__
@@ -58,7 +58,7 @@ def _check_tracks(tracker: Tracker, subject: str, method: str, sample: Callable[
         results.append(copy.deepcopy(tracks))
     straight.reset()
     for frame, before in enumerate(results):
-        text = f"{subject}: after `reset` it is not as newly made"
+        text = f"{subject}: after `reset` it differs from a new instance"
         try:
             after = getattr(straight, method)(frame * samples.PERIOD_NS, sample(n, frame))
         except ValueError as error:

@@ -80,7 +80,7 @@ def remove(wiring: Wiring, node: str) -> Wiring:
     interposers_of = {wire.key: wire.interposers for wire in wiring.wires if wire.interposers}
     if not any(node in interposers for interposers in interposers_of.values()):
         known = {name for interposers in interposers_of.values() for name in interposers}
-        raise WiringError(f"no node {node!r} sits on a wire{nearest(node, known) if known else ''}")
+        raise WiringError(f"no node {node!r} is on a wire{nearest(node, known) if known else ''}")
     return replace(
         wiring, wires=tuple(_without(wire, node) for wire in wiring.wires if wire.legs[0].publisher.node != node)
     )

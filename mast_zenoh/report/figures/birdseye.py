@@ -123,7 +123,7 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
             axes.add_patch(wedge)
         marker, face = ("^", colour) if agent.kind == "static" else ("o", "none")
         axes.plot(position[0], position[1], marker, ms=9, mfc=face, mec=colour, mew=1.5, zorder=5)
-        # The name goes behind the agent, where its wedge and the traffic that it watches are not.
+        # The name goes behind the agent, away from its wedge and the observed traffic.
         behind = -np.array([np.cos(turn), np.sin(turn)])
         inside = np.abs(position[:2] + behind * 0.25 * half - [x, y]) < half
         side = _free_side(occupied, position, len(agent.name), half, np.where(inside, behind, -behind) > 0)

@@ -21,7 +21,7 @@ _NEAR = 0.5
 _SELF = 2.5
 _SKY, _ROAD, _LINE = "#1a2230", GROUND, "#242d39"
 
-#: Edges of a box between the corners that `geometry.box_corners` gives.
+#: Edges of a box between the corners of `geometry.box_corners`.
 _EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 #: The strip of the image that is shown, as fractions of its height: without sky and bonnet.
 STRIP = (0.28, 0.72)

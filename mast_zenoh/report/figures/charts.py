@@ -28,7 +28,7 @@ _LABELS = {
     "ospa_m": "OSPA (m)",
     "gospa_m": "GOSPA (m)",
 }
-#: Those that the report shows.
+#: Columns that the report shows.
 REPORT_COLUMNS = ("fn", "fp", "rmse_m")
 _WHOLE = ("fn", "fp", "tp", "id_switches")
 _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)), "-", (0, (6, 1.5)))

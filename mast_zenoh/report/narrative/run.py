@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.faulted import check_rows
+from mast_zenoh.report.fault_tables import check_rows
 from mast_zenoh.report.narrative import changes, phrases
 from mast_zenoh.report.narrative.attack_period import attack_sentences, while_attacked
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
@@ -41,7 +41,7 @@ def _result(run: RunFolder, reference: Reference | None) -> str:
     if not picture:
         if run.metrics_damaged:
             return "No scores: metrics.json is damaged"
-        if run.metrics:  # of an evaluator of the user's own
+        if run.metrics:  # from a user-defined evaluator
             return "No scores: metrics.json holds none of the common picture"
         return "No scores: this run did not get as far as its evaluation"
     places, change = compromised(run), _largest(run, reference)
@@ -87,7 +87,7 @@ def _unchanged(run: RunFolder, places: str, reference: Reference | None) -> str:
     if active:
         did = "; ".join(f"{each.name}: {phrases.effects(each)}" for each in active)
         if reference is None:  # the effects may still matter through timing or other nodes
-            return f"Interposers changed messages ({did}); no error can be put down to them without --against twin"
+            return f"Interposers changed messages ({did}); no error can be attributed to them without --against twin"
         return f"Interposers changed messages ({did}), but {_same_scores(run, reference.run, reference.name)}"
     if places:
         unmeasured = any(each.effects is None for each in interposers(run))
@@ -163,7 +163,7 @@ def _other_changes(run: RunFolder, reference: Reference | None) -> list[str]:
         ]
         return [f"{capital(text)} {why}." for text, why in clauses]
     sentences = []
-    for cause, group in by_cause.items():  # the headline says why a cause is not named
+    for cause, group in by_cause.items():  # the headline explains missing causes
         text = join_names([more_or_less(each, run.ego) for each in group])
         sentences.append(f"{capital(text)} than {reference.name}{f', due to {join_names(cause)}' if cause else ''}.")
     return sentences

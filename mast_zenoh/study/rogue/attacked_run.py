@@ -32,7 +32,7 @@ from mast_zenoh.security.levels import client_settings, endpoint
 from mast_zenoh.study.rogue.detour import Detour
 from mast_zenoh.wiring.model import Wiring
 
-#: Credentials that an outsider may present besides those of a node: `shows` of an attempt.
+#: Values of an attempt's `shows`, besides names of nodes: the credentials that an outsider presents.
 NOTHING, FOREIGN, EXPIRED = "nothing", "foreign", "expired"
 
 OUTSIDER = "outsider"

@@ -60,7 +60,7 @@ class Attempt(ABC):
 
     #: the node whose connection to the router must pass through the outsider
     detour_node: str | None = None
-    #: whether the outcome depends on the credentials, on meshes that ask for them
+    #: whether the outcome depends on the credentials, on meshes that require them
     by_certificate: ClassVar[bool] = True
 
     def __init__(self, name: str, shows: str = NOTHING) -> None:
