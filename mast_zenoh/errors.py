@@ -38,10 +38,7 @@ from collections.abc import Iterable
 
 
 class MastError(Exception):
-    """Base of all errors that this package raises.
-
-    exit_code: the exit code of the command
-    """
+    """Base of all errors that this package raises."""
 
     exit_code = 1
 

@@ -57,10 +57,7 @@ class Gather(Generic[Member, Item]):
         return None
 
     def expired(self, clock_frame: int) -> Iterator[tuple[int, dict[Member, Item]]]:
-        """Remove and yield the frames that expire with the clock of `clock_frame`.
-
-        Oldest first.
-        """
+        """Remove and yield frames that expire with a clock, oldest first."""
         limit = clock_frame - self.patience - 1
         for frame in sorted(frame for frame in self._frames if frame <= limit):
             yield frame, self._frames.pop(frame)

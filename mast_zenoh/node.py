@@ -49,10 +49,7 @@ class Context(Protocol):
 
     @property
     def now_ns(self) -> int:
-        """Time since the start of the scene, ns.
-
-        Equal to `time_ns` in lock-step; in real time it advances between clocks.
-        """
+        """Time since the scene's start, ns; `time_ns` in lock-step, finer in real time."""
         ...
 
     def publish(
@@ -88,10 +85,7 @@ class Context(Protocol):
         ...
 
     def ignore(self, keys: Collection[str]) -> None:
-        """Stop receiving these keys, for a node that subscribes to every key.
-
-        Each call replaces the previous one.
-        """
+        """Stop receiving these keys on the port for every key; replaces earlier calls."""
         ...
 
     def failed(self, part: str, error: BaseException) -> None:
@@ -115,10 +109,7 @@ class Context(Protocol):
         ...
 
     def rng(self, *purpose: str | int) -> np.random.Generator:
-        """The random stream of this run's seed, this node and a purpose.
-
-        Equal to `streams.stream(seed, name, *purpose)`.
-        """
+        """The random stream `streams.stream(seed, name, *purpose)` of this node."""
         ...
 
 
@@ -151,25 +142,16 @@ class Node:
         """Called once, before the first frame."""
 
     def joined(self, node: str, role: str, context: Context) -> None:
-        """Called when another node has joined.
-
-        For nodes already present, it is called before the first frame.
-        """
+        """Called when another node has joined; at the start, for nodes already present."""
 
     def left(self, node: str, role: str, context: Context) -> None:
         """Called when another node has left."""
 
     def rewired(self, context: Context) -> None:
-        """Called when a node has been inserted into or removed from a wire.
-
-        `context.wiring` is the new wiring.
-        """
+        """Called when `context.wiring` has changed: a node was inserted or removed."""
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Called once, after the last frame; returns the node's results.
-
-        The launcher collects them. Publishing is no longer possible.
-        """
+        """Called once, after the last frame, when publishing is over; returns results."""
         return {}
 
 

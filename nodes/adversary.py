@@ -73,10 +73,7 @@ class Adversary(Node):
         return counts
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """Forward messages whose pose has not arrived, unchanged.
-
-        Delaying them further could be noticed.
-        """
+        """Forward messages without a pose unchanged: more delay could be noticed."""
         for queue in self.waiting.values():
             while queue:
                 self.forward(queue.popleft(), context)

@@ -71,10 +71,7 @@ class Agent(Node):
         self.sense("detections", received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """Store the common picture for the frames after its arrival.
-
-        That may be later than the picture's own frame.
-        """
+        """Store the common picture for the frames after its arrival, however late."""
         picture = (received.time_ns, ObjectStates.from_columns(received.body))
         self.pictures.add(context.frame, picture, received.frame)
 

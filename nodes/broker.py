@@ -111,10 +111,7 @@ class Broker(Node):
             self.emit(frame, "complete", context)
 
     def emit(self, frame: int, how: str, context: Context) -> None:
-        """Publish the batch of a frame.
-
-        It has every agent's latest tracks until then, propagated to the frame's time.
-        """
+        """Publish a frame's batch: every agent's latest tracks, propagated to its time."""
         time_ns = self.open_frames.pop(frame)
         self.last |= self.buffer.pop(frame)
         self.last = {a: (t, s) for a, (t, s) in self.last.items() if abs(time_ns - t) <= self.max_age_ns}

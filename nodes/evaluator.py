@@ -88,10 +88,7 @@ class Evaluator(Node):
         self.follow(context, 0)
 
     def rewired(self, context: Context) -> None:
-        """Follow a changed wiring from the next frame on.
-
-        The wiring changes when a node is inserted or released.
-        """
+        """Follow a changed wiring from the next frame on."""
         self.follow(context, context.frame + 1)
 
     def joined(self, node: str, role: str, context: Context) -> None:
@@ -161,10 +158,7 @@ class Evaluator(Node):
         self.keep(message, route)
 
     def keep(self, message: Overheard, route: Route) -> None:
-        """Store an estimate.
-
-        A message that is forwarded unchanged is stored and scored only once.
-        """
+        """Store an estimate; a message forwarded unchanged is stored only once."""
         objects, header = None, message.header
         if route.wire:
             recent = self.recent[route.wire]
@@ -196,10 +190,7 @@ class Evaluator(Node):
         self.heard.link_reports.append((header.source, header.frame, header.seq, message.body))
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """The metrics and the tables of the run.
-
-        If a user-defined metric fails, only its own values are missing.
-        """
+        """Metrics and tables of the run, without values of user metrics that failed."""
         results = self.evaluation.of(self.heard)
         for name, error in results.pop("failed_metrics").items():
             context.failed(f"metric {name}", error)

@@ -163,18 +163,12 @@ class Link(Node):
             context.publish("report", {name: np.array(column) for name, column in columns})
 
     def finish(self, context: Context) -> dict[str, object]:
-        """Numbers of messages on each wire, and their fates.
-
-        The fates of the last step are missing.
-        """
+        """Numbers of messages on each wire, and their fates before the last step."""
         return {"link": {port: {"came": n, **self.fates.get(port, {})} for port, n in sorted(self.carried.items())}}
 
 
 def columns_of(received: Received) -> Body:
-    """The columns of a message.
-
-    {} if they are malformed, which subscribers will report.
-    """
+    """The columns of a message; {} if malformed, which subscribers report."""
     try:
         len(received.body)
     except MessageError:

@@ -27,10 +27,7 @@ class Recorder(Node):
         self.log = log
 
     def start(self, context: Context) -> None:
-        """Open the log with all keys known so far.
-
-        Nodes that are inserted later add theirs.
-        """
+        """Open the log with all keys so far; nodes that are inserted later add theirs."""
         self.log.begin(context.subscriptions)
         self.rewired(context)
 

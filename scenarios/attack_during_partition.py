@@ -1,7 +1,4 @@
-"""An attack while some agents are cut off; then one is killed and restarted.
-
-Attacks and faults are on one timeline.
-"""
+"""An attack while some agents are cut off; then one is killed and restarted."""
 
 from uncoordinated import scenario as uncoordinated
 

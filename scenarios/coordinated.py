@@ -1,7 +1,4 @@
-"""Adversaries with a common plan, between agents and the command centre.
-
-A coordinator directs them.
-"""
+"""Adversaries between agents and the command centre, directed by a coordinator."""
 
 from baseline import scenario as baseline
 

@@ -1,7 +1,4 @@
-"""An interposer on every agent's wires that changes nothing, to measure its cost.
-
-It also proves that interposers leave no trace.
-"""
+"""Interposers on every agent's wires that change nothing, to measure their cost."""
 
 from baseline import scenario as baseline
 

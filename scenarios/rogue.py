@@ -4,10 +4,7 @@ from coordinated import scenario as coordinated
 
 
 def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
-    """A coordinated attack by one adversary, and one link.
-
-    The adversary on the first infrastructure agent creates a tap leg to eavesdrop on.
-    """
+    """A coordinated attack by one adversary, with a tap leg, and one link."""
     attacked = coordinated(
         n_adversaries=1, n_infrastructure=n_infrastructure, scene=scene, scene_index=scene_index, attack_start_s=0.5
     )
@@ -42,10 +39,7 @@ def outsider():
 
 
 def insiders():
-    """One compromised node of each role but the simulator's.
-
-    It forges control messages with the node's certificate.
-    """
+    """One compromised node of each role but the simulator's, with forged messages."""
     nodes = dict(
         agent="infra_1",
         broker="broker",

@@ -11,7 +11,8 @@ from baseline import scenario as baseline
 def scenario(scene="intersection", scene_index=None, cut_s=3.0, partition_s=5.0):
     """A baseline run with a partition.
 
-    cut_s: time at which west is cut off; partition_s: duration, 0 for no partition."""
+    cut_s: time at which west is cut off; partition_s: duration, 0 for no partition.
+    """
     partition = dict(type="HostPartition", at=cut_s, until=cut_s + partition_s, hosts=["west"])
     return baseline(scene, scene_index, n_infrastructure=4) | dict(
         name="two_hosts",

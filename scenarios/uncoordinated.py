@@ -1,7 +1,4 @@
-"""Adversaries without a common plan, each with false detections for one agent.
-
-Each sits between the sensors and the perception of an infrastructure agent.
-"""
+"""Adversaries without a common plan, each with false detections for one agent."""
 
 from baseline import scenario as baseline
 

@@ -1,7 +1,4 @@
-"""The paper's case study: no attack, uncoordinated and coordinated attack.
-
-All with the same scene and seed.
-"""
+"""The paper's case study: no, uncoordinated and coordinated attack on one scene."""
 
 
 def study(

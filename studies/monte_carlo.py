@@ -1,7 +1,4 @@
-"""The paper's Monte Carlo study: 1 to 3 adversaries over many seeds.
-
-With and without a common plan.
-"""
+"""The paper's Monte Carlo study: 1 to 3 adversaries, both attacks, many seeds."""
 
 
 def study(

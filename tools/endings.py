@@ -82,10 +82,7 @@ def command(runtime: str, out: Path) -> list[str]:
 
 
 def end_one(plan: Plan, folder: Path, undisturbed: Path) -> tuple[str, list[str]]:
-    """Carry out a plan in an empty folder.
-
-    Returns how the run ended, and the promises that it broke.
-    """
+    """Carry out a plan; returns how the run ended and the promises that it broke."""
     out = folder / "run"
     limit: Callable[[], None] | None = None
     if plan.way == "disk":
@@ -131,10 +128,7 @@ def _signal(process: subprocess.Popen[bytes], plan: Plan) -> None:
 
 
 def _answers(pid: int) -> bool:
-    """Whether a process handles SIGTERM.
-
-    On a busy machine, it may take Python long to install the handler.
-    """
+    """Whether a process handles SIGTERM yet; Python needs time to start."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:

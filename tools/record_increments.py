@@ -23,10 +23,7 @@ COLUMNS = ("configuration", "scene", "seed", "estimator", "metric", "value")
 
 
 def main(study: Path) -> None:
-    """Print a line per configuration, metric and scene, with a column per seed.
-
-    Values are objects per frame of the ego's picture.
-    """
+    """Print false and missed objects per frame: a row per scene, a column per seed."""
     rows = parquet.read_table(study / "results.parquet", columns=list(COLUMNS)).to_pylist()
     increments: dict[tuple[str, str, str], dict[int, float]] = {}
     for row in rows:

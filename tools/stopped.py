@@ -94,10 +94,7 @@ class Plan:
 
 
 def run_one(plan: Plan, undisturbed: Path, folder: Path) -> tuple[str, str, list[str]]:
-    """Carry out a plan in an empty folder.
-
-    Returns what was stopped, how the run ended, and the promises that it broke.
-    """
+    """Carry out a plan; returns what was stopped, how the run ended, and errors."""
     out = folder / "run"
     with (folder / "output").open("wb") as output:
         process = subprocess.Popen(command(plan.scenario, out), stdout=output, stderr=subprocess.STDOUT)

@@ -1,7 +1,4 @@
-"""Lists the classes, scenarios and studies of each kind, with their parameters.
-
-Each entry has a description, and the defaults and units of its parameters.
-"""
+"""Lists classes, scenarios and studies of each kind, with documented parameters."""
 
 from __future__ import annotations
 
@@ -223,10 +220,7 @@ def _rule(rule: Mapping[str, Any]) -> str:
 
 
 def _files(kind: str, function: str) -> Iterator[Entry]:
-    """The shipped scenario or study files.
-
-    Parameters that a file does not describe are those of `baseline` or `uncoordinated`.
-    """
+    """The shipped files of a kind; undocumented parameters are those of `baseline`."""
     files = []
     for name in bundle.names(kind):
         path, definition = loading.function(kind, name, function)

@@ -18,10 +18,7 @@ from mast_zenoh.report.tables.scores import as_markdown, as_rich, score_table
 
 
 class Comparison:
-    """Runs of the same scene and seed, compared with the first of them.
-
-    Prints as the table on the terminal.
-    """
+    """Runs of the same scene and seed, compared with the first; prints as a table."""
 
     def __init__(self, runs: tuple[Run, ...]) -> None:
         if len(runs) < 2:

@@ -81,10 +81,7 @@ def run(
 
 
 def open_run(path: str | Path) -> Run:
-    """Open a run folder, of a finished run or one in progress.
-
-    Raises RunFolderError if there is none.
-    """
+    """Open the folder of a finished or running run; raises RunFolderError if none."""
     return Run(path)
 
 

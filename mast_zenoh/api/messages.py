@@ -109,10 +109,7 @@ def states(message: WireMessage) -> Columns:
 
 
 def truth(message: WireMessage) -> Columns:
-    """The objects of the scene.
-
-    points: lidar returns at the agent that has the most
-    """
+    """The objects of the scene; points: the most lidar returns at any agent."""
     points = message["points"]
     max_points = points.max(axis=1) if points.shape[1] else np.zeros(len(points), np.int32)
     return _boxes(message.columns) | {"points": max_points}
@@ -124,19 +121,13 @@ def detections(message: WireMessage) -> Columns:
 
 
 def pose(message: WireMessage) -> Columns:
-    """The pose that an agent reports, a row per frame.
-
-    The quaternion is that of its rotation into the world frame.
-    """
+    """The pose that an agent reports, with the quaternion from agent to world frame."""
     values = np.concatenate([message["position"], message["rotation"], message["velocity"]])[None]
     return dict(zip(("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz"), values.T, strict=True))
 
 
 def _boxes(columns: Mapping[str, NDArray[Any]]) -> Columns:
-    """Columns of boxes with one value per row.
-
-    Position, velocity and size are split by axis; the class is text.
-    """
+    """Columns of boxes, with vectors split by axis and the class as text."""
     classes = np.array(CLASSES, dtype=object)[columns["class_id"]]
     result: Columns = {"id": columns["id"]} if "id" in columns else {}
     result["class"] = classes

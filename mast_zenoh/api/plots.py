@@ -1,7 +1,4 @@
-"""The report's figures of one or several runs, as Matplotlib figures.
-
-A notebook displays them.
-"""
+"""The report's figures of one or several runs, as Matplotlib figures."""
 
 from __future__ import annotations
 
@@ -80,10 +77,7 @@ class Plots:
         return self._require(camera_figure(self._view(frame)), "the ego is not in the scene")
 
     def causes(self) -> Figure:
-        """Missed and false objects of the picture over time, stacked by cause.
-
-        For runs with links or faults.
-        """
+        """Missed and false objects by cause over time, for runs with links or faults."""
         figure = causes_over_time(self._first, None)
         return self._require(figure, "causes are known only for runs with links or faults, and with objects.parquet")
 
@@ -138,10 +132,7 @@ def labelled(runs: Sequence[Run], taken: Mapping[str, RunFolder]) -> dict[str, R
 
 
 def _with_all_columns(run: RunFolder) -> RunFolder:
-    """The run with every column of metrics.parquet.
-
-    The report itself needs only a few.
-    """
+    """The run with every column of metrics.parquet, of which the report needs few."""
     return replace(run, counts=read_table(run.path / "metrics.parquet")) if run.counts is not None else run
 
 

@@ -94,10 +94,7 @@ class Run:
 
     @property
     def attacks(self) -> pyarrow.Table:
-        """A row per measured effect of an interposer (docs/effects.md).
-
-        Empty if no wire had an interposer.
-        """
+        """A row per measured effect of an interposer; may be empty (docs/effects.md)."""
         return self._table("attacks.parquet")
 
     @property
@@ -130,10 +127,7 @@ class Run:
 
     @property
     def picture(self) -> pyarrow.Table:
-        """A row per frame and object of the common picture, world frame.
-
-        Columns as in `truth`, and score, support.
-        """
+        """Objects of the common picture by frame: columns of `truth`, score, support."""
         return recorded.table_of(self.path, "cc/picture", recorded.states)
 
     @property
@@ -176,10 +170,7 @@ class Run:
         return self._written(name, read_arrow)
 
     def _written(self, name: str, read: Any) -> Any:
-        """Read a file that is written at the end of a run.
-
-        Raises RunFolderError if it is missing or broken.
-        """
+        """Read a file that a run writes at its end; raises RunFolderError if unusable."""
         path = self.path / name
         if not path.is_file():
             why = (
@@ -214,26 +205,17 @@ class Agent:
 
     @property
     def tracks(self) -> pyarrow.Table:
-        """A row per frame and track, as the broker receives them, world frame.
-
-        Columns as in `Run.truth`, and score.
-        """
+        """Tracks by frame, as the broker receives them: columns of `Run.truth`, and score."""
         return self._rows("tracks", recorded.states)
 
     @property
     def mission(self) -> pyarrow.Table:
-        """A row per frame and object of the mission estimate.
-
-        It combines the agent's own tracks with the picture. Columns as in `tracks`.
-        """
+        """Objects of the mission estimate (own tracks and picture) by frame, as `tracks`."""
         return self._rows("mission", recorded.states)
 
     @property
     def detections(self) -> pyarrow.Table:
-        """A row per frame and received detection, in the sensor's frame.
-
-        Columns as in `tracks`, without id.
-        """
+        """Received detections by frame, in the sensor's frame: columns of `tracks`, no id."""
         return self._rows("detections", recorded.detections)
 
     @property

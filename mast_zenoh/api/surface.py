@@ -1,7 +1,4 @@
-"""The base classes that users derive from.
-
-Together with `mast_zenoh.__all__`, they are the public interface (docs/stability.md).
-"""
+"""Base classes for users, public like `mast_zenoh.__all__` (docs/stability.md)."""
 
 from __future__ import annotations
 

@@ -257,10 +257,7 @@ def report(
 
 
 def carry_out() -> int:
-    """Run the command; returns its exit code.
-
-    An error becomes one line and its own code (docs/exit_codes.md).
-    """
+    """Run the command; returns its exit code (docs/exit_codes.md)."""
     os.umask(os.umask(0o022) | 0o022)  # only this user may change a run's files; its nodes inherit the umask
     try:
         app()

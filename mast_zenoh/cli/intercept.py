@@ -25,10 +25,7 @@ def intercept(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the node, or a dotted path.")
     ] = None,
 ) -> None:
-    """Insert a node into a wire during a run.
-
-    No message is lost, duplicated or reordered.
-    """
+    """Insert a node into a wire during a run; no message is lost or duplicated."""
     from mast_zenoh.launch.interception import client
 
     result = client.intercept(run_folder, wire, node, name=name, input=input, output=output, settings=settings or ())
@@ -40,10 +37,7 @@ def release(
     name: Annotated[str | None, typer.Option(help="The node to release.")] = None,
     wire: Annotated[str | None, typer.Option(help="Or the wire whose only node is released.")] = None,
 ) -> None:
-    """Release a node from its wires during a run.
-
-    It first forwards all messages that it received.
-    """
+    """Release a node from its wires during a run, after its messages are forwarded."""
     from mast_zenoh.launch.interception import client
 
     if (name is None) == (wire is None):

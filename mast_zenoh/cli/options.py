@@ -30,10 +30,7 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 class PlainConsole(Console):
-    """A console that replaces control characters by �.
-
-    A node's output may contain them.
-    """
+    """A console that replaces control characters from a node's output by �."""
 
     def print(self, *objects: Any, **options: Any) -> None:
         super().print(*(_CONTROL.sub("�", text) if isinstance(text, str) else text for text in objects), **options)
@@ -163,19 +160,13 @@ def _raise_failure(reference: Reference) -> None:
 
 
 def check_run_folder(folder: Path) -> None:
-    """Raise NotComparable unless a folder has the results of a run.
-
-    Called before a run starts that is to be compared with it.
-    """
+    """Raise NotComparable unless a folder has the results of a run."""
     if not (folder / "metrics.json").is_file():
         raise NotComparable(f"{folder}: has no metrics.json: expected the folder of a run with results, or twin")
 
 
 def reference_folder(run_folder: Path, against: str) -> Path:
-    """The folder of the reference run.
-
-    For `twin`, that of the unattacked twin, which runs first if needed.
-    """
+    """The folder of the reference run; an unattacked twin runs first if needed."""
     from mast_zenoh.launch import twin
 
     return twin.of(run_folder, out) if against == twin.FOLDER else Path(against)

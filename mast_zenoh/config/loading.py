@@ -72,10 +72,7 @@ def _changed_at(file: Path) -> tuple[int, int] | None:
 
 
 def function(kind: str, name: str, function_name: str) -> tuple[Path, Callable[..., Any]]:
-    """(file, function) in a file of a kind.
-
-    name: a path, or the name of a shipped file with or without .py
-    """
+    """(file, function) for a path, or for the name of a shipped file of a kind."""
     path = Path(name)
     if not path.is_file():
         short = path.name if path.suffix == ".py" else f"{path.name}.py"
@@ -108,10 +105,7 @@ def defining_file(function: Callable[..., Any]) -> Path:
 
 
 def file_of_class(cls: type) -> Path | None:
-    """The file from which another process can load a class; None: no such file.
-
-    Classes of a notebook or script have none.
-    """
+    """The file of a class for other processes; None for notebooks and scripts."""
     file = getattr(sys.modules.get(cls.__module__), "__file__", None)
     return Path(file).resolve() if file and cls.__module__ != "__main__" else None
 
@@ -128,10 +122,7 @@ def _is_derived(cls: type) -> bool:
 
 
 def defines_algorithms(loaded: ModuleType) -> bool:
-    """Whether a user's module adds classes that `type=…` can name.
-
-    Modules that it imports from its own folder count too.
-    """
+    """Whether a user's module, or a sibling that it imports, defines algorithms."""
     classes = [value for value in vars(loaded).values() if isinstance(value, type)]
     for value in vars(loaded).values():
         if isinstance(value, ModuleType) and _folder(value) == _folder(loaded):
@@ -140,10 +131,7 @@ def defines_algorithms(loaded: ModuleType) -> bool:
 
 
 def _folder(loaded: ModuleType) -> Path | None:
-    """The folder of a module's file; None if it has no file.
-
-    Built-in modules and namespace packages have none.
-    """
+    """The folder of a module's file; None for built-in and namespace packages."""
     file = getattr(loaded, "__file__", None)
     return Path(file).parent if file else None
 

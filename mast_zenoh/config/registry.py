@@ -23,10 +23,7 @@ _Signature = tuple[dict[str, inspect.Parameter], dict[str, Any]]
 
 
 class ClassName(str):
-    """A class name in a scenario that also holds the class, from `type=MyAttack`.
-
-    In JSON it is the name alone.
-    """
+    """A class name that also holds the class, from `type=MyAttack`; a name in JSON."""
 
     cls: type
 
@@ -37,10 +34,7 @@ class ClassName(str):
 
 
 def own_copy(value: Any) -> Any:
-    """A deep copy of nested dicts and lists without shared parts.
-
-    A class as `type` becomes a ClassName.
-    """
+    """A deep copy of nested dicts and lists, with classes in `type` as ClassName."""
     if isinstance(value, dict):
         return {
             key: ClassName(item) if key == "type" and isinstance(item, type) else own_copy(item)
@@ -50,10 +44,7 @@ def own_copy(value: Any) -> Any:
 
 
 def type_names(value: Any) -> Iterator[str]:
-    """The values of `type` in nested dicts and lists.
-
-    Some of the names hold their class (`ClassName`).
-    """
+    """The values of `type` in nested dicts and lists; some are of type ClassName."""
     if isinstance(value, Mapping) and isinstance(value.get("type"), str):
         yield value["type"]
     for item in value.values() if isinstance(value, Mapping) else value if isinstance(value, (list, tuple)) else ():
@@ -91,10 +82,7 @@ def build(spec: object, base: type, path: str) -> Any:
 
 
 def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
-    """An object of `cls` from plain values.
-
-    Nested dicts are built where a class is annotated.
-    """
+    """An object of `cls` from plain values; nested dicts are built by annotation."""
     parameters, hints = _signature(cls)
     for key in arguments:
         if key not in parameters:

@@ -74,10 +74,7 @@ class Resolved:
 
     @property
     def patient(self) -> bool:
-        """Whether the run waits for a silent node.
-
-        It does in lock-step, unless the scenario cuts networks.
-        """
+        """Whether the run waits for silent nodes: in lock-step without network cuts."""
         return self.mode == "lockstep" and not self.network
 
     def to_json(self) -> dict[str, Any]:
@@ -98,10 +95,7 @@ class Resolved:
         return {**{name: getattr(self, name) for name in names}, "steps": steps, "nodes": nodes}
 
     def _plain(self, value: Any) -> Any:
-        """A configuration as JSON values.
-
-        The recorded scene and the log become their file names.
-        """
+        """A configuration as JSON values; recorded scene and log become file names."""
         if value is self.recording is not None:
             return RECORDING
         if isinstance(value, MessageLog):
@@ -127,10 +121,7 @@ class Resolved:
         return cls.from_json(scenario, json.loads((run_folder / "wiring.json").read_text(encoding="utf-8")))
 
     def in_folder(self, run_folder: Path) -> Resolved:
-        """A copy whose nodes write into a run folder.
-
-        For nodes that are built in another directory.
-        """
+        """A copy for nodes that write into a run folder from another directory."""
 
         def in_run_folder(value: Any) -> Any:
             return MessageLog(run_folder / value.path) if isinstance(value, MessageLog) else value

@@ -56,10 +56,7 @@ class Fault(ABC):
         return DIRECTIONS
 
     def rules(self, lockstep: bool) -> Sequence[Rule]:
-        """Rules for the links of its targets during the fault.
-
-        Empty for faults of processes.
-        """
+        """Link rules of its targets during the fault; empty for process faults."""
         return ()
 
     def events(self) -> Sequence[Event]:

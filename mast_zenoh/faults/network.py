@@ -147,10 +147,7 @@ def own_states(network: Mapping[str, Any]) -> dict[str, LinkState]:
 
 
 def steps(network: Mapping[str, Any]) -> list[LinkStep]:
-    """Changes of the links in order of time.
-
-    One for each time at which faults begin or end.
-    """
+    """Changes of the links, one for each time at which faults begin or end."""
     faults = network["faults"]
     times = {fault["at"] for fault in faults} | {fault["until"] for fault in faults if fault["until"] is not None}
     before, changes = own_states(network), []

@@ -66,10 +66,7 @@ def resolve_names(
 
 
 def processes(selectors: Iterable[str], roles: Mapping[str, str], rng: np.random.Generator, place: str) -> list[str]:
-    """The nodes whose processes a fault acts on.
-
-    Raises ConfigurationError for protected roles.
-    """
+    """Nodes with a process fault; raises ConfigurationError for protected roles."""
     nodes = resolve_names(selectors, roles, rng, place)
     for name in nodes:
         if reason := _PROTECTED.get(roles[name]):

@@ -85,18 +85,12 @@ class Rule(ABC):
         return sampled
 
     def restamps_s(self, duration_s: float) -> float:
-        """Largest magnitude of `skew_ns`, s, in a run of that length.
-
-        Overridden by rules that set it.
-        """
+        """Largest magnitude of `skew_ns`, s; overridden by rules that set it."""
         return 0.0
 
     @abstractmethod
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """Apply the rule to a message.
-
-        Returns no, one or several copies, the message itself first.
-        """
+        """Apply the rule; returns no, one or several copies, the message itself first."""
 
 
 def expect(name: str, value: object, condition: bool, expected: str) -> None:

@@ -105,10 +105,7 @@ class Chain:
 
 
 def _number_copies(passages: Sequence[Passage]) -> list[Passage]:
-    """Number the copies of one message uniquely; keeps existing numbers.
-
-    At most MAX_COPIES copies are returned besides the message.
-    """
+    """Number the copies of one message uniquely; keeps at most MAX_COPIES of them."""
     used = {passage.copy for passage in passages}
     next_number = max(used) + 1
     numbered, numbers = [], set()

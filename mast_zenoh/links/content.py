@@ -116,10 +116,7 @@ def flipped(payload: bytes, positions: Sequence[float]) -> bytes:
 
 
 def displaced(body: Mapping[str, NDArray[Any]], shift: tuple[float, float], turn: float) -> dict[str, NDArray[Any]]:
-    """Columns with their frame of reference moved and rotated.
-
-    shift: m (x, y); turn: rad about z
-    """
+    """Columns with a frame of reference moved by (x, y) m and turned by rad about z."""
     c, s = math.cos(turn / 2.0), math.sin(turn / 2.0)
     w, x, y, z = body["rotation"]
     rotation = np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])

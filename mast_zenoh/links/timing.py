@@ -125,10 +125,7 @@ class Reorder(Rule):
 
 
 class Hold(Rule):
-    """Holds all messages until `until`, then delivers them in order.
-
-    As if the process had paused.
-    """
+    """Holds all messages until `until`, then delivers them in order, as after a pause."""
 
     fate = "delayed"
 

@@ -65,10 +65,7 @@ def conform(header: Header, body: Body) -> Message:
 
 
 def check_values(message: Message) -> None:
-    """Raise MessageError if receivers would refuse a message that `conform` made.
-
-    Receivers use `decode`.
-    """
+    """Raise MessageError if `decode` would refuse a message that `conform` made."""
     header = message.header
     _check_header(header)
     if LAYOUTS[header.schema].is_valid(message.body):
@@ -155,10 +152,7 @@ def decode_header_only(payload: bytes, expected: str) -> Header:
 
 
 def _quick_header(payload: bytes, expected: str) -> Header | None:
-    """The header of a valid message, read without its body.
-
-    None if anything is unusual.
-    """
+    """The header of a valid message, without its body; None if anything is unusual."""
     end = payload.find(_BODY_KEY, 0, _LONGEST_HEADER)
     if payload[:1] != _MAP_OF_7 or end < 0 or len(payload) > MAX_BYTES:
         return None

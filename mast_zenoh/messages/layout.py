@@ -106,10 +106,7 @@ class Layout:
         )
 
     def sizes(self, body: Body) -> tuple[int, ...]:
-        """The sizes of the letters, from arrays.
-
-        Raises KeyError or IndexError if a column or an axis is missing.
-        """
+        """Sizes of the letters, from arrays; raises KeyError or IndexError if missing."""
         return tuple([body[name].shape[axis] for name, axis in self._sources])
 
     def unpack(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
@@ -136,10 +133,7 @@ class Layout:
 
 
 def packed_columns(body: Mapping[str, Any], plan: Plan) -> dict[str, NDArray[Any]] | None:
-    """The columns of a packed body if all match the plan, else None.
-
-    Values are not checked.
-    """
+    """The columns of a packed body if all match the plan, else None; values unchecked."""
     columns: dict[str, NDArray[Any]] = {}
     for name, dtype, shape, (dtype_name, dims, n_bytes) in zip(
         plan.names, plan.dtypes, plan.shapes, plan.packed, strict=True

@@ -81,10 +81,7 @@ class Schema:
 
 
 def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tuple[Column, ...]:
-    """Columns of object states.
-
-    filtered: with covariance and existence probability
-    """
+    """Columns of object states; filtered: with covariance and existence probability."""
     columns = [
         Column("id", "int64", (size,), "", "identity, unique within one producer"),
         Column("position", "float64", (size, 3), "m", "centre of the box"),

@@ -23,10 +23,7 @@ from mast_zenoh.messages.schemas import Column, Message
 
 
 def array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) -> NDArray[Any]:
-    """The array of a column packed as [dtype, shape, data].
-
-    sizes: as in `check_shape`
-    """
+    """The array of a column packed as [dtype, shape, data]; sizes: see `check_shape`."""
     if not isinstance(packed, list) or len(packed) != 3:
         raise MessageError(f"{schema}.{column.name}: not [dtype, shape, data]")
     dtype, shape, data = packed
@@ -49,10 +46,7 @@ def array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) ->
 
 
 def check_shape(schema: str, column: Column, shape: tuple[int, ...], sizes: dict[str, int]) -> None:
-    """Check a shape against the schema.
-
-    sizes: known sizes of letters; those of this shape are added
-    """
+    """Check a shape against the schema; adds the sizes of its letters to `sizes`."""
     if len(shape) == len(column.shape):
         for size, expected_size in zip(shape, column.shape, strict=True):
             if not 0 <= size <= MAX_ROWS:

@@ -42,10 +42,7 @@ class Reader:
         self.missing: list[str] = []
 
     def read(self, name: str, reader: Callable[[Path], Any], consequence: str, default: Any) -> Any:
-        """Read a file with `reader`; returns `default` on failure.
-
-        consequence: what the report then lacks, in words
-        """
+        """Read a file; returns `default` on failure, with its `consequence` in `missing`."""
         path = self.folder / name
         try:
             return reader(path)
@@ -77,10 +74,7 @@ def scene(path: Path) -> Recording:
 
 
 def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
-    """A function that reads columns of a Parquet table, for one agent if given.
-
-    optional: columns that may be absent
-    """
+    """A reader of columns of a Parquet table, some `optional`, for one agent if given."""
 
     def read(path: Path) -> Table:
         content = read_arrow(path)

@@ -66,10 +66,7 @@ class RunFolder:
 
     @classmethod
     def load(cls, path: Path) -> RunFolder:
-        """Read a run folder.
-
-        Raises RunFolderError if it holds neither run.json nor scenario.json.
-        """
+        """Read a run folder; raises RunFolderError if it is not a run folder."""
         if not path.is_dir():
             raise RunFolderError(f"{path}: no such folder, expected the folder of a run")
         if not (path / "run.json").is_file() and not (path / "scenario.json").is_file():
@@ -114,10 +111,7 @@ class RunFolder:
         return _ego(self.metrics, self.counts, self.recording)
 
     def role(self, node: str) -> str:
-        """The role of a node.
-
-        If it is not in run.json, guessed from its wires and name (`adversary_1`).
-        """
+        """The role of a node, from run.json or guessed from its wires and name."""
         known = self.run.get("nodes", {}).get(node, {}).get("role")
         known = known or self.metrics.get("interposers", {}).get(node, {}).get("role")
         if known:
@@ -154,10 +148,7 @@ class RunFolder:
 
     @cached_property
     def unsettled_frames(self) -> frozenset[int]:
-        """Frames with unknown effects of an interposer.
-
-        These are the frames around wiring changes, and the last one.
-        """
+        """Frames with unknown effects: around wiring changes, and the last frame."""
         if self.effects is None:
             return frozenset()
         return frozenset(self.effects["frame"][self.effects["effect"] == "unsettled"].tolist())
@@ -234,10 +225,7 @@ class RunFolder:
 
 
 def agent_of(key: str) -> str | None:
-    """The agent in a key expression, with or without a prefix; None: none.
-
-    `infra_1` in `agent/infra_1/detections`
-    """
+    """The agent in a key such as `prefix/agent/infra_1/tracks`; None: no agent."""
     chunks = key.split("/")
     following = chunks.index("agent") + 1 if "agent" in chunks else len(chunks)
     return chunks[following] if following < len(chunks) else None

@@ -12,10 +12,7 @@ _REFUSED = re.compile(r"[/\\*#?$\x00-\x1f\x7f\ud800-\udfff]")
 
 
 def checked_name(name: object, place: str) -> str:
-    """Return a valid name.
-
-    Raises ConfigurationError for a name that would escape its folder or its key.
-    """
+    """Return a name; raises ConfigurationError if it could escape its folder or key."""
     if not isinstance(name, str) or not 0 < len(name) <= _MAX or _REFUSED.search(name) or name[0] in ".@-":
         raise ConfigurationError(
             f"{place}: found {name!r:.120}, expected at most {_MAX} characters, none of / \\ * # ? $, "

@@ -71,10 +71,7 @@ def nodes_of(
 
 
 def _share_max_age(broker: NodeSpec, evaluator: NodeSpec) -> None:
-    """Share the broker's maximum age of tracks with the evaluator.
-
-    With older tracks, the evaluator counts an agent as cut off.
-    """
+    """Let the evaluator use the broker's maximum age of tracks for cut-off agents."""
     accepted = inspect.signature(loading.node_class(Path(evaluator.file), evaluator.type)).parameters
     cut_off = evaluator.config.get("cut_off", {})
     if "max_age_s" in broker.config and "cut_off" in accepted and isinstance(cut_off, Mapping):

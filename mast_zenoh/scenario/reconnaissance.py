@@ -53,10 +53,7 @@ def _route(recording: Recording, agent: int, times_s: Floats, rows: Ints) -> lis
 
 
 def _within_range(recording: Recording, rows: Ints) -> list[int]:
-    """Indices of buildings within the range of a sensor at any time.
-
-    A corner, or the middle of a wall, is in range.
-    """
+    """Indices of buildings with a corner or wall centre ever in range of a sensor."""
     near: list[int] = []
     max_range_m = np.array([agent.sensor.max_range_m for agent in recording.agents])
     positions = recording.agent_position[rows, :, :2]

@@ -78,10 +78,7 @@ def resolve(
 
 
 def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
-    """The files that define what the scenario names.
-
-    They are its own file and those of the classes in it.
-    """
+    """The scenario's own file, and the files of the classes in it."""
     files = [path] if path.suffix and loading.defines_algorithms(loading.module(path)) else []
     for cls in [name.cls for name in registry.type_names(scenario) if isinstance(name, registry.ClassName)]:
         file = loading.file_of_class(cls)
@@ -91,10 +88,7 @@ def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:
-    """Whether the shipped simulator plays the scene.
-
-    A user's simulator may play other frames, at other times.
-    """
+    """Whether the shipped simulator plays the scene; others may use other times."""
     shipped = (bundle.ROOT / "nodes" / "simulator.py").resolve()
     return all(Path(spec.file).resolve() == shipped for spec in nodes.values() if spec.role == DRIVER_ROLE)
 
@@ -140,9 +134,6 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
 
 
 def _shipped_ports() -> dict[str, set[str]]:
-    """The ports of each role's shipped node.
-
-    A user's node of that role may lack any of them.
-    """
+    """Ports of the shipped nodes by role; a user's node may lack any of them."""
     shipped = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
     return {cls.role: {*cls.inputs, *cls.outputs} for cls in shipped}

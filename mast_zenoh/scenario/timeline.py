@@ -191,10 +191,7 @@ def attack_starts(nodes: Mapping[str, NodeSpec]) -> dict[tuple[str, float], list
 
 
 def _attacks(nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
-    """The start of attacks, as bands.
-
-    There is one band for all adversaries that begin the same attack at the same time.
-    """
+    """A band for all adversaries that begin the same attack at the same time."""
     return [_band(kind, "attack", at_s, names, "adversary") for (kind, at_s), names in attack_starts(nodes).items()]
 
 

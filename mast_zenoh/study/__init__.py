@@ -25,10 +25,7 @@ if TYPE_CHECKING:
 
 
 class _Study(ModuleType):
-    """This package, callable as the function `mast_zenoh.study`.
-
-    A package and a function with one name have to be one object.
-    """
+    """This package, callable as `mast_zenoh.study`: module and function in one."""
 
     def __call__(self, study: str, **options: Any) -> FinishedStudy:
         from mast_zenoh.study.interface import carry_out

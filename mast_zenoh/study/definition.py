@@ -67,10 +67,7 @@ class StudyScene:
 
 @dataclass(frozen=True)
 class Study:
-    """A validated study file with its parameters set.
-
-    trials: None if the file sets no number
-    """
+    """A validated study file with its parameters set; trials: None if not set."""
 
     path: Path
     name: str
@@ -94,10 +91,7 @@ def load(name: str, settings: Sequence[str] = ()) -> Study:
 
 
 def load_values(name: str, values: Mapping[str, Any], known: Iterable[str] = ()) -> Study:
-    """Load a study with parameters as Python values.
-
-    known: further names to suggest in place of an unknown one
-    """
+    """Load a study with Python values; known: further names to suggest."""
     path, function = loading.function("studies", name, "study")
     return _call(path, function, *from_values(values, function, str(path), known))
 

@@ -22,10 +22,7 @@ _PACKAGES = ("mast-zenoh", "numpy", "scipy", "filterpy", "msgpack")
 
 @cache
 def environment() -> dict[str, str]:
-    """Versions that affect results, and hashes of our code and files.
-
-    Versions are those of Python, the kernels and packages.
-    """
+    """Versions of Python, kernels and packages, and hashes of our code and files."""
     versions = {"python": platform.python_version(), "kernels": kernels.USED} | {
         name: version(name) for name in _PACKAGES
     }
@@ -57,10 +54,7 @@ def input_files(scene: scenes.Scene) -> tuple[Path, ...]:
 
 
 def user_files(path: Path, loaded: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Python files in the scenario's folder, which it may import.
-
-    None for shipped scenarios.
-    """
+    """Python files in a user's scenario folder, which the scenario may import."""
     if path.parent == bundle.ROOT / "scenarios":
         return ()
     return tuple(sorted(path.parent.glob("*.py")))

@@ -70,10 +70,7 @@ def _increments_over_baseline(
 
 
 def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
-    """The paper's other increments.
-
-    Over the ego alone (IoE), and those of the compromised agents.
-    """
+    """Increments over the ego alone (IoE), and those of the compromised agents."""
     agent = ego(outcome.metrics["agents"])
     summary = increments(_scored_rows(baseline), _scored_rows(outcome), agent=agent, compromised=outcome.compromised)
     n = summary["frames"]

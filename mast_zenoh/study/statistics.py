@@ -34,10 +34,7 @@ class Moments(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """Lower and upper bounds: arrays of the shape of the leading axes.
-
-    NaN where there is no interval.
-    """
+    """Lower and upper bounds: arrays of the leading axes' shape; NaN: no interval."""
 
     low: Floats
     high: Floats
@@ -65,10 +62,7 @@ def over_seeds(values: Floats) -> Interval:
 
 
 def equals_zero(values: Floats) -> Floats:
-    """Two-sided p-value of a zero mean over seeds, by the t statistic of `over_seeds`.
-
-    NaN without such a statistic.
-    """
+    """Two-sided p-value of a zero mean over seeds (t statistic); NaN: not defined."""
     mean, error = _seed_means(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         p: Floats = 2.0 * stdtr(values.shape[-1] - 1.0, -np.abs(mean / error))
@@ -133,10 +127,7 @@ def of_rate(successes: Floats) -> Interval:
 
 
 def _seed_means(values: Floats) -> tuple[Floats, Floats]:
-    """Mean of the seeds' averages and its standard error.
-
-    The error is NaN for too few seeds and for equal averages.
-    """
+    """Mean of the seeds' averages, and its standard error; NaN if not estimable."""
     averages = values.mean(axis=-2)
     seeds, mean = averages.shape[-1], averages.mean(axis=-1)
     if seeds < MIN_CLUSTERS:

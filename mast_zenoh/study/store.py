@@ -96,10 +96,7 @@ class Store:
         write_parquet(self._path(trial), table)
 
     def load(self, trial: Trial) -> Outcome | None:
-        """The stored outcome of a trial.
-
-        None if it is absent or broken, or has failures that are not allowed.
-        """
+        """The stored outcome of a trial; None if absent, broken or with failures."""
         try:
             table = read_arrow(self._path(trial))
             metadata = json.loads(table.schema.metadata[_METADATA])

@@ -18,10 +18,7 @@ from mast_zenoh.study.trial import Outcome
 
 
 class Samples:
-    """The numbers that a study reports.
-
-    They are those of the ego, of the compromised agents, and of achievements.
-    """
+    """The reported numbers: of the ego, compromised agents and achievements."""
 
     def __init__(self, study: Study, seeds: Sequence[int]) -> None:
         """seeds: the planned seeds of every configuration and scene."""

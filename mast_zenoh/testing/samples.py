@@ -14,10 +14,7 @@ PERIOD_NS = 100_000_000
 
 
 def positions(n: int, frame: int, seed: int = 0) -> tuple[Floats, Floats]:
-    """(n, 3) m and (n, 3) m/s: objects on a grid of 12 m in a frame.
-
-    Each has a constant velocity.
-    """
+    """(n, 3) m and (n, 3) m/s: objects of constant velocity on a grid, in a frame."""
     random = np.random.default_rng(seed)
     grid = np.stack(np.divmod(np.arange(n), 40), axis=1) * 12.0 - 20.0
     velocity = np.column_stack([random.uniform(-8.0, 8.0, (n, 2)), np.zeros(n)])
@@ -26,10 +23,7 @@ def positions(n: int, frame: int, seed: int = 0) -> tuple[Floats, Floats]:
 
 
 def states(n: int, frame: int = 0, *, noise_m: float = 0.1, source: int = 0) -> ObjectStates:
-    """n cars in a frame, as one source reports them.
-
-    Ids begin at 0.
-    """
+    """n cars in a frame, as one source reports them, with ids from 0."""
     random = np.random.default_rng([n, frame, source])
     position, velocity = positions(n, frame)
     variance = [0.04] * 3 + [0.02] * 3 + [0.5] * 3

@@ -1,7 +1,4 @@
-"""Finds the nodes and ports that entries of a key-expression map refer to.
-
-Pure functions.
-"""
+"""Finds the nodes and ports that entries of a key-expression map refer to."""
 
 from __future__ import annotations
 

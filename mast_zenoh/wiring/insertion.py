@@ -95,10 +95,7 @@ def never_inserted(wiring: Wiring, nodes: Collection[str]) -> Wiring:
 
 
 def interposer_of(wiring: Wiring, wire: str) -> str:
-    """The only interposer of a wire.
-
-    Raises WiringError if there is none, or more than one.
-    """
+    """The only interposer of a wire; raises WiringError unless there is exactly one."""
     wires = {known.key: known for known in wiring.wires}
     if wire not in wires:
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
@@ -110,10 +107,7 @@ def interposer_of(wiring: Wiring, wire: str) -> str:
 
 
 def taps_into(wiring: Wiring, nodes: Collection[str]) -> dict[str, str]:
-    """The keys on which these nodes receive the messages that they forward.
-
-    Values are the nodes.
-    """
+    """The keys on which these nodes receive messages to forward; values: nodes."""
     return {
         leg.key: end.node
         for wire in wiring.wires
@@ -160,10 +154,7 @@ def _shortened(trunk: tuple[Leg, ...], nodes: Collection[str]) -> list[Leg]:
 
 
 def _check_source(wire: Wire) -> None:
-    """Raise WiringError if nodes listen at the source.
-
-    Subscribers keep their key during a run.
-    """
+    """Raise WiringError for listeners at the source, as their key cannot change."""
     names = ", ".join(listener.end.node for listener in wire.listeners if listener.source)
     if names:
         raise WiringError(

@@ -86,10 +86,7 @@ Sources = Sequence[tuple[str, Mapping[str, Any]]]
 
 
 def load(path: Path) -> dict[str, Any]:
-    """Read a map or rewrite file as a dict.
-
-    Raises WiringError if it is missing or not TOML.
-    """
+    """Read a map or rewrite file; raises WiringError if missing or not TOML."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -258,10 +255,7 @@ def _listed(to: object) -> list[object]:
 
 
 def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield (place, entry) of all entries of one kind, in order.
-
-    Raises WiringError for invalid keys or values.
-    """
+    """Yield (place, entry) of one kind; raises WiringError for invalid entries."""
     required, optional = _KEYS[kind]
     for file, content in sources:
         for index, entry in enumerate(content.get(kind, ())):

@@ -1,7 +1,4 @@
-"""A resolved key-expression map: wires, their legs, and the ports of every node.
-
-With output as JSON, text and diagram.
-"""
+"""A resolved key-expression map: wires, legs, ports; as JSON, text and diagram."""
 
 from __future__ import annotations
 
@@ -36,10 +33,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """The interposers of a single subscriber.
-
-    A branch leaves the trunk at `entrance` and ends at `subscriber`.
-    """
+    """The interposers of one subscriber, from the trunk at `entrance` on."""
 
     entrance: Endpoint
     subscriber: Endpoint
@@ -82,10 +76,7 @@ class Wire:
 
     @property
     def interposers(self) -> tuple[str, ...]:
-        """The nodes inserted into the wire.
-
-        Those of the trunk come first, from the publisher on, then those of each branch.
-        """
+        """The nodes inserted into the wire: trunk first, then each branch."""
         return tuple(leg.publisher.node for leg in self.every_leg[1:])
 
     @property
@@ -109,10 +100,7 @@ class Wire:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A node's input on one key.
-
-    source: the wire's publisher
-    """
+    """A node's input on one key; source: the wire's publisher."""
 
     port: str
     subject: str
@@ -163,10 +151,7 @@ class Wiring:
                 yield wire, leg
 
     def passages(self) -> Iterator[Passage]:
-        """Yield the passage of every interposer through each of its wires.
-
-        In the order of the wires and their legs.
-        """
+        """Yield each interposer's passage through each of its wires, in order."""
         for wire in self.wires:
             ends = [("", leg) for leg in wire.legs]
             yield from _passages(wire, ends)
@@ -175,10 +160,7 @@ class Wiring:
                 yield from _passages(wire, [ends[-1], *((before, leg) for leg in branch.legs)])
 
     def flows(self) -> Iterator[tuple[str, str, str]]:
-        """Yield (key, publisher, subscriber) of every leg.
-
-        Listeners and overhearers count as subscribers.
-        """
+        """Yield (key, publisher, subscriber) of every leg; listeners are subscribers too."""
         for wire, leg in self.legs():
             for end in (*wire.receivers(leg), *self.overhearers):
                 yield leg.key, leg.publisher.node, end.node
@@ -254,10 +236,7 @@ NO_WIRING = Wiring(())
 
 
 def _passages(wire: Wire, legs: Sequence[tuple[str, Leg]]) -> Iterator[Passage]:
-    """The passages between consecutive legs.
-
-    legs: each with its only subscriber, or ""
-    """
+    """The passages between consecutive legs, each with its only subscriber or ""."""
     for (_, into), (before, out) in pairwise(legs):
         port = wire.legs[0].publisher.port
         yield Passage(out.publisher.node, wire.key, wire.subject, wire.message, port, into.key, out.key, before)
@@ -310,10 +289,7 @@ def to_text(wiring: Wiring) -> str:
 
 
 def to_mermaid(wiring: Wiring) -> str:
-    """The wiring as a Mermaid flow chart.
-
-    Inserted nodes, tap legs and listeners are marked.
-    """
+    """A Mermaid flow chart with inserted nodes, tap legs and listeners marked."""
     lines = ["flowchart LR"]
     interposers = sorted({node for wire in wiring.wires for node in wire.interposers})
     lines += [f"    {node}{{{{{node}}}}}:::inserted" for node in interposers]

@@ -112,10 +112,7 @@ class Overheard:
 
     @property
     def header(self) -> Header:
-        """The header; raises MessageError if it is invalid or has another source.
-
-        The source must be the wire's publisher.
-        """
+        """The header; raises MessageError if invalid or not from the wire's publisher."""
         header = self._header
         if header is None:
             content, wire = self._content, self.wire
@@ -127,10 +124,7 @@ class Overheard:
 
     @property
     def body(self) -> Body:
-        """The columns, decoded at each access.
-
-        Raises MessageError if a subscriber of the key would refuse them.
-        """
+        """The columns, decoded at each access; raises MessageError if invalid."""
         if isinstance(self._content, Message):
             if self._flaw:
                 raise MessageError(self._flaw)
@@ -152,10 +146,7 @@ class Overheard:
 
     @property
     def encoded(self) -> bool:
-        """Whether it was received as bytes.
-
-        Its columns are then views that keep the whole payload in memory.
-        """
+        """Whether it was received as bytes, which its columns then keep in memory."""
         return isinstance(self._content, bytes)
 
     def same_bytes(self, other: Overheard) -> bool:

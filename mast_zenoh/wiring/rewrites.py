@@ -82,10 +82,7 @@ def _subscriber(wire: Wire, node: str, role: str, nodes: Mapping[str, NodeOption
 
 
 def _on_branch(wire: Wire, entrance: Endpoint, exit_: Endpoint, subscriber: Endpoint) -> Wire:
-    """The wire with a node at the end of the branch to `subscriber`.
-
-    The branch is created if needed.
-    """
+    """The wire with a node at the end of a branch, which is created if needed."""
     branches = {branch.subscriber: branch for branch in wire.branches}
     branch = branches.get(subscriber)
     legs = branch.legs if branch else ()

@@ -26,10 +26,7 @@ HATCH = "////"
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """An attack or fault from `start` to `end`, in units of the time axis.
-
-    end: inf for the last frame
-    """
+    """An attack or fault between two times on the axis; end: inf for the last frame."""
 
     label: str
     attack: bool

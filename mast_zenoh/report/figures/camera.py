@@ -54,10 +54,7 @@ class Eye:
         return self.pixels(clipped.reshape(-1, 3))[0].reshape(-1, 2, 2)
 
     def face(self, corners: Floats) -> Floats | None:
-        """(k, 2) px: the visible part of a convex face (n, 3) m; None: none.
-
-        Visible means in front of the near plane.
-        """
+        """(k, 2) px: part of a convex face (n, 3) m beyond the near plane; None: none."""
         depth = self.pixels(corners)[1]
         visible = []
         for here, there in zip(range(len(corners)), [*range(1, len(corners)), 0], strict=True):

@@ -230,10 +230,7 @@ def _curves(axes: Axes, panel: Panel, column: Column) -> None:
 
 
 def _heat_map(axes: Axes, panel: Panel, column: Column, scale: float) -> None:
-    """Means as colours and numbers.
-
-    In brackets if the interval contains 0 or there is none.
-    """
+    """Means as colours and numbers, in brackets if the interval contains 0 or is none."""
     means = np.full((len(panel.curves), len(panel.ticks)), np.nan)
     for y, curve in enumerate(panel.curves):
         for row in curve.rows:

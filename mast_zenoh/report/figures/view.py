@@ -234,10 +234,7 @@ def choose_frame(run: RunFolder, reference: RunFolder | None = None, estimate: s
 
 
 def choose_common_frame(runs: Sequence[RunFolder], baseline: RunFolder, estimate: str = "picture") -> int | None:
-    """Choose the frame to show for several runs.
-
-    It is the frame of the run that differs most from `baseline`.
-    """
+    """Choose the frame of several runs: that of the largest difference to `baseline`."""
     best: tuple[float, int] | None = None
     baseline_errors = _weighted_errors(baseline, estimate)
     for run in runs:

@@ -48,10 +48,7 @@ def _attacked_frames(run: RunFolder) -> tuple[int, int]:
 
 
 def _scores(run: RunFolder, change: Change | None) -> str:
-    """The ego's score during the attack.
-
-    Its kind is that of the change, by default false objects.
-    """
+    """The ego's score during the attack, of the change's kind or else false objects."""
     is_ego = change is not None and change.agent == run.ego
     kind, estimate = (change.kind, change.estimate) if change is not None and is_ego else (FALSE, "picture")
     counts = (

@@ -27,10 +27,7 @@ def due_to_causes(run: RunFolder, changes: Sequence[Change]) -> str:
 
 
 def cause_clause(run: RunFolder, change: Change, reference: RunFolder) -> str:
-    """`, due to adversary_1`: the cause of a change over a reference run.
-
-    Or the reason why none is named.
-    """
+    """`, due to adversary_1`: the cause of a change, or why none is named."""
     others = other_differences(run, reference)
     if others:
         also = "also " if attacking_nodes(run) - attacking_nodes(reference) else ""

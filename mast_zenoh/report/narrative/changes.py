@@ -66,10 +66,7 @@ class Change:
 
 
 def against(run: RunFolder, reference: RunFolder, agents: Iterable[str] | None = None) -> list[Change]:
-    """Changes of a run's scores over a reference run of the same scene.
-
-    agents: by default the ego
-    """
+    """Changes of scores over a reference run of the same scene; by default the ego's."""
     changes = []
     for agent in agents or [run.ego or ""]:
         for estimate in ESTIMATES:
@@ -233,10 +230,7 @@ def _frames(run: RunFolder) -> int:
 
 
 def _part(summary: Summary, kind: str, group: str, reference: Summary | None = None) -> float | None:
-    """The part of a score due to attacks or faults, minus that of the reference.
-
-    None: not measured.
-    """
+    """The part of a score due to attacks or faults over a reference; None: unknown."""
     here = (summary.get(f"{KEYS[kind]}_split") or {}).get(group)
     if reference is None or here is None:
         return here

@@ -195,10 +195,7 @@ def _how_often(share: float) -> str:
 
 
 def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
-    """Reasons why moved and altered objects were not displaced.
-
-    Identity switches count as effects.
-    """
+    """Reasons for missing displacement of objects; identity switches count as effects."""
     effects = "moved_share", "altered_share", "id_switches"
     if any(achieved.get(f"{effect}_{viewer}") for effect in effects for viewer in ("centre", "ego")):
         return []

@@ -229,10 +229,7 @@ def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
 
 
 def _changes(runs: Mapping[str, RunFolder], table: ScoreTable) -> dict[str, Change]:
-    """The largest change of each run over the reference.
-
-    Runs without changes are omitted.
-    """
+    """The largest change of each run over the reference, without unchanged runs."""
     if table.reference is None:
         return {}
     others = {label: run for label, run in runs.items() if label != table.reference}

@@ -87,10 +87,7 @@ def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:
 
 
 def _unattributed(each: dict[str, Any], other: dict[str, Any], key: str) -> float:
-    """Unattributed increase of a share of frames over another run.
-
-    0: none, or not known.
-    """
+    """Unattributed increase of a share of frames over another run; 0: none."""
     share, reference_share = each.get(key), other.get(key)
     if share is None or reference_share is None:
         return 0.0
@@ -132,19 +129,13 @@ def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any], refer
 
 
 def braking_by_attack(run: RunFolder) -> str:
-    """The ego's wrong braking because of attacks, in words; empty: none.
-
-    The ego drives by its own tracks and the picture.
-    """
+    """Wrong braking of the ego with picture by attacks, in words; empty: none."""
     mission = _summaries(run).get("mission", {})
     return _braking({words: mission.get(f"{key}_attack") for key, words in _WRONG_BRAKING.items()})
 
 
 def unattributed_braking(run: RunFolder, reference: RunFolder, name: str) -> str:
-    """Unattributed increase of wrong braking over the run `name`, in words.
-
-    Empty: none.
-    """
+    """Unattributed increase of wrong braking over a run, in words; empty: none."""
     own, other = (_summaries(each).get("mission", {}) for each in (run, reference))
     braking = _braking({words: _unattributed(own, other, key) for key, words in _WRONG_BRAKING.items()})
     return f"{braking} more than {name}, not attributed" if braking else ""

@@ -57,10 +57,7 @@ MEASURES = (
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """Mean and standard deviation over frames, or a value of the whole run.
-
-    None: not known.
-    """
+    """Mean and standard deviation over frames, or a run's value; None: unknown."""
 
     mean: float | None = None
     std: float | None = None
@@ -170,10 +167,7 @@ def measures(scores: Iterable[Mapping[str, Mapping[str, Any]]]) -> list[Measure]
 
 
 def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[str, ...]:
-    """Estimates that have a column.
-
-    They are those in ALWAYS, and those that differ from all others in some run.
-    """
+    """Estimates with a column: those in ALWAYS, and those that differ from all others."""
     names = set(ALWAYS)
     for summary in metrics:
         same = summary.get("same_as", {}).get(agent, {})
@@ -209,10 +203,7 @@ def _difference(
     estimates: tuple[str, str],
     measure: Measure,
 ) -> Value:
-    """`value` minus `other`.
-
-    With the standard deviation over common frames if counts are given.
-    """
+    """`value` minus `other`, with the deviation over common frames if known."""
     if other is None or value.mean is None or other.mean is None:
         return Value()
     own_counts, other_counts = (of_run.get(name) for of_run, name in zip(series, estimates, strict=True))
@@ -247,10 +238,7 @@ NOTE = "FN, FP, TP: objects per frame, mean over the scored frames"
 
 
 def as_rich(table: ScoreTable) -> Group:
-    """The main metrics for a terminal of 80 columns.
-
-    With changes over the reference, if any.
-    """
+    """Main metrics for a terminal of 80 columns, with changes over a reference if any."""
     if len(table.runs) < 2:
         return Group(_terminal_table(table, table.estimates, NOTE))
     others = [name for name in table.estimates if name not in ALWAYS]

@@ -58,10 +58,7 @@ class Estimate:
 
     @property
     def certain(self) -> bool:
-        """Whether an increment is equal in every seed and not 0.
-
-        Without spread there is no interval.
-        """
+        """Whether an increment is equal in every seed and not 0, so without interval."""
         return self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE and math.isnan(self.low)
 
 
@@ -81,10 +78,7 @@ class StudyRow:
 
     @property
     def title(self) -> str:
-        """The label with parameter names: `attacked false_positives=2.0`.
-
-        Without a grid, the label itself.
-        """
+        """The label with parameter names: `attacked false_positives=2.0`."""
         return (
             " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
             if self.point
@@ -97,10 +91,7 @@ class StudyRow:
 
 
 class Column(NamedTuple):
-    """One column of a table: its heading, and the series it shows.
-
-    owner: None for the ego
-    """
+    """One column of a table: heading and series; owner: None for the ego."""
 
     heading: str
     metric: str
@@ -183,10 +174,7 @@ def value(estimate: Estimate) -> str:
 
 
 def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
-    """The interval `[3.10, 3.80]`, or why there is none.
-
-    scenes: the interval to other scenes; empty if there is none
-    """
+    """`[3.10, 3.80]`, or why there is no interval; scenes: that to other scenes."""
     low, high = (estimate.scenes_low, estimate.scenes_high) if scenes else (estimate.low, estimate.high)
     if not math.isnan(low):
         digits = _digits(estimate)

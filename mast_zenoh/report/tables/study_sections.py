@@ -100,10 +100,7 @@ def _paper(rows: Sequence[StudyRow], comparisons: Comparisons) -> Section:
 
 
 def _added(rows: Sequence[StudyRow], comparisons: Comparisons) -> list[Section]:
-    """A table per estimate that an attack changes.
-
-    The terminal shows those of the ego.
-    """
+    """A table per estimate that an attack changes; the terminal shows the ego's."""
     tables = []
     for estimator, group in zip(ESTIMATORS, ADDED, strict=True):
         section = _table(
@@ -169,10 +166,7 @@ def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
 
 
 def _others(rows: Sequence[StudyRow]) -> Section:
-    """Numbers of the ego that have no other table, a line each.
-
-    User-defined metrics, for example.
-    """
+    """Other numbers of the ego, such as user-defined metrics, a line each."""
     table_series = {(column.estimator, column.metric) for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
     series = [
         each

@@ -82,10 +82,7 @@ def _before(wire: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 
 
 def all_wires(run: RunFolder) -> list[dict[str, Any]]:
-    """The wires of wiring.json, with interposers that were removed before the end.
-
-    wiring.json holds the final state.
-    """
+    """The final wires of wiring.json, with interposers that were removed earlier."""
     wires = {wire["key"]: wire for wire in run.wiring.get("wires", [])}
     for each in interposers(run):
         for key in each.wires if each.live is not None else ():
@@ -96,10 +93,7 @@ def all_wires(run: RunFolder) -> list[dict[str, Any]]:
 
 
 def _with_interposer(wire: dict[str, Any], node: str) -> dict[str, Any]:
-    """A wire with one more interposer at the end of its trunk.
-
-    The key that the interposer subscribed to is not known.
-    """
+    """A wire with another interposer at the end of its trunk; its key is not known."""
     legs = list(wire.get("legs", ()))
     index = next((i for i, leg in enumerate(legs) if leg["key"] == wire["key"]), None)
     if index is not None:

@@ -138,19 +138,13 @@ class AttackedRun:
 
     @property
     def foreign(self) -> Authority:
-        """The outsider's own authority.
-
-        It issues certificates with the same contents as the real one.
-        """
+        """The outsider's own authority, for certificates that imitate the real ones."""
         if self._foreign is None:
             self._foreign = Authority(self._joined.run_id)
         return self._foreign
 
     def join(self, shows: str, zid: str | None = None) -> zenoh.Session:
-        """Open a session on the run's mesh; raises zenoh.ZError if refused.
-
-        zid: Zenoh id of the session
-        """
+        """Open a session, with a Zenoh id if given; raises zenoh.ZError if refused."""
         credentials = self.credentials(shows)
         settings = {
             "mode": "client",
@@ -162,10 +156,7 @@ class AttackedRun:
         return open_session(settings)
 
     def zid(self, node: str) -> str:
-        """The Zenoh id of a node's session, as reported by the router.
-
-        On an open mesh any client may query it.
-        """
+        """The Zenoh id of a node's session, which any client of an open mesh can query."""
         session = self._mesh.session
         key = f"@/{session.info.zid()}/router/token/{self.prefix}/alive/{self.require_node(node)}"
         for reply in session.get(key, timeout=5.0):
@@ -233,10 +224,7 @@ class AttackedRun:
         return True
 
     def wait_until_ended(self, seconds: float) -> run.Run | None:
-        """Wait for the run to end by itself.
-
-        Returns its outcome, or None after a timeout of `seconds`.
-        """
+        """Wait for the run to end by itself; its outcome, or None after `seconds`."""
         self._thread.join(seconds)
         return self._ended
 
@@ -282,10 +270,7 @@ class AttackedRun:
 
 @contextmanager
 def attacker_errors(name: str, call: Callable[..., Any]) -> Iterator[None]:
-    """Turn errors in an attacker's code into HandlerFailed with file and line.
-
-    call: the attacker's code
-    """
+    """Turn errors in `call`, an attacker's code, into HandlerFailed with the line."""
     try:
         yield
     except (MastError, zenoh.ZError):

@@ -69,18 +69,12 @@ class Attempt(ABC):
 
     @property
     def key(self) -> str:
-        """The key of its forged messages, or "".
-
-        Messages are counted by key, so it is unique among attempts.
-        """
+        """The key of its forged messages, unique among attempts to count them; or ""."""
         return ""
 
     @abstractmethod
     def make(self, attacked_run: AttackedRun) -> Outcome:
-        """Carry out the attempt and return its immediate effects.
-
-        `reached` is counted after the run.
-        """
+        """Carry out the attempt; returns its effects except `reached`, counted later."""
 
 
 class Inject(Attempt):
@@ -211,10 +205,7 @@ class RogueRouter(Attempt):
         return outcome
 
     def _settings(self, attacked_run: AttackedRun) -> dict[str, Any]:
-        """Settings of a rogue router, with the outsider's best certificate.
-
-        It forwards to the real router.
-        """
+        """Settings of a router that forwards to the real one, with the best certificate."""
         upstream = {
             "connect/endpoints": [attacked_run.endpoint],
             "connect/exit_on_failure": False,

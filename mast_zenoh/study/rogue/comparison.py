@@ -120,10 +120,7 @@ def load_insiders(name: str) -> list[Insider]:
 
 
 def _load_attackers(name: str, function_name: str, base: Any) -> list[Any]:
-    """Build the attackers that a function of a scenario file lists.
-
-    Returns [] if there is no such function.
-    """
+    """Build the attackers listed by a scenario file's function; [] without it."""
     path, _ = loading.function("scenarios", name, "scenario")
     function = getattr(loading.module(path), function_name, None)
     content = function() if callable(function) else []
@@ -165,10 +162,7 @@ def run_outsider(
 
 
 def _prepare(study: Study, configuration: Configuration, seed: int | None, frames: int | None) -> _PreparedRun:
-    """Resolve a run.
-
-    Raises ConfigurationError if it is invalid or its file lists no attackers.
-    """
+    """Resolve a run; raises ConfigurationError if invalid or without attackers."""
     file, loaded = scenario.load(configuration.scenario, (*study.scenes[0].settings, *configuration.settings))
     attempts, insiders = load(configuration.scenario), load_insiders(configuration.scenario)
     if not attempts and not insiders:

@@ -31,10 +31,7 @@ class Detour:
         self._threads[0].start()
 
     def redirect(self, port: int | None) -> None:
-        """Close all connections, and relay new ones to this port.
-
-        None: to the original target
-        """
+        """Close all connections, and relay new ones to a port; None: the original target."""
         self._override_port = port
         self._disconnect()
 

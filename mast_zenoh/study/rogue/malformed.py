@@ -61,10 +61,7 @@ def heavy(value: Any, control: str) -> Iterator[bytes]:
 
 
 def flipped(value: Any, random: Random) -> bytes:
-    """The bytes of a valid message with some bits or bytes changed.
-
-    The result may still be valid.
-    """
+    """A valid message with some bits or bytes changed; it may still be valid."""
     payload = bytearray(pack(value))
     for _ in range(int(random.integers(1, 4))):
         index = int(random.integers(len(payload)))
@@ -137,10 +134,7 @@ def _missing(value: Any, random: Random) -> bytes:
 
 
 def _number(value: Any, random: Random) -> bytes:
-    """Replace a number by a non-number or an out-of-range one.
-
-    Without numbers, give a part a wrong type.
-    """
+    """Replace a number by an invalid one; without numbers, use a wrong type."""
     numbers = list(_numbers(value))
     if not numbers:
         return _wrong_type(value, random)
