@@ -1,4 +1,4 @@
-# `make run` and `make test` work on a fresh machine that has Python >= 3.11 and nothing else of ours.
+# `make run` and `make test` work on a fresh machine that has only make and Python >= 3.11.
 PYTHON ?= python3
 BIN := .venv/bin
 TOOLS := .venv/tools/bin
@@ -6,24 +6,24 @@ PIP := pip install --quiet --disable-pip-version-check
 
 .PHONY: run dev test fuzz insiders lint bench docs lock dist clean
 
-# Installs what running needs; the other targets add the tools for tests and development.
+# Installs only what running needs; the other targets add the tools for tests and development.
 run: .venv/installed
 	$(BIN)/mast study case_study
 
 # All optional packages and the tools for tests and development.
 dev: .venv/ready
 
-# Three at a time, also on two cores: tests that start processes wait for most of their time. Those of a file share what is
-# slow to make, so they stay together.
+# Three workers, also on two cores, because tests that start processes mostly wait. Tests of one file share fixtures that
+# are slow to build, so they stay in one worker.
 test: .venv/ready
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(TESTS)
 
-# `make fuzz SEED=7` draws what an earlier run with that seed has drawn.
+# `make fuzz SEED=7` repeats the draws of an earlier run with that seed.
 fuzz: SEED ?= $(shell $(PYTHON) -c 'import random; print(random.randrange(1 << 24))')
 fuzz: .venv/ready
 	$(BIN)/python -m pytest --fuzz --fuzz-seed $(SEED) --timeout 1800 tests/runtime/test_malformed_input.py tests/mesh/test_malformed_control.py
 
-# What one compromised node of each role can do: 200 messages of each kind on every control key, half an hour.
+# Attacks by one compromised node of each role: 200 messages of each kind on every control key. Takes half an hour.
 insiders: .venv/ready
 	MAST_FORGERIES=200 $(BIN)/python -m pytest tests/deploy/test_insiders.py --timeout=600
 
@@ -41,15 +41,15 @@ bench: .venv/ready
 docs: .venv/ready
 	$(BIN)/python tools/generate_docs.py docs
 
-# Run this after changing dependencies in pyproject.toml. `make lock UPGRADE=--upgrade` takes the newest versions of all.
-# The lock file for running is a subset of the one for development: the same versions, with the same hashes.
+# Run this after changing dependencies in pyproject.toml. `make lock UPGRADE=--upgrade` updates all packages.
+# The lock file for running is a subset of the one for development, with the same versions and hashes.
 LOCK := $(TOOLS)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --custom-compile-command 'make lock'
 lock: .venv/tools/ready
 	$(LOCK) $(UPGRADE) --extra dev --output-file requirements-dev.txt pyproject.toml
 	$(LOCK) --constraint requirements-dev.txt --group build --output-file requirements.txt pyproject.toml
 	$(LOCK) $(UPGRADE) --group tools --output-file requirements-tools.txt
 
-# What is released: source archive, wheel, and the bill of materials (CycloneDX) of the wheel and all that it needs.
+# Release files: source archive, wheel, and the bill of materials (CycloneDX) of the wheel with its dependencies.
 dist: .venv/ready .venv/tools/ready
 	rm -rf dist
 	$(BIN)/python -m build --no-isolation
@@ -58,10 +58,10 @@ dist: .venv/ready .venv/tools/ready
 	$(TOOLS)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file dist/mast-zenoh.cdx.json dist/installed
 	rm -rf dist/installed
 
-# Kernels are compiled when the package is installed, and again when their sources change. Other packages are exactly those of
-# the lock file. --no-build-isolation makes the build use them too.
+# Kernels are compiled when the package is installed, and again when their sources change. Other packages come from the
+# lock file; with --no-build-isolation, the build uses them too.
 .venv/installed: pyproject.toml requirements.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
-	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed, this is " + sys.version'
+	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "expected Python 3.11 or newer, found " + sys.version'
 	$(PYTHON) -m venv .venv
 	$(BIN)/$(PIP) --require-hashes --requirement requirements.txt
 	$(BIN)/$(PIP) --no-deps --no-build-isolation --editable .

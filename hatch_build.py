@@ -1,6 +1,7 @@
-"""Compiles the kernels (`mast_zenoh/kernels/*.pyx`) into the wheel, or beside their sources for an editable install.
+"""Compiles the kernels (`mast_zenoh/kernels/*.pyx`) for a wheel or a checkout.
 
-Without a C compiler everything is installed all the same, and NumPy does their work.
+In an editable install, they are beside their sources.
+Without a C compiler, the package is installed without them and uses NumPy instead.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PACKAGE = "mast_zenoh/kernels"
-#: The same bits on every processor that runs the wheel: no contraction to fused operations, no native instructions.
-#: Nobody reads errno after a square root.
+#: Bit-identical results on every processor: no contraction to fused operations, no native instructions.
+#: errno is not used after a square root.
 FLAGS = ["-O3", "-g0", "-ffp-contract=off", "-fno-math-errno"]
 
 
 class Kernels(BuildHookInterface):
-    """See the module's docstring."""
+    """The build hook of hatch."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile; `version` is "standard" or "editable"."""
@@ -28,7 +29,7 @@ class Kernels(BuildHookInterface):
         built = compiled(root, Path(self._temporary.name))
         if version == "editable":
             for module in (root / PACKAGE).glob("*.so"):
-                module.unlink()  # older than the sources, or made where there was a compiler
+                module.unlink()  # outdated, or built with a compiler that is no longer there
             for module in built:
                 (root / PACKAGE / module.name).write_bytes(module.read_bytes())
         elif built:
@@ -37,12 +38,12 @@ class Kernels(BuildHookInterface):
             build_data["infer_tag"] = True
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """What was compiled is in the wheel."""
+        """Remove the temporary folder; the wheel holds the compiled modules."""
         self._temporary.cleanup()
 
 
 def compiled(root: Path, folder: Path) -> list[Path]:
-    """The extension modules, made in `folder`; none where they cannot be made."""
+    """Compile the extension modules into `folder`; [] on failure."""
     import numpy
     from Cython.Build import cythonize
     from setuptools import Distribution, Extension
@@ -71,7 +72,7 @@ def compiled(root: Path, folder: Path) -> list[Path]:
         command.parallel = True
         command.ensure_finalized()
         command.run()
-    except Exception as error:  # setuptools says in many ways that there is no compiler, or no header of Python
+    except Exception as error:  # the types vary if there is no compiler, or no Python header
         print(f"kernels not compiled, NumPy will do: {error}", file=sys.stderr)
         return []
     return [Path(command.get_ext_fullpath(extension.name)) for extension in extensions]

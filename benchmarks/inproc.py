@@ -1,15 +1,17 @@
-"""Frames/s of whole runs in one process, all roles and evaluation included; and what a second job is worth.
+"""Frames/s of whole runs in one process, and the speed-up by a second job.
+
+Runs include all roles and the evaluation.
 
     python benchmarks/inproc.py [--scene avstack:PATH] [--repeats 7] [--trials 140] [--rounds 3]
 
-Runs are timed from building the nodes to the evaluator's results, in CPU time of one core (other work on the machine
-does not count) and on the wall clock; the best of the repeats is what the code can do, the median what it did.
+Runs are timed from building the nodes to the evaluator's results, in CPU time of one core (without other work on the
+machine) and on the wall clock. The best repeat shows what the code can do, the median the typical run.
 
-Jobs are compared by trials per second of wall clock: of all trials, with the start of the workers, and without it (from
-the first outcomes to the last), as a study of many trials has it; in turns, and the medians are compared. That needs
-two idle cores; the CPU time per trial tells what a second job costs on a machine that has other work.
+Jobs are compared by trials per second of wall clock: for all trials with the start of the workers, and without it (from
+the first outcomes to the last), as in a study of many trials. Runs alternate, and the medians are compared. This needs
+two idle cores; the CPU time per trial shows the cost of a second job on a busy machine.
 
-Without --scene it takes scene_a from $MAST_DATA or ../shared/data, or else the generated junction.
+Without --scene it uses scene_a from $MAST_DATA or ../shared/data, or else the generated junction.
 """
 
 from __future__ import annotations
@@ -60,7 +62,7 @@ def one_and_two_jobs(scene: str, trials: int, rounds: int) -> None:
     seeds = -(-trials // len(study.configurations))
     todo = plan.trials(study, count=seeds, seed=0, frames=None, runtime="inproc")[:trials]
     for seed in {trial.seed: trial for trial in todo}.values():
-        execution.one.prepare(seed)  # the scenes are prepared before the clock runs, for both alike
+        execution.one.prepare(seed)  # scenes are prepared before timing starts, for one and two jobs
     rates: dict[int, list[tuple[float, float, float]]] = {1: [], 2: []}
     print(f"{f'{trials} trials':14}{'trials/s':>12}{'without start':>16}{'CPU s/trial':>14}")
     for _ in range(rounds):

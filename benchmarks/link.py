@@ -1,17 +1,19 @@
-"""What a link node adds to the way of a message through a router, beside what a bare Python relay adds, in one run.
+"""Latency that a link node adds to a message, compared with a bare Python relay.
+
+Messages pass through a router.
 
 The same message, real tracks of 20 objects, goes from a publisher to a subscriber in this process
 
     direct      through the router
-    callback    through the router, a process that puts what it gets from within Zenoh's thread, and the router again:
-                the floor, which no program reaches that is to do anything else meanwhile
-    relay       the same as one writes it: `for sample in subscriber: publisher.put(sample.payload)`
-    link        the same with a link node as in a run in real time, without rules
-    wired       and with those of the profile `wired`; its delays, as the rules draw them, are taken off
+    callback    through the router, a process that forwards messages in Zenoh's own thread, and the router again:
+                the lower limit, for a program that does nothing else
+    relay       the same with a plain loop: `for sample in subscriber: publisher.put(sample.payload)`
+    link        the same with a link node, as in a real-time run, without rules
+    wired       and with the rules of the profile `wired`; the delays that they draw are subtracted
 
-one message after the other, all ways in turn. Given are medians of one-way times, of blocks of messages, and what a way
-adds to the direct one as a multiple of what the relay adds: the median of the blocks' own ratios, because what else the
-machine does changes from block to block.
+one message after the other, over all paths in turn. Results are medians of one-way times over blocks of messages, and
+the latency added to the direct path as a multiple of that of the relay. The multiple is the median of the blocks'
+ratios, because the load of the machine differs between blocks.
 
     python benchmarks/link.py [--messages 200] [--repeats 10] [--objects 20]
 """
@@ -104,7 +106,7 @@ def message(objects: int) -> bytes:
 
 
 def relay(endpoint: str, way: str) -> None:
-    """The main of a bare relay."""
+    """Main function of a bare relay."""
     with open_client(endpoint) as session:
         out = session.declare_publisher(
             f"{prefix(way)}/out", congestion_control=zenoh.CongestionControl.BLOCK, express=True
@@ -123,10 +125,10 @@ def relay(endpoint: str, way: str) -> None:
 
 
 def link(endpoint: str, way: str) -> None:
-    """The main of the link node's process."""
+    """Main function of the link node's process."""
     with open_client(endpoint) as session:
-        built = tuple(registry.build(rule, Rule, way) for rule in rules(way))
-        node = link_class()("ego", built)
+        built_rules = tuple(registry.build(rule, Rule, way) for rule in rules(way))
+        node = link_class()("ego", built_rules)
         more = {"signatures": Signatures(way), "period_ns": PERIOD_NS, "lockstep": False}
         hosted = MeshNode(way, "link_ego", node, wiring(), 0, session, **more)
         hosted.note_arrivals()
@@ -137,38 +139,38 @@ def link(endpoint: str, way: str) -> None:
 
 def drawn_delay_us(sizes: int, count: int) -> float:
     """The median delay of the profile's rules themselves, µs."""
-    built = [registry.build(rule, Rule, "wired") for rule in rules("wired")]
-    chain = Chain(built, lambda *purpose: stream(0, "link_ego", "link", "tracks", "ego", *purpose))
-    found = [chain.carry(Passage(0, 10**8 * number, sizes)) for number in range(count)]
-    return statistics.median(outcome.delay_s for outcome in found if outcome.leaving) * 1e6
+    built_rules = [registry.build(rule, Rule, "wired") for rule in rules("wired")]
+    chain = Chain(built_rules, lambda *purpose: stream(0, "link_ego", "link", "tracks", "ego", *purpose))
+    outcomes = [chain.carry(Passage(0, 10**8 * number, sizes)) for number in range(count)]
+    return statistics.median(outcome.delay_s for outcome in outcomes if outcome.leaving) * 1e6
 
 
 class Bench:
     """The publisher and the subscriber of every way."""
 
-    def __init__(self, session: zenoh.Session, hearing: zenoh.Session, payload: bytes) -> None:
-        self.session = session  # what one session puts and hears itself does not go through the router
+    def __init__(self, session: zenoh.Session, listening_session: zenoh.Session, payload: bytes) -> None:
+        self.session = session  # messages between ports of one session would not pass through the router
         self.payload = payload
-        self.came: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self.arrivals_ns: queue.SimpleQueue[int] = queue.SimpleQueue()
         (branch,) = next(wire for wire in wiring().wires if wire.key == KEY).branches
         ends = {way: (f"{prefix(way)}/{KEY}", f"{prefix(way)}/{branch.legs[-1].key}") for way in WAYS}
         ends |= {way: (f"{prefix(way)}/in", f"{prefix(way)}/out") for way in BARE}
         ends["direct"] = ("direct/key", "direct/key")
         self.out = {way: self.publisher(key) for way, (key, _) in ends.items()}
         for _, key in ends.values():
-            hearing.declare_subscriber(key, zenoh.handlers.Callback(self.take, indirect=False))
+            listening_session.declare_subscriber(key, zenoh.handlers.Callback(self.take, indirect=False))
 
     def publisher(self, key: str) -> zenoh.Publisher:
-        """As the testbed's nodes publish."""
+        """A publisher with the settings of the testbed's nodes."""
         block = zenoh.CongestionControl.BLOCK
         return self.session.declare_publisher(key, congestion_control=block, express=True)
 
     def take(self, sample: zenoh.Sample) -> None:
-        """A message has come."""
-        self.came.put(time.perf_counter_ns())
+        """Store the time of arrival of a message."""
+        self.arrivals_ns.put(time.perf_counter_ns())
 
     def begin(self, way: str) -> None:
-        """The node takes part, and its first frame begins: what a driver and a simulator do."""
+        """Have the node join and start its first frame, as driver and simulator do."""
         epoch = msgpack.packb([1, ROLES])
         clock = codec.encode(codec.conform(Header("clock", "simulator", 0, 0, 0), {}))
         self.session.put(f"{prefix(way)}/@control/epoch", epoch)
@@ -179,27 +181,27 @@ class Bench:
         begun = time.perf_counter_ns()
         self.out[way].put(self.payload, attachment=ATTACHED)
         try:
-            return (self.came.get(timeout=seconds) - begun) * 1e-3
+            return (self.arrivals_ns.get(timeout=seconds) - begun) * 1e-3
         except queue.Empty:
             return None
 
     def until_through(self, way: str) -> None:
-        """Wait until messages come through."""
+        """Wait until messages arrive."""
         deadline = time.monotonic() + 30.0
         while self.once(way, 0.2) is None:
             if time.monotonic() > deadline:
-                raise TimeoutError(f"{way}: nothing comes through")
+                raise TimeoutError(f"{way}: no message arrives")
             if way not in ("direct", *BARE):
                 self.begin(way)
         try:
-            while True:  # what had to wait for the node to begin
-                self.came.get(timeout=0.5)
+            while True:  # messages that waited for the node to start
+                self.arrivals_ns.get(timeout=0.5)
         except queue.Empty:
             return
 
 
 def main() -> None:
-    """Measure all, alternating, and print them side by side."""
+    """Measure all paths in turn, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--messages", type=int, default=200)
     parser.add_argument("--repeats", type=int, default=10)
@@ -217,8 +219,8 @@ def main() -> None:
         for way in WAYS[1:]
     }
     try:
-        with router, open_client(endpoint) as session, open_client(endpoint) as hearing:
-            bench = Bench(session, hearing, payload)
+        with router, open_client(endpoint) as session, open_client(endpoint) as listening_session:
+            bench = Bench(session, listening_session, payload)
             for way in WAYS:
                 bench.until_through(way)
             medians: dict[str, list[float]] = {way: [] for way in WAYS}
@@ -236,8 +238,8 @@ def main() -> None:
         for process in processes.values():
             process.kill()
             process.wait()
-    medians["wired"] = [found - drawn_delay_us(len(payload), 10_000) for found in medians["wired"]]
-    p50 = {way: statistics.median(found) for way, found in medians.items()}
+    medians["wired"] = [value - drawn_delay_us(len(payload), 10_000) for value in medians["wired"]]
+    p50 = {way: statistics.median(value) for way, value in medians.items()}
     added = {way: [a - b for a, b in zip(medians[way], medians["direct"], strict=True)] for way in WAYS[1:]}
     size = f"{arguments.objects} objects, {len(payload)} bytes"
     print(f"one way through a router, {size}, p50 of {arguments.messages} messages in each block")
@@ -247,7 +249,7 @@ def main() -> None:
         if way in added:
             of = {bare: statistics.median(map(truediv, added[way], added[bare])) for bare in BARE}
             beside = f"{statistics.median(added[way]):8.0f}{of['relay']:10.2f}{of['callback']:13.2f}"
-        print(f"{way:8}{p50[way]:12.0f}{beside}   {', '.join(f'{found:.0f}' for found in medians[way])}")
+        print(f"{way:8}{p50[way]:12.0f}{beside}   {', '.join(f'{value:.0f}' for value in medians[way])}")
 
 
 if __name__ == "__main__":

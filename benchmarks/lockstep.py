@@ -1,13 +1,15 @@
-"""Lock-step frames/s of the testbed beside those of bare messages over the same graph and payload sizes, in one run.
+"""Lock-step frames/s of the testbed, compared with bare messages.
+
+Bare messages have the same graph and payload sizes.
 
 The bare loops have the same processes, router, keys and payload sizes, and do nothing else: an agent publishes when its
-pose and detections are there, the broker when all tracks are there, the centre when the batch is there. They differ in
-when the simulator begins the next frame:
+pose and detections have arrived, the broker when all tracks have, the centre when the batch has. They differ in when
+the simulator begins the next frame:
 
-    bare, lock-step     when every process has said that it has got all of this frame (one empty message each)
-    bare, no barrier    when it receives the picture, although other nodes are still busy: the floor of the transport
+    bare, lock-step     when every process has acknowledged all messages of this frame (one empty message each)
+    bare, no barrier    when it receives the picture, even if other nodes are still busy: the limit of the transport
 
-What the testbed adds is the price of what it computes. It runs without a recorder here.
+The difference to the testbed is the cost of its computations. It runs without a recorder here.
 
     python benchmarks/lockstep.py [--frames 150] [--repeats 3]
 """
@@ -34,7 +36,7 @@ from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from mast_zenoh.wiring.model import Wiring
 
-#: What a node of a role waits for before it publishes, in the bare loop.
+#: By role, the messages that a node of the bare loop waits for before it publishes.
 TRIGGERS = {"agent": ("pose", "detections"), "broker": ("tracks",), "command_center": ("collated",)}
 PICTURE = "cc/picture"
 PREFIX = "bare/"
@@ -44,16 +46,16 @@ def payload_sizes(resolved: Resolved) -> dict[str, int]:
     """Mean bytes of a message on each key."""
     sizes: dict[str, list[int]] = defaultdict(list)
     InProcess(resolved, encode=True, tap=lambda sent: sizes[sent.key].append(len(sent.payload))).run()
-    return {key: round(statistics.mean(found)) for key, found in sizes.items()}
+    return {key: round(statistics.mean(values)) for key, values in sizes.items()}
 
 
 def testbed(resolved: Resolved) -> float:
     """Frames/s of the testbed on its mesh."""
     with tempfile.TemporaryDirectory() as out:
-        ended = run.run(resolved, Path(out) / "run")
-        if ended.error:
-            raise ended.error
-        return float(ended.record["timings"]["frames_per_second"])
+        finished = run.run(resolved, Path(out) / "run")
+        if finished.error:
+            raise finished.error
+        return float(finished.record["timings"]["frames_per_second"])
 
 
 def bare(resolved: Resolved, sizes: dict[str, int], frames: int, *, barrier: bool) -> float:
@@ -62,8 +64,8 @@ def bare(resolved: Resolved, sizes: dict[str, int], frames: int, *, barrier: boo
     with router, tempfile.TemporaryDirectory() as folder:
         plan = Path(folder) / "plan.json"
         roles = {name: spec.role for name, spec in resolved.nodes.items()}
-        told = {"wiring": resolved.wiring, "roles": roles, "sizes": sizes, "frames": frames, "barrier": barrier}
-        plan.write_text(json.dumps(told))
+        content = {"wiring": resolved.wiring, "roles": roles, "sizes": sizes, "frames": frames, "barrier": barrier}
+        plan.write_text(json.dumps(content))
         command = [sys.executable, __file__, "--node"]
         processes = {
             name: subprocess.Popen([*command, name, str(plan), endpoint], stdout=subprocess.PIPE) for name in roles
@@ -89,17 +91,17 @@ class BareNode:
         self.inbox: queue.SimpleQueue[str] = queue.SimpleQueue()
         ports = Wiring.from_json(plan["wiring"]).ports(name)
         role, others = plan["roles"][name], sorted(plan["roles"].keys() - {name})
-        hears = {key: found.message for key, found in ports.inputs.items() if found.message != "status"}
+        message_types = {key: input_.message for key, input_ in ports.inputs.items() if input_.message != "status"}
         if role == "simulator":
             acknowledged = [f"@ack/{other}" for other in others]
             self.triggers = set(acknowledged if plan["barrier"] else [PICTURE])
-            hears = dict.fromkeys(self.triggers, "")
+            message_types = dict.fromkeys(self.triggers, "")
         else:
-            self.triggers = {key for key, message in hears.items() if message in TRIGGERS.get(role, ())}
-        self.expected = set(hears)
+            self.triggers = {key for key, message in message_types.items() if message in TRIGGERS.get(role, ())}
+        self.expected = set(message_types)
         sends = [key for key in ports.outputs.values() if not key.endswith("/status")]
         self.acknowledges = plan["barrier"] and role != "simulator"
-        self.subscribers = [self._listen(key) for key in (*hears, "@stop")]
+        self.subscribers = [self._listen(key) for key in (*message_types, "@stop")]
         self.publishers = [(self._publisher(key), b"x" * plan["sizes"][key]) for key in sends]
         self.ack = self._publisher(f"@ack/{name}")
         for publisher, _ in self.publishers:
@@ -118,12 +120,12 @@ class BareNode:
         return self.session.declare_publisher(PREFIX + key, congestion_control=block, express=True)
 
     def publish(self) -> None:
-        """One message on every key."""
+        """Publish one message on every key."""
         for publisher, payload in self.publishers:
             publisher.put(payload)
 
     def follow(self) -> None:
-        """Publish whenever everything that triggers it is there, until told to stop."""
+        """Publish whenever all triggering messages have arrived, until stopped."""
         missing, expected = set(self.triggers), set(self.expected)
         while (key := self.inbox.get()) != "@stop":
             missing.discard(key)
@@ -137,7 +139,7 @@ class BareNode:
                     self.ack.put(b"")
 
     def drive(self, frames: int) -> float:
-        """Frames/s of so many frames."""
+        """Drive a number of frames; returns frames/s."""
         begun = time.perf_counter()
         for _ in range(frames):
             missing = set(self.triggers)
@@ -148,7 +150,7 @@ class BareNode:
 
 
 def bare_node(name: str, plan_file: str, endpoint: str) -> None:
-    """The main of one process of the bare loop."""
+    """Main function of one process of the bare loop."""
     plan = json.loads(Path(plan_file).read_text())
     with open_client(endpoint) as session:
         node = BareNode(name, plan, session)
@@ -164,7 +166,7 @@ def bare_node(name: str, plan_file: str, endpoint: str) -> None:
 
 
 def main() -> None:
-    """Measure all, alternating, and print them side by side."""
+    """Measure all variants in turn, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=150)
     parser.add_argument("--repeats", type=int, default=3)
@@ -185,9 +187,9 @@ def main() -> None:
     print(f"lock-step on the mesh: {resolved.name}, {len(resolved.nodes)} processes, {agents} agents")
     print(f"payload bytes: {', '.join(f'{key} {size}' for key, size in sizes.items() if 'infra' not in key)}")
     print(f"{'':18}{'frames/s (median)':>18}{'ms/frame':>10}{'testbed/this':>14}   runs")
-    median = {name: statistics.median(found) for name, found in rates.items()}
-    for name, found in rates.items():
-        runs = ", ".join(f"{rate:.0f}" for rate in found)
+    median = {name: statistics.median(values) for name, values in rates.items()}
+    for name, values in rates.items():
+        runs = ", ".join(f"{rate:.0f}" for rate in values)
         ratio = median["testbed"] / median[name]
         print(f"{name:18}{median[name]:18.0f}{1000 / median[name]:10.2f}{ratio:14.2f}   {runs}")
 

@@ -1,7 +1,7 @@
-"""What security costs: the same run on an open and on a secured mesh, alternating, side by side.
+"""The cost of security: the same run on an open and a secured mesh, alternating.
 
-    lock-step    frames/s, as fast as it goes
-    real time    ms from the moment a frame is sent to that at which its picture is heard, at 10 frames/s of scene time
+    lock-step    frames/s, at full speed
+    real time    ms from sending a frame to receiving its picture, at 10 frames/s of scene time
 
 The goal is 0.7 of the open rate. Both run without a recorder.
 
@@ -25,16 +25,16 @@ GOAL = 0.7
 
 
 def played(mode: str, level: str, frames: int) -> dict[str, float]:
-    """What one run gives: frames/s in lock-step, latencies in real time."""
+    """Results of one run: frames/s in lock-step, latencies in real time."""
     path, loaded = scenario.load("baseline")
     resolved = scenario.resolve(path, loaded, frames=frames, mode=mode)
     with tempfile.TemporaryDirectory() as out:
-        ended = run.run(resolved, Path(out) / "run", secure=level)
-        if ended.error:
-            raise ended.error
+        finished = run.run(resolved, Path(out) / "run", secure=level)
+        if finished.error:
+            raise finished.error
         if mode == "lockstep":
-            return {"lock-step, frames/s": float(ended.record["timings"]["frames_per_second"])}
-        latency = json.loads((ended.folder / "metrics.json").read_text())["latency_ms"]["sim_to_picture"]
+            return {"lock-step, frames/s": float(finished.record["timings"]["frames_per_second"])}
+        latency = json.loads((finished.folder / "metrics.json").read_text())["latency_ms"]["sim_to_picture"]
         return {f"real time, ms to the picture, {name}": float(latency[name]) for name in ("p50", "p99")}
 
 
@@ -45,18 +45,18 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--level", choices=LEVELS[1:], default=SECURE)
     arguments = parser.parse_args()
-    found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    values: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for repeat in range(arguments.repeats):
         for level in ("open", arguments.level) if repeat % 2 == 0 else (arguments.level, "open"):
             for mode in ("lockstep", "realtime"):
-                for what, value in played(mode, level, arguments.frames).items():
-                    found[what][level].append(value)
+                for quantity, value in played(mode, level, arguments.frames).items():
+                    values[quantity][level].append(value)
     print(f"baseline, {arguments.frames} frames, {arguments.repeats} repeats, medians; goal: {GOAL} of the open rate")
     print(f"{'':36}{'open':>8}{arguments.level:>8}{'ratio':>8}   all runs")
-    for what, by_level in found.items():
+    for quantity, by_level in values.items():
         plain, secure = (statistics.median(by_level[level]) for level in ("open", arguments.level))
         runs = " | ".join(", ".join(f"{value:.1f}" for value in by_level[level]) for level in ("open", arguments.level))
-        print(f"{what:36}{plain:8.1f}{secure:8.1f}{secure / plain:8.2f}   {runs}")
+        print(f"{quantity:36}{plain:8.1f}{secure:8.1f}{secure / plain:8.2f}   {runs}")
 
 
 if __name__ == "__main__":

@@ -1,18 +1,20 @@
-"""mast-zenoh: the Multi-Agent Security Testbed as real processes on an Eclipse Zenoh mesh.
+"""mast-zenoh: a Multi-Agent Security Testbed on an Eclipse Zenoh mesh.
+
+Nodes are real processes.
 
     import mast_zenoh as mast
     run = mast.run("uncoordinated", n_adversaries=2, frames=60, seed=3)
     run.plot.over_time("fp")
 
-docs/python.md shows the whole API, docs/stability.md says what stays. A name is imported at its first use: processes
-of nodes import this package too, and need none of them.
+docs/python.md shows the whole API, docs/stability.md lists what is stable. Names are imported on first use, because
+processes of nodes import this package too and do not need them.
 """
 
 from __future__ import annotations
 
 import importlib
 
-TYPE_CHECKING = False  # as type checkers know it; `typing` itself takes longer to import than all of this
+TYPE_CHECKING = False  # known to type checkers; importing `typing` would take longer than the rest of this module
 if TYPE_CHECKING:
     from typing import Any
 
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
     from mast_zenoh.study.interface import carry_out as study
     from mast_zenoh.version import __version__ as __version__
 
-#: By public name, the module that has it, and its name there. `study` is not among them: the package of that name can
-#: be called (see mast_zenoh/study/__init__.py).
+#: (module, name in it) by public name. `study` is missing because the package of that name is callable
+#: (see mast_zenoh/study/__init__.py).
 _PLACES = {
     "Comparison": ("mast_zenoh.api.comparisons", "Comparison"),
     "FinishedStudy": ("mast_zenoh.study.interface", "FinishedStudy"),

@@ -1,6 +1,6 @@
 """The command line as a process: `mast`, and `python -m mast_zenoh`.
 
-It handles signals and its standard streams before anything that takes time is imported.
+It sets up signal handlers and standard streams before slow imports.
 """
 
 import os
@@ -9,9 +9,9 @@ import sys
 
 
 def _end_at_once(number: int, frame: object) -> None:
-    """Answer a stop signal while nothing has been started: end, whatever Python is in the middle of.
+    """Handle a stop signal before anything has started: exit at once.
 
-    An exception would not do: what is imported may turn it into another one.
+    An exception is not safe here: code that is being imported may turn it into another one.
     """
     try:
         os.write(2, f"error: Interrupted: stopped by {signal.Signals(number).name}\n".encode())
@@ -28,7 +28,7 @@ from mast_zenoh.launch import stop_signals  # noqa: E402
 
 
 def main() -> None:
-    """Carry out the command, and end the process with its exit code; see docs/exit_codes.md."""
+    """Run the command and exit with its code (docs/exit_codes.md)."""
     standard_streams.replace()
     from mast_zenoh.cli import app
 
@@ -39,7 +39,7 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.stderr.write("error: Interrupted: stopped before anything was started\n")
     for number in stop_signals.SIGNALS:
-        signal.signal(number, signal.SIG_IGN)  # all is done: the interpreter only has to tidy up
+        signal.signal(number, signal.SIG_IGN)  # the interpreter is about to exit
     failure = standard_streams.failed_output()
     if failure is not None:
         sys.stderr.write(f"error: standard output: {failure.strerror}: some of what was printed is lost\n")

@@ -38,13 +38,16 @@ from collections.abc import Iterable
 
 
 class MastError(Exception):
-    """Base of all errors that this package raises; `exit_code` is the exit code of the command."""
+    """Base of all errors that this package raises."""
 
     exit_code = 1
 
 
 class ConfigurationError(MastError):
-    """A scenario or study is invalid: names the file, the path inside it, what was found and what was expected."""
+    """A scenario or study is invalid.
+
+    Names the file, the path inside it, the value found and the value expected.
+    """
 
     exit_code = 10
 
@@ -62,13 +65,19 @@ class NodeFileError(ConfigurationError):
 
 
 class SceneError(MastError):
-    """A scene's data is missing, truncated or inconsistent: names the file, the line and the reason."""
+    """A scene's data is missing, truncated or inconsistent.
+
+    Names the file, the line and the reason.
+    """
 
     exit_code = 13
 
 
 class MessageError(MastError):
-    """Bytes are not a message of the expected schema. The message is dropped; the node continues."""
+    """Bytes are not a message of the expected schema.
+
+    The message is dropped; the node continues.
+    """
 
     exit_code = 14
 
@@ -80,13 +89,19 @@ class RunFolderError(MastError):
 
 
 class NotComparable(RunFolderError):
-    """Two runs cannot be compared: names the difference in scene or length, or the run without results."""
+    """Two runs cannot be compared.
+
+    Names the difference in scene or length, or the run without results.
+    """
 
     exit_code = 17
 
 
 class CredentialsError(MastError):
-    """A certificate or key is missing, expired or refused: names the file or the endpoint, and the reason."""
+    """A certificate or key is missing, expired or refused.
+
+    Names the file or the endpoint, and the reason.
+    """
 
     exit_code = 16
 
@@ -116,13 +131,19 @@ class StallError(RunError):
 
 
 class TrialsFailed(RunError):
-    """Some trials of a study failed: names each, with the command that runs it alone. The others are kept."""
+    """Some trials of a study failed.
+
+    Names each, with the command that runs it alone. The others are kept.
+    """
 
     exit_code = 24
 
 
 class BackendError(RunError):
-    """This machine or runtime cannot carry out a fault: names what is missing and what to install."""
+    """This machine or runtime cannot carry out a fault.
+
+    Names what is missing and what to install.
+    """
 
     exit_code = 25
 
@@ -134,13 +155,19 @@ class NotRunning(RunError):
 
 
 class EngineError(RunError):
-    """An engine, a host or an image is missing, unreachable or has failed: says which, and what to do."""
+    """An engine, a host or an image is missing, unreachable or has failed.
+
+    Names it, and what to do.
+    """
 
     exit_code = 27
 
 
 class DiskFull(RunError):
-    """There is no space for the files of a run: names the place, the free and the required space."""
+    """There is no space for the files of a run.
+
+    Names the place, the free and the required space.
+    """
 
     exit_code = 28
 
@@ -152,31 +179,46 @@ class VersionMismatch(RunError):
 
 
 class HandlerFailed(RunError):
-    """A node's handler raised an exception, so the numbers may be wrong: names node, frames, exception and line."""
+    """A node's handler raised an exception, so the numbers may be wrong.
+
+    Names node, frames, exception and line.
+    """
 
     exit_code = 30
 
 
 class ImplausibleCounts(RunError):
-    """A node reports impossible message counts, so lock-step cannot rely on them: names the node."""
+    """A node reports impossible message counts, so lock-step cannot rely on them.
+
+    Names the node.
+    """
 
     exit_code = 31
 
 
 class ServiceDied(RunError):
-    """A service of the launcher has ended, so requests and results of nodes are lost: names the service."""
+    """A service of the launcher has ended: requests and results of nodes are lost.
+
+    Names the service.
+    """
 
     exit_code = 32
 
 
 class NodeLost(RunError):
-    """A node was lost in lock-step although the scenario did not plan it: names the node and the frame."""
+    """A node was lost in lock-step although the scenario did not plan it.
+
+    Names the node and the frame.
+    """
 
     exit_code = 33
 
 
 class Interrupted(RunError):
-    """The run was stopped by Ctrl-C, SIGTERM or SIGHUP. Everything recorded up to then is kept."""
+    """The run was stopped by Ctrl-C, SIGTERM or SIGHUP.
+
+    Everything recorded up to then is kept.
+    """
 
     exit_code = 130
 
@@ -190,10 +232,10 @@ def is_disk_full(error: BaseException) -> bool:
     return isinstance(error, OSError) and error.errno in _NO_ROOM
 
 
-def nearest(found: str, known: Iterable[str]) -> str:
+def nearest(name: str, known: Iterable[str]) -> str:
     """A hint for messages: `; did you mean 'x'?`, or the known names if none is near."""
     names = sorted(known)
-    close = difflib.get_close_matches(found, names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     if close:
         return f"; did you mean {close[0]!r}?"
     return f"; known: {', '.join(names)}" if names else ""

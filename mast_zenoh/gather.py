@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 Member = TypeVar("Member", bound=Hashable)
 Item = TypeVar("Item")
 
-#: s, default: the newest message of a publisher counts for so long when no newer one arrives.
+#: s, default age up to which the newest message of a publisher is used.
 MAX_AGE_S = 0.25
 
 #: Frames for which the items of an agent are remembered to recognise duplicates.
@@ -22,9 +22,10 @@ _REMEMBERED = 64
 
 
 class Gather(Generic[Member, Item]):
-    """Collects one item per frame from each expected member; a frame is complete when all have arrived.
+    """Collects one item per frame from each expected member.
 
-    An incomplete frame expires after `patience` further frames: `expired` returns it as it is.
+    A frame is complete when all items have arrived.
+    An incomplete frame expires after `patience` further frames: `expired` then returns it.
     """
 
     def __init__(self, expected: Iterable[Member] = (), patience: int = 0) -> None:
@@ -36,7 +37,10 @@ class Gather(Generic[Member, Item]):
         self._complete: set[int] = set()
 
     def add(self, frame: int, member: Member, item: Item) -> dict[Member, Item] | None:
-        """All items of `frame` if this one completes it, else None. Late and duplicate items are dropped."""
+        """Add an item; returns all items of `frame` if it completes it, else None.
+
+        Late and duplicate items are dropped.
+        """
         if frame <= self._done_through:
             return None
         if frame in self._complete:
@@ -53,7 +57,7 @@ class Gather(Generic[Member, Item]):
         return None
 
     def expired(self, clock_frame: int) -> Iterator[tuple[int, dict[Member, Item]]]:
-        """Remove and yield the frames that have expired when the clock of `clock_frame` arrives, oldest first."""
+        """Remove and yield frames that expire with a clock, oldest first."""
         limit = clock_frame - self.patience - 1
         for frame in sorted(frame for frame in self._frames if frame <= limit):
             yield frame, self._frames.pop(frame)
@@ -62,7 +66,7 @@ class Gather(Generic[Member, Item]):
 
 
 class LatestBefore(Generic[Item]):
-    """Keeps items by their frame of arrival and returns the newest before a given frame.
+    """Keeps items by frame of arrival and returns the newest before a given frame.
 
     Items of the frame itself never count, so the result does not depend on whether they have already arrived.
     """
@@ -72,7 +76,9 @@ class LatestBefore(Generic[Item]):
         self._items: dict[int, tuple[int, Item]] = {}
 
     def add(self, frame: int, item: Item, about: int | None = None) -> None:
-        """Add an item that arrived in a frame; of two, the one about the later frame is kept, else the first.
+        """Add an item that arrived in a frame.
+
+        Of two such items, the one about the later frame is kept, else the first.
 
         about: the frame that it describes, if different because of a delay
         """
@@ -84,8 +90,9 @@ class LatestBefore(Generic[Item]):
             del self._items[min(self._items)]
 
     def get(self, frame: int) -> tuple[int, Item] | None:
-        """The item about the latest frame among those that arrived before `frame`: (frame of arrival, item) or None.
+        """(frame of arrival, item) about the latest frame, of items from before `frame`.
 
+        None if there is none.
         Of several about the same frame, the first to arrive counts.
         """
         earlier = [(about, -arrival) for arrival, (about, _) in self._items.items() if arrival < frame]
@@ -113,7 +120,10 @@ class CollationBuffer(Generic[Item]):
         self._emitted = -1
 
     def push(self, agent: str, frame: int, item: Item) -> bool:
-        """Add an item; False if it is a duplicate, or late (the batch of its frame has been emitted)."""
+        """Add an item; returns False if it is a duplicate or late.
+
+        It is late if the batch of its frame has been emitted.
+        """
         recent_frames = self._recent_frames.setdefault(agent, deque(maxlen=_REMEMBERED))
         heap = self._heaps.get(agent, [])
         if frame in recent_frames or any(entry[0] == frame for entry in heap):
@@ -139,7 +149,10 @@ class CollationBuffer(Generic[Item]):
         return agents <= self._heaps.keys() and agents <= self.present(frame)
 
     def pop(self, frame: int) -> dict[str, Item]:
-        """Remove and return every agent's newest item up to `frame`; older ones are dropped, new arrivals are late."""
+        """Remove and return every agent's newest item up to `frame`.
+
+        Older items are dropped; items for these frames that arrive later count as late.
+        """
         batch: dict[str, Item] = {}
         for agent in sorted(self._heaps):
             heap = self._heaps[agent]

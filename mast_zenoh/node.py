@@ -32,10 +32,11 @@ __all__ = ["Context", "Node", "Overheard", "Received", "Source", "Unopened", "ha
 
 
 class Context(Protocol):
-    """A node's interface to the runtime. `frame` and `time_ns`: of the newest clock; -1 and 0 before the first.
+    """A node's interface to the runtime.
 
-    hears:  its subscriptions, by key
-    wiring: the current wiring of the run: every wire with its legs; for nodes that observe wires
+    frame, time_ns: of the newest clock; -1 and 0 before the first
+    subscriptions: its inputs, by key
+    wiring:        the current wiring of the run: every wire with its legs; for nodes that observe wires
     """
 
     name: str
@@ -43,12 +44,12 @@ class Context(Protocol):
     frame: int
     time_ns: int
     log: logging.Logger
-    hears: Mapping[str, Input]
+    subscriptions: Mapping[str, Input]
     wiring: Wiring
 
     @property
     def now_ns(self) -> int:
-        """Time since the start of the scene, ns: `time_ns` in lock-step; in real time it advances between clocks."""
+        """Time since the scene's start, ns; `time_ns` in lock-step, finer in real time."""
         ...
 
     def publish(
@@ -84,18 +85,20 @@ class Context(Protocol):
         ...
 
     def ignore(self, keys: Collection[str]) -> None:
-        """Stop receiving these keys, for a node that subscribes to every key; each call replaces the previous one."""
+        """Stop receiving these keys on the port for every key; replaces earlier calls."""
         ...
 
     def failed(self, part: str, error: BaseException) -> None:
-        """Count the failure of a part of a handler that continues: the run fails as if the handler had raised `error`.
+        """Count the failure of a part of a handler that continues.
+
+        The run fails as if the handler had raised `error`.
 
         part: its name, reported instead of the handler's
         """
         ...
 
     def reject(self, reason: str) -> None:
-        """Count the current message as rejected: valid but not usable, such as one that is too old.
+        """Count the current message as rejected: valid but not usable, such as too old.
 
         reason: begins with its kind, one word before a colon
         """
@@ -106,12 +109,14 @@ class Context(Protocol):
         ...
 
     def rng(self, *purpose: str | int) -> np.random.Generator:
-        """The random stream of (this run's seed, this node, purpose): `streams.stream(seed, name, *purpose)`."""
+        """The random stream `streams.stream(seed, name, *purpose)` of this node."""
         ...
 
 
 class Node:
-    """Base of all nodes. A subclass names its role and ports, and has a handler `on_<port>` for each input.
+    """Base of all nodes.
+
+    A subclass names its role and ports, and has a handler `on_<port>` for each input.
 
     Parameters of `__init__` come from the scenario, converted by their annotations (`mast_zenoh.config.registry`).
     """
@@ -127,7 +132,7 @@ class Node:
     prompt: ClassVar[bool] = False
 
     def restamps_s(self, duration_s: float) -> float:
-        """Largest error, s, that the node may introduce into the time of a header in a run of that length.
+        """Largest error, s, that the node may add to header times in a run of that length.
 
         Receivers reject messages whose time is off by more than the sum over all nodes plus `timespan.LEEWAY_S`.
         """
@@ -137,16 +142,16 @@ class Node:
         """Called once, before the first frame."""
 
     def joined(self, node: str, role: str, context: Context) -> None:
-        """Called when another node has joined; for nodes already present, before the first frame."""
+        """Called when another node has joined; at the start, for nodes already present."""
 
     def left(self, node: str, role: str, context: Context) -> None:
         """Called when another node has left."""
 
     def rewired(self, context: Context) -> None:
-        """Called when a node has been inserted into or removed from a wire; `context.wiring` is the new wiring."""
+        """Called when `context.wiring` has changed: a node was inserted or removed."""
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Called once, after the last frame; the launcher collects the result. Publishing is no longer possible."""
+        """Called once, after the last frame, when publishing is over; returns results."""
         return {}
 
 
@@ -161,7 +166,7 @@ class Source(Node, ABC):
 
 
 def handler_names(node: type[Node]) -> dict[str, str]:
-    """The handler's name for every input port; raises TypeError if a port has no handler."""
+    """Handler names by input port; raises TypeError if a port has no handler."""
     names = {port: f"on_{port}" for port in node.inputs}
     missing = [name for name in names.values() if not callable(getattr(node, name, None))]
     if missing:

@@ -12,7 +12,7 @@ import numpy as np
 
 
 def stream(seed: int, *names: str | int) -> np.random.Generator:
-    """The random generator named by `names`, e.g. `stream(seed, "adversary_1", "selection", frame)`.
+    """The random generator with a name: `stream(seed, "adversary_1", "selection", 3)`.
 
     Equal arguments give equal draws on every machine; any difference gives an independent stream.
     """

@@ -1,4 +1,4 @@
-"""The version of mast-zenoh: all nodes of a run must have the same one, wherever they run."""
+"""The version of mast-zenoh; all nodes of a run must have the same one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SUFFIXES = (".py", ".pyx", ".pxd")
 
 @cache
 def fingerprint(package: Path = _PACKAGE) -> str:
-    """A digest of the sources in a package folder that decide what nodes do: twelve hexadecimal digits."""
+    """A digest of the sources that determine what nodes do: 12 hexadecimal digits."""
     digest = hashlib.blake2b(digest_size=6)
     for path in sorted(path for path in package.rglob("*") if path.suffix in _SUFFIXES):
         name = path.relative_to(package)
@@ -36,7 +36,7 @@ def version_string() -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of the interpreter and of the packages that affect numbers and messages."""
+    """Versions of Python and of the packages that affect numbers and messages."""
     result = {"python": platform.python_version(), "mast-zenoh": version_string(), "kernels": kernels.USED}
     for package in ("eclipse-zenoh", "numpy", "scipy", "msgpack"):
         try:

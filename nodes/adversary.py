@@ -1,8 +1,8 @@
-"""An adversary on a wire: receives a publisher's messages and forwards manipulated ones to the subscribers.
+"""An adversary on a wire: receives messages and forwards manipulated ones.
 
 It sits on `detections` (between an agent's sensors and its perception), on `tracks` (between the agent and the
 command centre) or on `picture` (between the command centre and the agent), as the key-expression map says. Neither end
-can tell: keys, headers and untouched rows are forwarded unchanged.
+can detect it: keys, headers and untouched rows are forwarded unchanged.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Adversary(Node):
         return counts
 
     def on_clock(self, received: Received, context: Context) -> None:
-        """Forward messages whose pose has not arrived unchanged: delaying them further could be noticed."""
+        """Forward messages without a pose unchanged: more delay could be noticed."""
         for queue in self.waiting.values():
             while queue:
                 self.forward(queue.popleft(), context)
@@ -99,7 +99,7 @@ class Adversary(Node):
         self.on_message(received, context)
 
     def on_directive(self, received: Received, context: Context) -> None:
-        """Store the coordinator's plan, which takes effect from the frame after its arrival."""
+        """Store the coordinator's plan, which takes effect in the frame after its arrival."""
         self.directives.add(context.frame, targets_of(received))
 
     def on_message(self, received: Received, context: Context) -> None:

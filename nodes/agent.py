@@ -71,7 +71,7 @@ class Agent(Node):
         self.sense("detections", received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """Store the common picture for the frames after its arrival, which may be later than its own frame."""
+        """Store the common picture for the frames after its arrival, however late."""
         picture = (received.time_ns, ObjectStates.from_columns(received.body))
         self.pictures.add(context.frame, picture, received.frame)
 
@@ -115,7 +115,10 @@ class Agent(Node):
             context.publish("status", {k: np.array(v) for k, v in status.items()}, frame=frame, time_ns=time_ns)
 
     def picture_at(self, frame: int, time_ns: int) -> ObjectStates:
-        """The latest picture that arrived in an earlier frame, propagated to `time_ns`; empty if it is too old."""
+        """The latest picture of an earlier frame, propagated to `time_ns`.
+
+        Earlier by its frame of arrival. Empty if it is too old.
+        """
         latest = self.pictures.get(frame)
         if latest is None:
             return ObjectStates.empty()

@@ -1,4 +1,4 @@
-"""The broker: collates the tracks of all agents at one time and in one frame of reference.
+"""The broker: collates the tracks of all agents at one time, in the world frame.
 
 It discovers agents by their presence on the mesh and their first status, and forgets those that leave. A batch is
 emitted when all agents have sent their tracks, or when the clock of the next frame arrives: a dead or silent agent
@@ -103,7 +103,7 @@ class Broker(Node):
         self.emit_complete(context)
 
     def emit_complete(self, context: Context) -> None:
-        """Emit the frames that are old enough and have the tracks of all agents, oldest first."""
+        """Emit frames that are old enough and have all agents' tracks, oldest first."""
         for frame in sorted(self.open_frames):
             time_ns = self.open_frames[frame]
             if time_ns > context.time_ns - self.latency_ns or not self.buffer.complete(frame, self.agents):
@@ -111,7 +111,7 @@ class Broker(Node):
             self.emit(frame, "complete", context)
 
     def emit(self, frame: int, how: str, context: Context) -> None:
-        """Publish the batch of a frame: every agent's latest tracks until then, propagated to its time."""
+        """Publish a frame's batch: every agent's latest tracks, propagated to its time."""
         time_ns = self.open_frames.pop(frame)
         self.last |= self.buffer.pop(frame)
         self.last = {a: (t, s) for a, (t, s) in self.last.items() if abs(time_ns - t) <= self.max_age_ns}

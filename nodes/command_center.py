@@ -1,4 +1,4 @@
-"""The command centre: clusters and fuses the collated tracks, tracks the result, and publishes the picture."""
+"""The command centre: clusters and fuses the agents' tracks into a picture."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ class CommandCenter(Node):
         """Do nothing: the broker applies the deadlines."""
 
     def on_collated(self, received: Received, context: Context) -> None:
-        """Publish one picture for each batch, about the same frame; a second batch of a frame is ignored.
+        """Publish one picture for each batch, about the same frame.
 
+        A second batch of a frame is ignored.
         A pipeline never goes back in time: a batch that is older than the previous one is rejected.
         """
         if received.frame in self.processed:

@@ -1,4 +1,4 @@
-"""The coordinator of the adversaries: combines their observations, and sends them one plan."""
+"""The coordinator: combines the adversaries' observations into one plan."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Coordinator(Node):
             self.direct(received.frame, items, context)
 
     def direct(self, frame: int, items: dict[str, Received], context: Context) -> None:
-        """Send one plan to all adversaries that have reported; they follow it from the next frame on."""
+        """Send one plan to the adversaries that reported, for the frames that follow."""
         names = sorted(items)
         states_seen = [ObjectStates.from_columns(items[name].body) for name in names]
         time_ns = items[names[0]].time_ns

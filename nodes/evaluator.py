@@ -1,5 +1,6 @@
-"""The evaluator: receives every message of the run, including the truth, and scores it when the run is over.
+"""The evaluator: receives every message of the run and scores it at the end.
 
+It also receives the truth.
 It publishes nothing, so it cannot influence the run. It measures instead of trusting reports: estimates are scored as
 sent and as received, and the effects of adversaries and links are the differences between their inputs and outputs.
 Its results become metrics.json and the tables of the run folder.
@@ -42,8 +43,8 @@ class Evaluator(Node):
     """Scores the run.
 
     agents:  their names
-    scorer:  how to score, None: Scorer()
-    attribution, cut_off: when an error is due to what, None: Attribution(), CutOff()
+    scorer:  None: Scorer()
+    attribution, cut_off: rules for the causes of errors, None: Attribution(), CutOff()
     The other parameters are those of `evaluation.Evaluation`.
     """
 
@@ -87,7 +88,7 @@ class Evaluator(Node):
         self.follow(context, 0)
 
     def rewired(self, context: Context) -> None:
-        """Follow a changed wiring from the next frame on, after a node was inserted or released."""
+        """Follow a changed wiring from the next frame on."""
         self.follow(context, context.frame + 1)
 
     def joined(self, node: str, role: str, context: Context) -> None:
@@ -111,7 +112,10 @@ class Evaluator(Node):
         context.ignore(set(wiring.keys()) - self.routes.keys() - self.metered)
 
     def on_everything(self, message: Overheard, context: Context) -> None:
-        """Handle a message on any key. One that subscribers refuse is no estimate, but the meter counts its effect."""
+        """Handle a message on any key.
+
+        A message that subscribers refuse is not an estimate, but the meter counts its effect.
+        """
         key = message.key
         if key in self.metered:
             self.heard.meter.add(message)
@@ -154,7 +158,7 @@ class Evaluator(Node):
         self.keep(message, route)
 
     def keep(self, message: Overheard, route: Route) -> None:
-        """Store an estimate. A message that is forwarded unchanged is stored and scored only once."""
+        """Store an estimate; a message forwarded unchanged is stored only once."""
         objects, header = None, message.header
         if route.wire:
             recent = self.recent[route.wire]
@@ -186,7 +190,7 @@ class Evaluator(Node):
         self.heard.link_reports.append((header.source, header.frame, header.seq, message.body))
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """The metrics and the tables of the run. A user-defined metric that fails costs its own values alone."""
+        """Metrics and tables of the run, without values of user metrics that failed."""
         results = self.evaluation.of(self.heard)
         for name, error in results.pop("failed_metrics").items():
             context.failed(f"metric {name}", error)
@@ -194,8 +198,9 @@ class Evaluator(Node):
 
 
 def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
-    """The route of each key of a wiring; keys that the evaluator does not need are left out.
+    """The route of each key of a wiring.
 
+    Keys that the evaluator does not need are left out.
     Wires are identified by the port of their publisher, not by the keys that a map gives them.
     """
     series: dict[str, list[Series]] = defaultdict(list)

@@ -1,8 +1,8 @@
 """A link: an agent's imperfect connection to the network.
 
 It is inserted before the broker on the wires that its agent publishes (tracks, status), and before its agent on those
-that it receives (the picture), as the key-expression map says (keyexpr_maps/network.toml). Rules act on every message
-in their order: they forward it, delay it, drop it, duplicate it or change it.
+that it receives (the picture): see keyexpr_maps/network.toml. The rules act on every message in order: they forward,
+delay, drop, duplicate or change it.
 """
 
 from __future__ import annotations
@@ -163,12 +163,12 @@ class Link(Node):
             context.publish("report", {name: np.array(column) for name, column in columns})
 
     def finish(self, context: Context) -> dict[str, object]:
-        """Numbers of messages on each wire, and their fates (except those of the last step)."""
+        """Numbers of messages on each wire, and their fates before the last step."""
         return {"link": {port: {"came": n, **self.fates.get(port, {})} for port, n in sorted(self.carried.items())}}
 
 
 def columns_of(received: Received) -> Body:
-    """The columns of a message; none if they are malformed, which its subscribers will report."""
+    """The columns of a message; {} if malformed, which subscribers report."""
     try:
         len(received.body)
     except MessageError:

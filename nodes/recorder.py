@@ -1,7 +1,7 @@
-"""The recorder: records every message on every key, including tap legs, as it was sent.
+"""The recorder: records every message on every key, including tap legs, as sent.
 
 It publishes nothing, so it cannot influence the run, and the run waits for it only at its end. It does no I/O itself:
-it gets the log as a parameter.
+the log is a parameter.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class Recorder(Node):
         self.log = log
 
     def start(self, context: Context) -> None:
-        """Open the log with all keys known so far; nodes that are inserted later add theirs."""
-        self.log.begin(context.hears)
+        """Open the log with all keys so far; nodes that are inserted later add theirs."""
+        self.log.begin(context.subscriptions)
         self.rewired(context)
 
     def rewired(self, context: Context) -> None:

@@ -1,6 +1,6 @@
-"""The simulator: replays a prepared scene, frame by frame, to every agent's sensors and to the evaluator.
+"""The simulator: replays a prepared scene to sensors and evaluator, by frame.
 
-It is the one node that drives the run: the runtime asks it for the next frame when the mesh is quiet (lock-step) or
+It drives the run: the runtime requests the next frame when the mesh is quiet (lock-step) or
 when the frame is due (real time). It sends the truth to the evaluator only.
 """
 
@@ -16,7 +16,10 @@ from mast_zenoh.scenes.recording import Recording
 
 
 class Simulator(Source):
-    """Replays a scene; recording: the prepared scene (its own file); frames: how many to play, None for all."""
+    """Replays a scene.
+
+    recording: the prepared scene (its own file); frames: number of frames to play, None for all
+    """
 
     role = "simulator"
     outputs = {"clock": "clock", "truth": "truth", "pose": "pose", "detections": "detections"}
@@ -36,7 +39,7 @@ class Simulator(Source):
         self.rotations.setflags(write=False)
 
     def advance(self, context: Context) -> bool:
-        """Publish the clock, the truth, and every agent's pose and detections of the next frame."""
+        """Publish the next frame: clock, truth, and each agent's pose and detections."""
         frame = self.next_frame
         if frame >= self.frames:
             return False

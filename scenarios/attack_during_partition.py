@@ -1,4 +1,4 @@
-"""An attack while some agents are cut off; then one is killed and comes back. Attacks and faults on one timeline."""
+"""An attack while some agents are cut off; then one is killed and restarted."""
 
 from uncoordinated import scenario as uncoordinated
 
@@ -18,7 +18,9 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """The first infrastructure agents are compromised, the last two are cut off, and the last one is killed later.
+    """The first infrastructure agents are compromised, the last two are cut off.
+
+    The last one is killed later.
 
     attack_start_s: when the attack begins; partition_s, partition_until_s: when the partition begins and is healed;
 

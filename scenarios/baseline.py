@@ -1,4 +1,4 @@
-"""No attack: the picture from undisturbed collaboration, as the reference for all other scenarios."""
+"""No attack: undisturbed collaboration, as the reference for other scenarios."""
 
 from mast_zenoh.scenario import choose_scene
 
@@ -27,8 +27,9 @@ agent = dict(
 
 
 def scenario(scene="intersection", scene_index=None, n_infrastructure=None, n_mobile=None):
-    """scene: a short name such as "intersection" or "avstack:PATH"; scene_index: number of a generated junction;
+    """A run without attack on any scene.
 
+    scene: a short name such as "intersection" or "avstack:PATH"; scene_index: number of a generated junction;
     n_infrastructure, n_mobile: numbers of poles, and of cars besides the ego, with sensors; None: all of the scene.
     """
     return dict(

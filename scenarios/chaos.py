@@ -17,13 +17,13 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """chaos_seed: of the faults; duration_s: of the run; settle_s: at its end, without any fault;
+    """A baseline run with random faults.
 
-    most_faults: at most; servers: nodes that are hit like agents;
-
+    chaos_seed: seed of the faults; duration_s: length of the run; settle_s: fault-free time at its end;
+    most_faults: maximum number of faults; servers: other nodes that may be targets;
     n_infrastructure: None: two on a generated junction, else all that the scene has.
 
-    The scene, and all draws in it, are those of the run's own seed: runs of two chaos seeds differ by their faults.
+    The scene, and all draws in it, use the run's own seed, so runs with different chaos seeds differ only in faults.
     """
     if n_infrastructure is None and str(scene).startswith("intersection"):
         n_infrastructure = 2
@@ -31,6 +31,8 @@ def scenario(
     agents = agents_of(calm["scene"])
     return calm | dict(
         name="chaos",
-        faults=random_schedule(chaos_seed, duration_s, agents, servers=servers, settle_s=settle_s, most=most_faults),
+        faults=random_schedule(
+            chaos_seed, duration_s, agents, servers=servers, settle_s=settle_s, max_faults=most_faults
+        ),
         run=dict(mode="lockstep", seed=0, frames=round(duration_s * 10.0)),
     )

@@ -1,4 +1,4 @@
-"""Adversaries with a common plan: each sits between its agent and the command centre, directed by a coordinator."""
+"""Adversaries between agents and the command centre, directed by a coordinator."""
 
 from baseline import scenario as baseline
 
@@ -18,7 +18,10 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """As `uncoordinated`; reselect_every_s: how often the coordinator makes a new plan."""
+    """As `uncoordinated`.
+
+    reselect_every_s: interval at which the coordinator makes a new plan.
+    """
     attack = dict(
         type="CoordinatedAttack",
         start_s=attack_start_s,

@@ -1,4 +1,4 @@
-"""An adversary between the command centre and the ego: only the ego receives a false picture.
+"""An adversary between command centre and ego: only the ego gets a false picture.
 
 False objects stand or drive in the ego's lane, ahead of it. The command centre and all other agents see none of them.
 """
@@ -18,7 +18,10 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """As `uncoordinated`, on the ego's picture. An object that the ego sees itself stays in its mission estimate."""
+    """As `uncoordinated`, on the ego's picture.
+
+    An object that the ego sees itself stays in its mission estimate.
+    """
     return baseline(scene, scene_index, n_infrastructure, n_mobile) | dict(
         name="downlink",
         adversaries=dict(

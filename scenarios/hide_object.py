@@ -1,4 +1,4 @@
-"""One road user disappears: adversaries on every agent hide the object that matters most from the command centre.
+"""One road user disappears: all agents' adversaries hide the most relevant object.
 
 It is the object that will come nearest to the ego among those that are not in the ego's own tracks: a car behind a
 corner, a cyclist behind a truck. If the ego sees every object, it is the nearest one. All agents' tracks of it are
@@ -21,9 +21,10 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """n_objects: how many to hide; horizon_s: how far ahead the attacker looks;
+    """Adversaries on all agents that hide objects.
 
-    near: hide what is within 20 m of (x, y) m instead; unseen_by_ego: prefer objects not in the ego's own tracks.
+    n_objects: number of objects to hide; horizon_s: s, how far ahead the attacker looks;
+    near: hide objects within 20 m of (x, y) m instead; unseen_by_ego: prefer objects not in the ego's own tracks.
     """
     unattacked = baseline(scene, scene_index, n_infrastructure, n_mobile)
     return unattacked | dict(

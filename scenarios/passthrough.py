@@ -1,4 +1,4 @@
-"""An interposer on every agent's wires that changes nothing: measures its cost, and proves that it leaves no trace."""
+"""Interposers on every agent's wires that change nothing, to measure their cost."""
 
 from baseline import scenario as baseline
 

@@ -1,4 +1,4 @@
-"""A realistic network: wired infrastructure, cars on radio; with or without an attack."""
+"""A realistic network: wired infrastructure, cars on radio, optional attack."""
 
 from baseline import scenario as baseline
 from coordinated import scenario as coordinated
@@ -20,11 +20,11 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """attack: none, uncoordinated or coordinated; n_adversaries: agents compromised, if there is an attack;
+    """A run with network links between agents and command centre.
 
+    attack: none, uncoordinated or coordinated; n_adversaries: agents compromised, if there is an attack;
     infrastructure, mobile: link profiles of static and of mobile agents (perfect, wired, wireless_v2x); max_age_s: the
-    greatest age of an agent's tracks that the command centre uses;
-
+    maximum age of an agent's tracks that the command centre uses;
     n_mobile: None: two cars besides the ego on a generated junction, else all of the scene.
     """
     if n_mobile is None and str(scene).startswith("intersection"):

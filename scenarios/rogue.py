@@ -1,10 +1,10 @@
-"""A small run with a node of every role, and the attempts of attackers against it, for `mast study rogue`."""
+"""A small run with a node of every role, for the attacks of `mast study rogue`."""
 
 from coordinated import scenario as coordinated
 
 
 def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
-    """An adversary on the first infrastructure agent, which makes a tap leg to eavesdrop on, and one link."""
+    """A coordinated attack by one adversary, with a tap leg, and one link."""
     attacked = coordinated(
         n_adversaries=1, n_infrastructure=n_infrastructure, scene=scene, scene_index=scene_index, attack_start_s=0.5
     )
@@ -16,8 +16,9 @@ def scenario(n_infrastructure=2, scene="intersection", scene_index=None):
 
 
 def outsider():
-    """shows: the certificate that the attacker presents: nothing, one of its own authority (foreign), an expired one,
+    """Attacks by an outsider.
 
+    shows: the certificate that the attacker presents: nothing, one of its own authority (foreign), an expired one,
     or that of a node that it has taken over. wire: the key on which it forges messages.
     """
     return [
@@ -38,7 +39,7 @@ def outsider():
 
 
 def insiders():
-    """One compromised node of each role but the simulator's: it forges control messages with the node's certificate."""
+    """One compromised node of each role but the simulator's, with forged messages."""
     nodes = dict(
         agent="infra_1",
         broker="broker",

@@ -1,4 +1,4 @@
-"""Adversaries without a common plan: each feeds the perception of one infrastructure agent with false detections."""
+"""Adversaries without a common plan, each with false detections for one agent."""
 
 from baseline import scenario as baseline
 
@@ -18,12 +18,11 @@ def scenario(
     n_infrastructure=None,
     n_mobile=None,
 ):
-    """n_adversaries: agents compromised; false_positives: mean number added by each (Poisson);
+    """A baseline run with independent adversaries.
 
+    n_adversaries: agents compromised; false_positives: mean number added by each (Poisson);
     fraction_…: fraction of the agent's objects that are hidden, or moved;
-
     region: where false objects are put: in_view, ego_path, victim_only, or paper (about the agent, never missed);
-
     attack_start_s: start of the attack, in scene time; reselect_every_s: interval at which each chooses new targets.
     """
     attack = dict(

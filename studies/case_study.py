@@ -1,4 +1,4 @@
-"""The paper's case study: the same scene and seed unattacked, under uncoordinated and under coordinated attack."""
+"""The paper's case study: no, uncoordinated and coordinated attack on one scene."""
 
 
 def study(
@@ -9,7 +9,10 @@ def study(
     false_positives=5.0,
     fraction_false_negatives=0.2,
 ):
-    """Two of four infrastructure agents compromised, five false objects on average, a fifth of the real ones hidden."""
+    """Two of four infrastructure agents are compromised.
+
+    They add five false objects on average, and hide a fifth of the real ones.
+    """
     place = dict(scene=scene, scene_index=scene_index, n_infrastructure=n_infrastructure)
     attack = dict(
         n_adversaries=n_adversaries,

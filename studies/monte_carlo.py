@@ -1,4 +1,4 @@
-"""The paper's Monte Carlo study: 1, 2 and 3 adversaries, with and without a common plan, over many seeds."""
+"""The paper's Monte Carlo study: 1 to 3 adversaries, both attacks, many seeds."""
 
 
 def study(
@@ -9,8 +9,9 @@ def study(
     fraction_false_negatives=0.2,
     attack_start_s=4.0,
 ):
-    """scenes: short names, separated by commas: intersection:INDEX, avstack:PATH, av2:PATH, …;
+    """Runs for each number of adversaries.
 
+    scenes: short names, separated by commas: intersection:INDEX, avstack:PATH, av2:PATH, …;
     adversaries: numbers of adversaries to compare.
     """
     attack = dict(

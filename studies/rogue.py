@@ -1,8 +1,11 @@
-"""What attackers achieve against a run, at every level of security."""
+"""Attacks on a run, and their effects at every security level."""
 
 
 def study(levels="open,tls,mtls,acl", n_infrastructure=2):
-    """levels: security levels, separated by commas; scenarios/rogue.py has the attempts made at each."""
+    """The attacks of scenarios/rogue.py.
+
+    levels: security levels, separated by commas
+    """
     return dict(
         name="rogue",
         runs=dict(rogue=dict(scenario="rogue", parameters=dict(n_infrastructure=n_infrastructure))),

@@ -1,4 +1,4 @@
-"""What the tools that disturb runs at random have in common: their arguments, their lines, processes left behind."""
+"""Code shared by tools that disturb runs: arguments, output, leftover processes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from typing import NamedTuple, NoReturn
 
 import psutil
 
-GONE_S = 10.0  # from the end of the launcher to that of its last node
+GONE_S = 10.0  # from the end of the launcher to the end of its last node
 
 
-class Tried(NamedTuple):
-    """A plan carried out: its number, what was done, how the run ended, and the promises that it broke."""
+class PlanResult(NamedTuple):
+    """The outcome of a plan.
+
+    number: of the plan; done: what was done; how: how the run ended; broken: promises that it broke
+    """
 
     number: int
     done: str
@@ -28,27 +31,29 @@ class Tried(NamedTuple):
 
 
 def parser(doc: str | None, runs: int) -> argparse.ArgumentParser:
-    """The arguments of all these tools; doc: of the tool's module."""
-    made = argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
-    made.add_argument("--runs", type=int, default=runs)
-    made.add_argument("--seed", type=int, default=0)
-    made.add_argument("--only", type=int, help="the number of one run")
-    return made
+    """The common arguments of these tools; doc: docstring of the tool's module."""
+    arguments_parser = argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
+    arguments_parser.add_argument("--runs", type=int, default=runs)
+    arguments_parser.add_argument("--seed", type=int, default=0)
+    arguments_parser.add_argument("--only", type=int, help="the number of one run")
+    return arguments_parser
 
 
 def numbers(arguments: argparse.Namespace) -> Iterable[int]:
-    """Of the plans to carry out."""
+    """The numbers of the plans to carry out."""
     return range(arguments.runs) if arguments.only is None else [arguments.only]
 
 
-def tell(tried: Iterable[Tried], seed: int, *more: str) -> NoReturn:
-    """Print a line for each plan, and the command that repeats one that broke a promise; exit with 1 if any did.
+def report_results(plan_results: Iterable[PlanResult], seed: int, *more: str) -> NoReturn:
+    """Print a line per plan; exit with 1 if any run broke a promise.
 
-    more: arguments that belong to that command
+    For such runs, also print the command that repeats them.
+
+    more: further arguments of that command
     """
     endings: Counter[str] = Counter()
     failed = 0
-    for number, done, how, broken in tried:
+    for number, done, how, broken in plan_results:
         endings[how] += 1
         print(f"{number:4} {done}: {how}", flush=True)
         repeat = ["python", sys.argv[0], "--seed", str(seed), "--only", str(number), *more]
@@ -60,7 +65,7 @@ def tell(tried: Iterable[Tried], seed: int, *more: str) -> NoReturn:
 
 
 def left_behind(out: Path) -> list[int]:
-    """Processes with the run folder on their command line that do not end."""
+    """Ids of processes with the run folder on their command line that do not end."""
     deadline = time.monotonic() + GONE_S
     while (left := _processes(out)) and time.monotonic() < deadline:
         threading.Event().wait(0.1)
@@ -68,9 +73,9 @@ def left_behind(out: Path) -> list[int]:
 
 
 def _processes(out: Path) -> list[int]:
-    found = []
+    process_ids = []
     for process in psutil.process_iter(["cmdline", "status"]):
         alive = process.info["status"] != psutil.STATUS_ZOMBIE and process.pid != os.getpid()
         if alive and any(str(out) in word for word in process.info["cmdline"] or ()):
-            found.append(process.pid)
-    return found
+            process_ids.append(process.pid)
+    return process_ids

@@ -1,9 +1,11 @@
-"""Ends runs at random moments in random ways, from a seed, and checks what docs/endings.md promises of all of them.
+"""Ends runs at random moments and checks what docs/endings.md promises.
+
+The moments and ways to end are drawn from a seed.
 
     python tools/endings.py --runs 100 --seed 0 [--only NUMBER]
 
-Each run is a process of `mast run`, on a mesh or in one process. Prints a line for each, and the command that repeats
-one that broke a promise. Exits with 1 if any did.
+Each run is a process of `mast run`, on a mesh or in one process. Prints a line for each, with the command that repeats
+a run that broke a promise. Exits with 1 if any did.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from disturbing import Tried, left_behind, numbers, parser, tell
+from disturbing import PlanResult, left_behind, numbers, parser, report_results
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.liveness import current_record
@@ -36,7 +38,7 @@ WAYS = (
     *("SIGINT", "SIGTERM", "SIGHUP", "SIGINT SIGINT", "SIGTERM SIGINT", "SIGINT SIGINT SIGINT"),
     *("SIGKILL", "SIGSTOP SIGCONT", "output", "disk"),
 )
-#: By status as a tool sees it, the exit codes that go with it; -9 also where a run is killed while its report is drawn.
+#: Valid exit codes by status. -9 is also possible for a run that is killed while its report is drawn.
 CODES = {
     "ok": (0, 28, 130, -9),
     "interrupted": (130, -9),
@@ -50,7 +52,10 @@ LONGEST_S = 120.0
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done to a run: a way to end it, how long after its beginning, and the pause between two signals (s)."""
+    """How to end a run.
+
+    way: of WAYS; after_s: s after its beginning; pause_s: s between two signals; room: bytes of disk space
+    """
 
     runtime: str
     way: str
@@ -60,22 +65,24 @@ class Plan:
 
     @classmethod
     def draw(cls, seed: int, number: int, runtime: str | None = None) -> Plan:
-        """The plan of a number."""
-        drawn = random.Random(f"{seed}/{number}")
-        chosen = drawn.choice(("mesh", "inproc"))
+        """The plan with a number."""
+        generator = random.Random(f"{seed}/{number}")
+        chosen = generator.choice(("mesh", "inproc"))
         runtime = runtime or chosen
-        after_s = drawn.uniform(0.15, 9.0 if runtime == "mesh" else 4.0)
-        return cls(runtime, drawn.choice(WAYS), after_s, drawn.uniform(0.0, 1.0), drawn.randrange(1 << 14, 4 << 20))
+        after_s = generator.uniform(0.15, 9.0 if runtime == "mesh" else 4.0)
+        return cls(
+            runtime, generator.choice(WAYS), after_s, generator.uniform(0.0, 1.0), generator.randrange(1 << 14, 4 << 20)
+        )
 
 
 def command(runtime: str, out: Path) -> list[str]:
-    """What plays the run."""
+    """The command that runs the scenario."""
     run = [sys.executable, "-m", "mast_zenoh", "run", "baseline", "--mode", "lockstep", "--runtime", runtime]
     return [*run, "--frames", str(FRAMES), "--out", str(out)]
 
 
 def end_one(plan: Plan, folder: Path, undisturbed: Path) -> tuple[str, list[str]]:
-    """Carry out a plan in an empty folder: how the run ended, and the promises that it broke."""
+    """Carry out a plan; returns how the run ended and the promises that it broke."""
     out = folder / "run"
     limit: Callable[[], None] | None = None
     if plan.way == "disk":
@@ -99,7 +106,7 @@ def end_one(plan: Plan, folder: Path, undisturbed: Path) -> tuple[str, list[str]
 
 
 def _read(output: object, seconds: float) -> None:
-    """Read what a run prints for so long, or to its end, and close the pipe then."""
+    """Read the output of a run for so many seconds or to its end, then close the pipe."""
     deadline = time.monotonic() + seconds
     os.set_blocking(output.fileno(), False)  # type: ignore[attr-defined]
     while time.monotonic() < deadline:
@@ -121,7 +128,7 @@ def _signal(process: subprocess.Popen[bytes], plan: Plan) -> None:
 
 
 def _answers(pid: int) -> bool:
-    """Whether a process handles SIGTERM: on a busy machine it may be long until Python has read the first line."""
+    """Whether a process handles SIGTERM yet; Python needs time to start."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:
@@ -131,7 +138,7 @@ def _answers(pid: int) -> bool:
 
 
 def _judge(plan: Plan, out: Path, undisturbed: Path, code: int, errors: str) -> tuple[str, list[str]]:
-    """How it ended, in words, and what is wrong about that."""
+    """(how the run ended, in words; the promises that it broke)."""
     broken = []
     record = json.loads((out / "run.json").read_text()) if (out / "run.json").is_file() else {}
     status = current_record(record).get("status", "")
@@ -146,25 +153,25 @@ def _judge(plan: Plan, out: Path, undisturbed: Path, code: int, errors: str) -> 
     if left := left_behind(out):
         broken.append(f"processes left behind: {left}")
     if (out / "messages.mcap").is_file():
-        broken += _wrongly_told(record, status, out, undisturbed)
+        broken += _recording_errors(record, status, out, undisturbed)
     return f"{status or 'no run folder'}, exit code {code}", broken
 
 
-def _wrongly_told(record: dict[str, Any], status: str, out: Path, undisturbed: Path) -> list[str]:
-    """What run.json says of the recording that is not so.
+def _recording_errors(record: dict[str, Any], status: str, out: Path, undisturbed: Path) -> list[str]:
+    """False statements of run.json about the recording.
 
-    What it calls complete equals the undisturbed run, but for the last frame, in which the run may have ended. What it
-    calls incomplete equals it up to the frame that it names.
+    A complete recording equals that of the undisturbed run, except in the last frame, in which the run may have ended.
+    An incomplete one equals it up to the frame that run.json names.
     """
     try:
         frames = [message.frame for message in read(out)]
-        noted = record.get("recorded", {}).get("messages", len(frames))
-        if status != "killed" and noted != len(frames):
-            return [f"{len(frames)} messages are recorded, run.json says {noted}"]
-        said = record.get("recording", {"from_frame": first_incomplete_frame(out)})
-        sound = min(said.get("from_frame", FRAMES), FRAMES if status == "ok" else max(frames, default=0))
-        if sound and compare(undisturbed, out, taps=True, before=sound).first is not None:
-            return [f"run.json says {said} of a recording that is not that of the undisturbed run before frame {sound}"]
+        expected_count = record.get("recorded", {}).get("messages", len(frames))
+        if status != "killed" and expected_count != len(frames):
+            return [f"{len(frames)} messages are recorded, run.json says {expected_count}"]
+        statement = record.get("recording", {"from_frame": first_incomplete_frame(out)})
+        complete_before = min(statement.get("from_frame", FRAMES), FRAMES if status == "ok" else max(frames, default=0))
+        if complete_before and compare(undisturbed, out, taps=True, before=complete_before).first is not None:
+            return [f"run.json says {statement} of a recording that is wrong before frame {complete_before}"]
         if status != "killed" and "recording" not in record:
             return ["run.json does not say whether the recording is complete"]
     except RunFolderError as error:
@@ -173,26 +180,26 @@ def _wrongly_told(record: dict[str, Any], status: str, out: Path, undisturbed: P
 
 
 def main() -> None:
-    """See the module."""
+    """Run the tool."""
     arguments = _arguments()
     with tempfile.TemporaryDirectory(prefix="mast-ending-") as kept:
         undisturbed = Path(kept) / "undisturbed"
         subprocess.run([*command("inproc", undisturbed), "--no-report"], check=True, capture_output=True)
 
-        def carry_out(number: int) -> Tried:
+        def carry_out(number: int) -> PlanResult:
             plan = Plan.draw(arguments.seed, number, arguments.runtime)
             with tempfile.TemporaryDirectory(prefix="mast-ending-") as folder:
                 how, broken = end_one(plan, Path(folder), undisturbed)
-            return Tried(number, f"{plan.runtime:6} {plan.way:20} at {plan.after_s:4.1f} s", how, broken)
+            return PlanResult(number, f"{plan.runtime:6} {plan.way:20} at {plan.after_s:4.1f} s", how, broken)
 
         more = ["--runtime", arguments.runtime] if arguments.runtime else []
-        tell(map(carry_out, numbers(arguments)), arguments.seed, *more)
+        report_results(map(carry_out, numbers(arguments)), arguments.seed, *more)
 
 
 def _arguments() -> argparse.Namespace:
-    made = parser(__doc__, 100)
-    made.add_argument("--runtime", choices=("mesh", "inproc"), help="Default: either.")
-    return made.parse_args()
+    arguments_parser = parser(__doc__, 100)
+    arguments_parser.add_argument("--runtime", choices=("mesh", "inproc"), help="Default: either.")
+    return arguments_parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Writes the pages and examples that repeat what the code says: `python tools/generate_docs.py docs`."""
+"""Generates pages and examples from code: `python tools/generate_docs.py docs`."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ _ENDINGS = (
 
 def error_types(base: type[errors.MastError] = errors.MastError) -> list[type[errors.MastError]]:
     """The whole error tree."""
-    return [base, *(found for child in base.__subclasses__() for found in error_types(child))]
+    return [base, *(error for child in base.__subclasses__() for error in error_types(child))]
 
 
 def _first_line(of: type) -> str:
@@ -118,7 +118,7 @@ _LAYERS = re.compile(r"(<!-- Written by `make docs` from mast_zenoh/layers.py. -
 
 
 def architecture_page() -> str:
-    """docs/architecture.md with its list of layers written anew."""
+    """docs/architecture.md with an updated list of layers."""
     names = {name: f"{name}/" if (_PACKAGE / name).is_dir() else f"{name}.py" for name in LAYERS}
     width = max(map(len, names.values()))
     listing = "".join(f"{names[name]:{width}}  {holds}\n" for name, holds in LAYERS.items())
@@ -127,13 +127,13 @@ def architecture_page() -> str:
 
 
 def api_page() -> str:
-    """docs/api.md: the public names with signatures and docstrings, and the base classes."""
+    """docs/api.md: public names with signatures and docstrings, and base classes."""
     lines = [
         "# API",
         "",
         _GENERATED.format(source="mast_zenoh/__init__.py and mast_zenoh/api/surface.py"),
         "After reading this page you know every public name. [python.md](python.md) shows how they work together,",
-        "[stability.md](stability.md) says what stays.",
+        "[stability.md](stability.md) says what is stable.",
         "",
         "## import mast_zenoh as mast",
         "",
@@ -148,8 +148,8 @@ def api_page() -> str:
         lines += [f"## `{cls.__name__}`", "", *_text(cls), ""]
         for name, member in vars(cls).items():
             if not name.startswith("_") and (callable(member) or isinstance(member, property)):
-                shown = name if isinstance(member, property) else f"{name}{_signature(member)}"
-                lines += [f"### `{cls.__name__}.{shown}`", "", *_text(member), ""]
+                heading = name if isinstance(member, property) else f"{name}{_signature(member)}"
+                lines += [f"### `{cls.__name__}.{heading}`", "", *_text(member), ""]
     lines += ["## Base classes", "", "| to write a | derive from | which is |", "|---|---|---|"]
     for purpose, places in BASE_CLASSES.items():
         for place in places:
@@ -159,10 +159,10 @@ def api_page() -> str:
 
 def _signature(function: Callable[..., Any]) -> str:
     """The parameters of a function and their defaults, without annotations."""
-    found = inspect.signature(function)
-    plain = [each.replace(annotation=inspect.Parameter.empty) for name, each in found.parameters.items()]
+    signature = inspect.signature(function)
+    plain = [each.replace(annotation=inspect.Parameter.empty) for name, each in signature.parameters.items()]
     plain = plain[1:] if plain and plain[0].name == "self" else plain
-    return str(found.replace(parameters=plain, return_annotation=inspect.Signature.empty))
+    return str(signature.replace(parameters=plain, return_annotation=inspect.Signature.empty))
 
 
 def _text(of: object) -> list[str]:

@@ -1,7 +1,7 @@
-"""Writes tests/study/increments.csv: what attacks of the shipped study added, trial by trial.
+"""Writes tests/study/increments.csv: increments of the shipped study's attacks.
 
-The tests of the intervals draw their samples from it, so that they are checked on the distribution of real outcomes.
-When the attacks change, record it again (1,200 trials, some ten minutes on one core):
+Tests of the intervals draw samples from it, so intervals are checked on the distribution of real outcomes.
+Record it again when the attacks change (1,200 trials, about ten minutes on one core):
 
     mast study monte_carlo --trials 40 --set 'adversaries=[2]' --out OUT \\
         --set scenes=intersection:0,intersection:1,intersection:2,intersection:3,intersection:4,intersection:5,\\
@@ -23,13 +23,13 @@ COLUMNS = ("configuration", "scene", "seed", "estimator", "metric", "value")
 
 
 def main(study: Path) -> None:
-    """A line per configuration, metric and scene, and a column per seed; objects per frame of the ego's picture."""
+    """Print false and missed objects per frame: a row per scene, a column per seed."""
     rows = parquet.read_table(study / "results.parquet", columns=list(COLUMNS)).to_pylist()
-    found: dict[tuple[str, str, str], dict[int, float]] = {}
+    increments: dict[tuple[str, str, str], dict[int, float]] = {}
     for row in rows:
         if row["metric"] in METRICS and row["estimator"] == "picture":
             key = row["configuration"], row["metric"], row["scene"]
-            found.setdefault(key, {})[row["seed"]] = row["value"]
+            increments.setdefault(key, {})[row["seed"]] = row["value"]
     environment = json.loads((study / "study.json").read_text())["environment"]
     print(
         f"# written by tools/record_increments.py; mast-zenoh {environment['mast-zenoh']}, code {environment['code']}"
@@ -37,7 +37,7 @@ def main(study: Path) -> None:
     seeds = sorted({row["seed"] for row in rows})
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(["configuration", "metric", "scene", *seeds])
-    for key, values in found.items():
+    for key, values in increments.items():
         writer.writerow([*key, *(f"{values[seed]:.4f}" for seed in seeds)])
 
 

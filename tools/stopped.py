@@ -1,10 +1,12 @@
-"""Stops nodes of lock-step runs for a while at random, from a seed, and compares each run with the undisturbed one.
+"""Suspends nodes of lock-step runs and compares them with undisturbed runs.
+
+Nodes and times are drawn from a seed.
 
     python tools/stopped.py --runs 50 --seed 0 [--jobs 2] [--only NUMBER]
 
-Each run is a process of `mast run` on a mesh, of which up to three processes stand still (SIGSTOP, SIGCONT) for 0.5 to
-10 s. It then equals the same run in one process, message by message and in metrics.json, or says that it does not.
-Prints a line for each, and the command that repeats one that did neither. Exits with 1 if any did.
+Each run is a process of `mast run` on a mesh, of which up to three processes are suspended (SIGSTOP, SIGCONT) for 0.5
+to 10 s. It must equal the same run in one process, in all messages and in metrics.json, or report that it does not.
+Prints a line for each, with the command that repeats a run that did neither. Exits with 1 if any did.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from functools import cache
 from pathlib import Path
 
 import psutil
-from disturbing import Tried, left_behind, numbers, parser, tell
+from disturbing import PlanResult, left_behind, numbers, parser, report_results
 
 from mast_zenoh.errors import (
     HandlerFailed,
@@ -47,19 +49,22 @@ SCENARIOS = {
     "chaos": ("chaos", "--set", "duration_s=15.0"),
 }
 LAUNCHER = "launcher"
-#: By status, the exit codes of a run that says that it is not the undisturbed one.
-SAID = {
+#: By status, the exit codes of a run that reports a difference from the undisturbed one.
+REPORTED_CODES = {
     "node_lost": (NodeLost.exit_code,),
     "handler_failures": (HandlerFailed.exit_code,),
     "failed": tuple(error.exit_code for error in (StartError, NodeDied, StallError)),
 }
-LATEST_S = 6.0  # after the start of the nodes, a stop begins
+LATEST_S = 6.0  # latest start of a suspension, after the start of the nodes
 LONGEST_S = 240.0
 
 
 @dataclass(frozen=True)
 class Stop:
-    """which: of the processes, from 0 to 1 in the order of their names; after_s: from when there are nodes."""
+    """A suspension of one process.
+
+    which: the process, 0 to 1 in the order of names; after_s: s after nodes exist; for_s: s, duration
+    """
 
     which: float
     after_s: float
@@ -68,25 +73,28 @@ class Stop:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done to a run of a scenario."""
+    """The suspensions of one run of a scenario."""
 
     scenario: str
     stops: tuple[Stop, ...]
 
     @classmethod
     def draw(cls, seed: int, number: int) -> Plan:
-        """The plan of a number: one scenario after the other."""
-        drawn = random.Random(f"{seed}/{number}")
+        """The plan with a number; scenarios take turns."""
+        generator = random.Random(f"{seed}/{number}")
         name = list(SCENARIOS)[number % len(SCENARIOS)]
-        several = drawn.choice((1, 1, 2, 3))
+        several = generator.choice((1, 1, 2, 3))
         return cls(
             name,
-            tuple(Stop(drawn.random(), drawn.uniform(0.0, LATEST_S), drawn.uniform(0.5, 10.0)) for _ in range(several)),
+            tuple(
+                Stop(generator.random(), generator.uniform(0.0, LATEST_S), generator.uniform(0.5, 10.0))
+                for _ in range(several)
+            ),
         )
 
 
 def run_one(plan: Plan, undisturbed: Path, folder: Path) -> tuple[str, str, list[str]]:
-    """Carry out a plan in an empty folder: what was stopped, how the run ended, and what is wrong about that."""
+    """Carry out a plan; returns what was stopped, how the run ended, and errors."""
     out = folder / "run"
     with (folder / "output").open("wb") as output:
         process = subprocess.Popen(command(plan.scenario, out), stdout=output, stderr=subprocess.STDOUT)
@@ -110,13 +118,13 @@ def run_one(plan: Plan, undisturbed: Path, folder: Path) -> tuple[str, str, list
 
 
 def command(scenario: str, out: Path, *more: str) -> list[str]:
-    """What runs a scenario."""
+    """The command that runs a scenario."""
     run = [sys.executable, "-m", "mast_zenoh", "run", *SCENARIOS[scenario], "--mode", "lockstep"]
     return [*run, "--frames", str(FRAMES), "--no-report", "--out", str(out), *more]
 
 
 def _nodes_of(process: subprocess.Popen[bytes], out: Path) -> list[str]:
-    """The names of what can be stopped, as soon as there are nodes."""
+    """Wait for the nodes of a run; returns the processes that can be suspended."""
     deadline = time.monotonic() + LONGEST_S
     while process.poll() is None and time.monotonic() < deadline:
         with contextlib.suppress(OSError, ValueError):
@@ -131,7 +139,7 @@ def _name(stop: Stop, names: list[str]) -> str:
 
 
 def _stop(launcher: int, name: str, stop: Stop, done: list[str]) -> None:
-    """Have a process stand still for a while, if it is there, and note that in `done`."""
+    """Suspend a process for a while, if it exists, and note that in `done`."""
     threading.Event().wait(stop.after_s)
     with contextlib.suppress(psutil.NoSuchProcess):
         parent = psutil.Process(launcher)
@@ -153,7 +161,7 @@ def _is_node(process: psutil.Process, name: str) -> bool:
 
 
 def _judge(out: Path, undisturbed: Path, code: int, output: str) -> tuple[str, list[str]]:
-    """How it ended, in words, and what is wrong about that."""
+    """(how the run ended, in words; the promises that it broke)."""
     record = json.loads((out / "run.json").read_text())
     status, broken = record["status"], []
     if "Traceback" in output:
@@ -161,20 +169,20 @@ def _judge(out: Path, undisturbed: Path, code: int, output: str) -> tuple[str, l
     if left := left_behind(out):
         broken.append(f"processes left behind: {left}")
     try:
-        found = compare(undisturbed, out, taps=True)
+        difference = compare(undisturbed, out, taps=True)
     except RunFolderError as error:
         return f"{status}, exit code {code}: no recording", [*broken, str(error)] if status == "ok" else broken
     metrics = [
         (folder / "metrics.json").read_bytes() for folder in (undisturbed, out) if (folder / "metrics.json").is_file()
     ]
-    equal = found.first is None and len({*metrics}) == 1 == len(metrics) - 1
+    equal = difference.first is None and len({*metrics}) == 1 == len(metrics) - 1
     how = f"{status}, exit code {code}: {'equal' if equal else 'not equal'}"
     if status == "ok" and code == 0:
         if record["churn"]:
             broken.append(f"churn in a run that is ok: {record['churn']}")
         if not equal:
-            broken.append("; ".join(explain(found)) if found.first else "metrics.json differs")
-    elif code not in SAID.get(status, ()):
+            broken.append("; ".join(explain(difference)) if difference.first else "metrics.json differs")
+    elif code not in REPORTED_CODES.get(status, ()):
         broken.append(f"status {status!r} with exit code {code}")
     elif "error: " not in output:
         broken.append("no message")
@@ -184,7 +192,7 @@ def _judge(out: Path, undisturbed: Path, code: int, output: str) -> tuple[str, l
 
 
 def main() -> None:
-    """See the module."""
+    """Run the tool."""
     arguments = _arguments()
     with tempfile.TemporaryDirectory(prefix="mast-stopped-") as kept, ThreadPoolExecutor(arguments.jobs) as pool:
         lock = threading.Lock()
@@ -195,21 +203,21 @@ def main() -> None:
             subprocess.run(command(scenario, out, "--runtime", "inproc"), check=True, capture_output=True)
             return out
 
-        def carry_out(number: int) -> Tried:
+        def carry_out(number: int) -> PlanResult:
             plan = Plan.draw(arguments.seed, number)
             with lock:
                 twin = undisturbed(plan.scenario)
             with tempfile.TemporaryDirectory(prefix="mast-stopped-") as folder:
                 done, how, broken = run_one(plan, twin, Path(folder))
-            return Tried(number, f"{plan.scenario:9} {done}", how, broken)
+            return PlanResult(number, f"{plan.scenario:9} {done}", how, broken)
 
-        tell(pool.map(carry_out, numbers(arguments)), arguments.seed)
+        report_results(pool.map(carry_out, numbers(arguments)), arguments.seed)
 
 
 def _arguments() -> argparse.Namespace:
-    made = parser(__doc__, 50)
-    made.add_argument("--jobs", type=int, default=1, help="runs at a time")
-    return made.parse_args()
+    arguments_parser = parser(__doc__, 50)
+    arguments_parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
+    return arguments_parser.parse_args()
 
 
 if __name__ == "__main__":

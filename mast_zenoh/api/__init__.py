@@ -1,4 +1,6 @@
-"""Runs as Python objects, for notebooks and scripts: what `import mast_zenoh as mast` offers (docs/python.md).
+"""Runs as Python objects for notebooks and scripts: `import mast_zenoh as mast`.
+
+See docs/python.md.
 
     execution    run: a scenario in, a run out; open: a run folder in, the same object out
     runs         the object: tables, messages, agents, plots, report

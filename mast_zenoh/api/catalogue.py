@@ -1,4 +1,4 @@
-"""What a scenario can name, by kind: a line on each thing, and its parameters with defaults and units."""
+"""Lists classes, scenarios and studies of each kind, with documented parameters."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ from mast_zenoh.faults.network import HOST_FAULTS
 from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline
 from mast_zenoh.report.tables.scores import MEASURES
 
-#: By kind, what is listed: a heading for each base class of those that `type=…` can name.
+#: By kind: a heading for each base class whose subclasses `type=…` can name.
 _BASES: Mapping[str, Mapping[str, type]] = {
     "attacks": {
-        "attacks, of an adversary": attacks.Attack,
-        "coordination, of a coordinator": attacks.Coordination,
+        "attacks by an adversary": attacks.Attack,
+        "coordination of several adversaries": attacks.Coordination,
         "selections: what to insert, hide and move": attacks.Selection,
-        "propagations: how false objects move": attacks.Propagation,
-        "imitations: how false objects look": attacks.Imitation,
+        "propagations: motion of false objects": attacks.Propagation,
+        "imitations: appearance of false objects": attacks.Imitation,
     },
     "trackers": {
         "pipelines of agents": AgentPipeline,
         "trackers": tracking.Tracker,
-        "assignments: which measurement goes to which track": tracking.Assignment,
+        "assignments: assigns measurements to tracks": tracking.Assignment,
     },
     "fusion": {
-        "mission estimators: what an agent makes of its tracks and the picture": MissionEstimator,
+        "mission estimators: combine an agent's tracks with the picture": MissionEstimator,
         "pipelines of the command centre": Pipeline,
-        "clusterers: which tracks are one object": fusion.Clusterer,
-        "fusions: one state of a cluster": fusion.Fusion,
+        "clusterers: group tracks of one object": fusion.Clusterer,
+        "fusions: fuse a cluster into one state": fusion.Fusion,
         "group trackers: clusters over time": fusion.GroupTracker,
     },
     "scenes": {
-        "scenes: where the truth comes from": scenes.Scene,
-        "detectors: detections of what a lidar sees": sensing.Detector,
+        "scenes: ground truth": scenes.Scene,
+        "detectors: detections from lidar visibility": sensing.Detector,
     },
-    "links": {"rules: what a link does to messages": links.Rule},
+    "links": {"rules: effects of a link on messages": links.Rule},
     "faults": {"faults of nodes and of their messages": Fault},
     "metrics": {
-        "further metrics, named in evaluator=dict(metrics=[…])": metrics.Metric,
-        "assigners: which track is which object": metrics.Assigner,
+        "optional metrics, listed in evaluator=dict(metrics=[…])": metrics.Metric,
+        "assigners: match tracks to true objects": metrics.Assigner,
     },
 }
-#: The kinds that are files of a function.
+#: Kinds that are files, by the name of the function that each file defines.
 _FILES = {"scenarios": "scenario", "studies": "study"}
 
 KINDS = (*_BASES, *_FILES)
@@ -60,33 +60,33 @@ _MEASURES = {
     "fp": "Tracks in range of the agent that match no object, per frame",
     "tp": "Objects in range of the agent that a track matches, per frame",
     "rmse_m": "Root mean square distance of the centres of matched pairs, in m",
-    "id_switches": "How often an object is matched by another track than the one that matched it last",
-    "completeness": "Part of an object's frames in which it is matched, 0 to 1, mean over objects",
+    "id_switches": "Number of times that an object is matched by another track than before",
+    "completeness": "Share of an object's frames in which it is matched, 0 to 1, mean over objects",
     "ospa_m": "OSPA: distance between the set of objects and the set of tracks, per object, in m",
     "gospa_m": "GOSPA: the same summed over the objects, in m",
 }
 _HOST_FAULTS = {
     "HostPartition": "Nothing gets through the links of these hosts, either way",
-    "HostLoss": "A part of the packets of these hosts is lost, besides what is lost anyway",
+    "HostLoss": "A share of the packets of these hosts is lost, in addition to other losses",
     "HostDelay": "Packets of these hosts take longer",
     "HostBandwidth": "The links of these hosts carry no more than this",
 }
-_FIGURES = {
+_HOST_FAULT_PARAMETERS = {
     "at": "s of scene time at which it begins",
     "until": "s of scene time at which it is healed; None: it lasts to the end",
     "hosts": "names of hosts, or '*' for all",
-    "probability": "part of the packets, 0 to 1",
+    "probability": "share of the packets, 0 to 1",
     "delay_ms": "added to each packet, in each direction",
-    "jitter_ms": "by how much more or less",
+    "jitter_ms": "random deviation of the delay, in either direction",
     "bits_per_s": "in each direction",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Something that a scenario can name.
+    """A class, file, profile or metric that a scenario can name.
 
-    group: what it is used as;  description: a line;  parameters: in the order of its signature
+    group: its use;  description: one line;  parameters: in the order of its signature
     """
 
     name: str
@@ -96,7 +96,7 @@ class Entry:
 
     def __str__(self) -> str:
         lines = textwrap.wrap(self.description, 112, initial_indent="  ", subsequent_indent="  ")
-        written = [_written(each) for each in self.parameters]
+        written = [_as_assignment(each) for each in self.parameters]
         width = min(max((len(text) for text in written), default=0), 44)
         for text, each in zip(written, self.parameters, strict=True):
             room = " " * (width + 6)
@@ -106,8 +106,8 @@ class Entry:
         return "\n".join([self.name, *lines])
 
 
-def _written(parameter: Parameter) -> str:
-    """`start_s = 4.0 s`, or the name alone of one that must be given."""
+def _as_assignment(parameter: Parameter) -> str:
+    """`start_s = 4.0 s`; `name, required` without a default."""
     default = f" = {parameter.default}" if parameter.default else ""
     unit = parameter.unit if parameter.default not in ("", "None") else f"({parameter.unit})"
     required = "" if parameter.default else ", required"
@@ -115,7 +115,10 @@ def _written(parameter: Parameter) -> str:
 
 
 class Listing(Sequence[Entry]):
-    """What there is of one kind: prints as text, shows as a table; `listing["CoordinatedAttack"]` is one of it."""
+    """The entries of one kind.
+
+    Prints as text and displays as a table in a notebook; `listing["CoordinatedAttack"]` is one entry.
+    """
 
     def __init__(self, kind: str, entries: Sequence[Entry]) -> None:
         self.kind = kind
@@ -123,7 +126,7 @@ class Listing(Sequence[Entry]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of all."""
+        """The names of all entries."""
         return tuple(entry.name for entry in self._entries)
 
     @overload
@@ -142,7 +145,7 @@ class Listing(Sequence[Entry]):
         return len(self._entries)
 
     def groups(self) -> Iterator[tuple[str, tuple[Entry, ...]]]:
-        """The entries by what they are used as."""
+        """Yield (group, its entries)."""
         for group in dict.fromkeys(entry.group for entry in self._entries):
             yield group, tuple(entry for entry in self._entries if entry.group == group)
 
@@ -160,7 +163,8 @@ class Listing(Sequence[Entry]):
             rows.append(f"<tr><th colspan=3 style='text-align:left'>{html.escape(group)}</th></tr>")
             for entry in entries:
                 listed = "<br>".join(
-                    f"<code>{html.escape(_written(each))}</code> {html.escape(each.words)}" for each in entry.parameters
+                    f"<code>{html.escape(_as_assignment(each))}</code> {html.escape(each.words)}"
+                    for each in entry.parameters
                 )
                 cells = (f"<code>{html.escape(entry.name)}</code>", html.escape(entry.description), listed)
                 rows.append("<tr>" + "".join(f"<td style='text-align:left'>{cell}</td>" for cell in cells) + "</tr>")
@@ -168,7 +172,9 @@ class Listing(Sequence[Entry]):
 
 
 def list_kind(kind: str) -> Listing:
-    """What a scenario can name of a kind, with parameters, defaults and units; your own classes are among it.
+    """List everything of one kind that a scenario can name; includes your own classes.
+
+    Entries have parameters with defaults and units.
 
     kind: attacks, trackers, fusion, scenes, links, faults, metrics, scenarios or studies
 
@@ -187,17 +193,20 @@ def list_kind(kind: str) -> Listing:
 
 
 def _special(kind: str) -> Iterator[Entry]:
-    """What is no class: profiles of links, faults of hosts, metrics that are always computed."""
+    """Entries that are not classes: link profiles, host faults, built-in metrics."""
     if kind == "links":
         for name, ways in links.PROFILES.items():
             rules = ", then ".join(_rule(rule) for rule in ways["up"]) or "no rule"
             both = "up and down" if ways["up"] == ways["down"] else "up"
-            yield Entry(name, "profiles, of an agent's link", f"{both}: {rules}")
+            yield Entry(name, "profiles of an agent's link", f"{both}: {rules}")
     if kind == "faults":
         for name, (required, optional) in HOST_FAULTS.items():
-            takes = [("at", ""), ("hosts", ""), *((figure, "") for figure in required)]
-            takes += [("until", "None"), *((figure, "0.0") for figure in optional)]
-            parameters = [Parameter(n, default, unit_of(n, _FIGURES[n]), _FIGURES[n]) for n, default in takes]
+            names_and_defaults = [("at", ""), ("hosts", ""), *((parameter, "") for parameter in required)]
+            names_and_defaults += [("until", "None"), *((parameter, "0.0") for parameter in optional)]
+            parameters = [
+                Parameter(n, default, unit_of(n, _HOST_FAULT_PARAMETERS[n]), _HOST_FAULT_PARAMETERS[n])
+                for n, default in names_and_defaults
+            ]
             yield Entry(name, "faults of hosts' networks, in real time", _HOST_FAULTS[name], tuple(parameters))
     if kind == "metrics":
         for measure in MEASURES:
@@ -206,19 +215,19 @@ def _special(kind: str) -> Iterator[Entry]:
 
 def _rule(rule: Mapping[str, Any]) -> str:
     """`Loss(probability=0.1)`."""
-    given = ", ".join(f"{name}={value!r}" for name, value in rule.items() if name != "type")
-    return f"{rule['type']}({given})"
+    arguments = ", ".join(f"{name}={value!r}" for name, value in rule.items() if name != "type")
+    return f"{rule['type']}({arguments})"
 
 
 def _files(kind: str, function: str) -> Iterator[Entry]:
-    """Our scenario or study files; parameters that one does not describe are those of `baseline` or `uncoordinated`."""
-    found = []
+    """The shipped files of a kind; undocumented parameters are those of `baseline`."""
+    files = []
     for name in bundle.names(kind):
-        path, made = loading.function(kind, name, function)
-        found.append((path, made, ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""))
+        path, definition = loading.function(kind, name, function)
+        files.append((path, definition, ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""))
     shared = [loading.function("scenarios", name, "scenario")[1] for name in ("baseline", "uncoordinated")]
     verb = {"scenarios": "run", "studies": "study"}[kind]
     group = f"{kind}: mast {verb} NAME, or mast_zenoh.{verb}(NAME)"
-    for path, made, text in found:
+    for path, definition, text in files:
         line = text.split("\n\n")[0].replace("\n", " ").rstrip(".")
-        yield Entry(path.stem, group, line, parameters_of(made, shared))
+        yield Entry(path.stem, group, line, parameters_of(definition, shared))

@@ -1,4 +1,4 @@
-"""Runs compared: the same scores side by side, and what differs in words."""
+"""Compares runs: their scores side by side, and the differences in words."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mast_zenoh.report.tables.scores import as_markdown, as_rich, score_table
 
 
 class Comparison:
-    """Runs of the same scene and seed, compared with the first of them. Prints as the table on the terminal."""
+    """Runs of the same scene and seed, compared with the first; prints as a table."""
 
     def __init__(self, runs: tuple[Run, ...]) -> None:
         if len(runs) < 2:
@@ -35,8 +35,9 @@ class Comparison:
 
     @property
     def table(self) -> pyarrow.Table:
-        """A row per metric, run and estimate of the ego: mean, std (over frames), change from the first run.
+        """A row per metric, run and estimate of the ego: mean, std (over frames), change.
 
+        The change is over the first run.
         Counts are objects per frame, lengths (`…_m`) are in m; id_switches are of the whole run.
         """
         rows = [
@@ -82,7 +83,7 @@ class Comparison:
 
 
 def as_text(tables: RenderableType) -> str:
-    """Tables for the terminal as plain text."""
+    """Terminal tables as plain text."""
     page = io.StringIO()
     Console(file=page, width=100, color_system=None).print(tables)
     return "\n".join(line.rstrip() for line in page.getvalue().splitlines())

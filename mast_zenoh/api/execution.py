@@ -1,4 +1,4 @@
-"""From a scenario to a run, and from a run folder back to it."""
+"""Runs scenarios, and opens run folders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import run as launcher
 
-#: What a scenario can be given as.
+#: Types of the argument `scenario`: a name or file, a dict, or a function that returns one.
 Scenario = str | Path | Mapping[str, Any] | Callable[..., Mapping[str, Any]]
 
 
@@ -37,28 +37,28 @@ def run(
 ) -> Run:
     """Run a scenario, and return the run with its tables, messages and plots.
 
-    scenario:   name of one of ours (`mast.list("scenarios")`), a file, a dict, or a function that returns one
-    parameters: of the scenario's function; a dotted key reaches into the dict that it returns:
+    scenario:   name of a shipped scenario (`mast.list("scenarios")`), a file, a dict, or a function that returns one
+    parameters: arguments of the scenario's function; a dotted key sets a value in the dict that it returns:
                 `**{"command_center.pipeline.clustering.assign_radius": 3.0}`
-    frames:     how many to play; None: all that the scene has;  seed: of all random draws
+    frames:     number of frames to play; None: all frames of the scene;  seed: of all random draws
     out:        folder for the results, new or empty; None: runs/NAME-TIME below the current directory
     runtime:    "inproc": everything in this process; "mesh": a process for each node
     mode, rate: "lockstep" is exact; "realtime" follows the clock, `rate` times faster, and needs the mesh
-    record:     write every message, which `Run.messages`, `.truth` and `.picture` read
+    record:     write every message, for `Run.messages`, `.truth` and `.picture`
     report:     write report.html as well
-    endpoint:   of a Zenoh router that runs already, tcp/HOST:PORT
-    secure:     of the mesh: its certificates and access control (docs/security.md)
-    allow_failures, allow_churn: count a run as ok in which a handler failed, or a node was lost
+    endpoint:   address of a running Zenoh router, tcp/HOST:PORT
+    secure:     security level of the mesh: certificates and access control (docs/security.md)
+    allow_failures, allow_churn: count a run as ok although a handler failed, or a node was lost
 
-    Raises ConfigurationError, WiringError or SceneError before anything starts, and RunError where the run fails: what
-    it has left by then is in the folder that the error names.
+    Raises ConfigurationError, WiringError or SceneError before anything starts, and RunError if the run fails; the
+    results so far are in the folder that the error names.
     """
     options = [name for name in inspect.signature(run).parameters if name not in ("scenario", "parameters")]
     path, content = scenarios.load_values(scenario, parameters, options)
     choices: dict[str, Any] = {"seed": seed, "frames": frames, "mode": mode, "rate": rate, "record": record}
     resolved = scenarios.resolve(path, content, **choices)
-    _check_place(path, resolved, runtime=runtime, secure=secure, endpoint=endpoint)
-    ended = launcher.run(
+    _check_runtime(path, resolved, runtime=runtime, secure=secure, endpoint=endpoint)
+    finished = launcher.run(
         resolved,
         None if out is None else Path(out),
         runtime=runtime,
@@ -68,49 +68,51 @@ def run(
         allow_churn=allow_churn,
         command=_call(scenario, {"frames": frames, "seed": seed, "runtime": runtime, "mode": mode, **parameters}),
     )
-    result = Run(ended.folder)
-    if ended.error is not None:
-        ended.error.add_note(
-            f"What the run has left is in {ended.folder}: open it by mast_zenoh.open(…). Options of the command line "
-            "are keywords in Python: allow_failures=True"
+    result = Run(finished.folder)
+    if finished.error is not None:
+        finished.error.add_note(
+            f"The results so far are in {finished.folder}: read them with mast_zenoh.open(…). Command-line options "
+            "are keyword arguments in Python: allow_failures=True"
         )
-        raise ended.error
+        raise finished.error
     if report:
         result.report()
     return result
 
 
 def open_run(path: str | Path) -> Run:
-    """The run in a run folder, of a run that has ended or still goes on. Raises RunFolderError where there is none."""
+    """Open the folder of a finished or running run; raises RunFolderError if none."""
     return Run(path)
 
 
-def _call(scenario: Scenario, given: Mapping[str, Any]) -> str:
-    """The call that starts a run, in short, for run.json."""
+def _call(scenario: Scenario, arguments: Mapping[str, Any]) -> str:
+    """The call that starts a run, shortened, for run.json."""
     name = repr(str(scenario)) if isinstance(scenario, (str, Path)) else getattr(scenario, "__name__", "a dict")
-    words = [f"{key}={value!r:.80}" for key, value in given.items() if value is not None]
+    words = [f"{key}={value!r:.80}" for key, value in arguments.items() if value is not None]
     return f"mast_zenoh.run({', '.join([name, *words])})"
 
 
-def _check_place(path: Path, resolved: Resolved, *, runtime: str, secure: str, endpoint: str | None) -> None:
-    """Raise ConfigurationError where a scenario cannot run in the place that was asked for."""
+def _check_runtime(path: Path, resolved: Resolved, *, runtime: str, secure: str, endpoint: str | None) -> None:
+    """Raise ConfigurationError if a scenario cannot run in the requested runtime."""
     if runtime not in ("inproc", "mesh"):
         raise ConfigurationError(f"runtime: found {runtime!r}, expected inproc or mesh")
     if runtime == "inproc":
         if resolved.mode == "realtime":
             raise ConfigurationError("mode: realtime needs the mesh: add runtime='mesh'")
         if secure != "open" or endpoint is not None:
-            raise ConfigurationError("secure and endpoint are of a mesh: add runtime='mesh'")
+            raise ConfigurationError("secure and endpoint need the mesh: add runtime='mesh'")
         return
     if secure != "open" and endpoint is not None:
-        raise ConfigurationError(f"secure: a secure mesh has a router of its own: the one at {endpoint} is another's")
-    ours = loading.session_classes()
-    named = [ours.get(name, getattr(name, "cls", None)) for name in registry.type_names(_configs(resolved))]
-    named += [ours.get(spec.type) for spec in resolved.nodes.values() if spec.file == str(loading.SESSION)]
+        raise ConfigurationError(
+            f"secure: a secure mesh starts its own router: found the endpoint {endpoint}, expected none"
+        )
+    session_classes = loading.session_classes()
+    named = [session_classes.get(name, getattr(name, "cls", None)) for name in registry.type_names(_configs(resolved))]
+    named += [session_classes.get(spec.type) for spec in resolved.nodes.values() if spec.file == str(loading.SESSION)]
     unloadable = sorted({cls.__name__ for cls in named if cls is not None and loading.file_of_class(cls) is None})
     if unloadable:
         raise ConfigurationError(
-            f"{path}: {', '.join(unloadable)}: defined in this session, which processes of a mesh cannot load: "
+            f"{path}: {', '.join(unloadable)}: defined in this session, but nodes on a mesh load classes from files: "
             "expected a class in a Python file beside the scenario, or runtime='inproc'"
         )
 

@@ -1,4 +1,4 @@
-"""Recorded messages, decoded, and the states of objects in them as tables by frame."""
+"""Decodes recorded messages, and turns their object states into tables by frame."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class WireMessage:
     """A message as it was sent on a wire.
 
     wire:      key expression without the run's prefix: `agent/ego/tracks`
-    tap:       it was sent on a hidden leg of the wire, before an interposer
-    type:      of the message: a section of docs/messages.md
-    publisher: name of the node that made it
-    frame:     that it is about;  time_s: s since the scene began;  seq: its number on the wire
+    tap:       whether it was sent on a hidden leg of the wire, before an interposer
+    type:      message type, a section of docs/messages.md
+    publisher: name of the node that published it
+    frame:     frame number;  time_s: s since the scene began;  seq: its number on the wire
     columns:   read-only arrays by name, with the shapes and units of docs/messages.md
     """
 
@@ -59,11 +59,13 @@ class WireMessage:
 
 
 def messages(path: Path, pattern: str = "*", *, taps: bool = False) -> Iterator[WireMessage]:
-    """The messages of a run folder or recording on the wires that match, by frame, wire, publisher and number.
+    """The messages of a run folder or recording on matching wires.
 
-    pattern: a glob as of `mast diff --ignore`: `*` stands for any text
+    Sorted by frame, wire, publisher and number.
+
+    pattern: a glob as in `mast diff --ignore`: `*` matches any text
     taps:    include the hidden legs of intercepted wires
-    Malformed messages, which every subscriber drops, are left out. Raises RunFolderError where nothing was recorded.
+    Malformed messages, which every subscriber drops, are left out. Raises RunFolderError if nothing was recorded.
     """
     for recorded in read(path):
         if recorded.malformed or (recorded.tap and not taps) or not fnmatchcase(recorded.wire, pattern):
@@ -74,9 +76,9 @@ def messages(path: Path, pattern: str = "*", *, taps: bool = False) -> Iterator[
 
 
 def table_of(path: Path, wire: str, rows: Callable[[WireMessage], Columns]) -> pyarrow.Table:
-    """What `rows` makes of each message on a wire, one below the other, behind `frame` and `time_s`.
+    """A table of the rows that `rows` makes of each message on a wire.
 
-    A copy of a message that a link has duplicated is left out.
+    The columns `frame` and `time_s` come first. Copies of a message that a link duplicated are left out.
     """
     parts: list[Columns] = []
     last: dict[str, int] = {}
@@ -107,10 +109,10 @@ def states(message: WireMessage) -> Columns:
 
 
 def truth(message: WireMessage) -> Columns:
-    """The objects of the scene; `points` are the lidar returns at the agent that has the most."""
+    """The objects of the scene; points: the most lidar returns at any agent."""
     points = message["points"]
-    most = points.max(axis=1) if points.shape[1] else np.zeros(len(points), np.int32)
-    return _boxes(message.columns) | {"points": most}
+    max_points = points.max(axis=1) if points.shape[1] else np.zeros(len(points), np.int32)
+    return _boxes(message.columns) | {"points": max_points}
 
 
 def detections(message: WireMessage) -> Columns:
@@ -119,13 +121,13 @@ def detections(message: WireMessage) -> Columns:
 
 
 def pose(message: WireMessage) -> Columns:
-    """Where an agent says it is, a row for each frame; the quaternion is that of its rotation into the world."""
+    """The pose that an agent reports, with the quaternion from agent to world frame."""
     values = np.concatenate([message["position"], message["rotation"], message["velocity"]])[None]
     return dict(zip(("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz"), values.T, strict=True))
 
 
 def _boxes(columns: Mapping[str, NDArray[Any]]) -> Columns:
-    """Columns of boxes with one value a row: position, velocity and size by axis, the class as text."""
+    """Columns of boxes, with vectors split by axis and the class as text."""
     classes = np.array(CLASSES, dtype=object)[columns["class_id"]]
     result: Columns = {"id": columns["id"]} if "id" in columns else {}
     result["class"] = classes

@@ -1,4 +1,4 @@
-"""The parameters of a class or function: defaults, units, and what its docstring says of each.
+"""Parameters of a class or function: defaults, units and docstring descriptions.
 
 A docstring describes parameters as `name: text` or `name, name: text`, on lines of their own or after a full stop or a
 semicolon. A class inherits the descriptions of its bases.
@@ -33,10 +33,10 @@ _LEADING = re.compile(r"(?:\([^)]*\) )?(m/s²|m/s|rad|m|s)(?=,| of scene time| u
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of something that a scenario can name.
+    """One parameter of a class or function that a scenario can name.
 
-    default: as text, "" where it must be given;  unit: "" where it has none;  choices: the only values, if it has such
-    meaning: from the docstring, "" where that says nothing
+    default: as text, "" if it is required;  unit: "" if it has none;  choices: the valid values, if they are few
+    meaning: from the docstring, "" if not described there
     """
 
     name: str
@@ -47,13 +47,16 @@ class Parameter:
 
     @property
     def words(self) -> str:
-        """The meaning, and the values that it can have."""
+        """The meaning, and the valid values."""
         listed = f"one of {', '.join(self.choices)}" if self.choices else ""
         return "; ".join(part for part in (self.meaning, listed) if part)
 
 
 def summary(cls: type) -> str:
-    """The first paragraph of a class's own docstring, without its full stop and without descriptions of parameters."""
+    """The first paragraph of a class's own docstring.
+
+    Without its full stop and without descriptions of parameters.
+    """
     text = inspect.cleandoc(vars(cls).get("__doc__") or "")
     entries = _entries(text, _names(cls))
     first = text[: entries[0].start()] if entries else text
@@ -77,16 +80,16 @@ def _names(of: Callable[..., Any]) -> list[str]:
     return [name for name, each in inspect.signature(of).parameters.items() if each.kind is not each.VAR_KEYWORD]
 
 
-def _parameter(found: inspect.Parameter, meaning: str) -> Parameter:
-    choices = re.fullmatch(r"Literal\[(.*)\]", str(found.annotation))
+def _parameter(parameter: inspect.Parameter, meaning: str) -> Parameter:
+    choices = re.fullmatch(r"Literal\[(.*)\]", str(parameter.annotation))
     values = tuple(part.strip(" '\"") for part in choices[1].split(",")) if choices else ()
-    unit = unit_of(found.name, meaning)
+    unit = unit_of(parameter.name, meaning)
     meaning = meaning.removeprefix(f"{unit}, ") if unit else meaning
-    return Parameter(found.name, _text(found.default), unit, meaning, values)
+    return Parameter(parameter.name, _text(parameter.default), unit, meaning, values)
 
 
 def unit_of(name: str, meaning: str) -> str:
-    """The unit of a parameter: by the end of its name, or else by the beginning of its description."""
+    """The unit of a parameter, from its name's suffix or its description's beginning."""
     for suffix in sorted(_SUFFIXES, key=len, reverse=True):
         if name.endswith(suffix):
             return _SUFFIXES[suffix]
@@ -95,7 +98,7 @@ def unit_of(name: str, meaning: str) -> str:
 
 
 def _text(default: object) -> str:
-    """A default as one would write it."""
+    """A default as in source code."""
     if default is inspect.Parameter.empty:
         return ""
     plain = default is None or isinstance(default, (bool, int, float, str, tuple, list, dict))
@@ -103,7 +106,7 @@ def _text(default: object) -> str:
 
 
 def described(text: str, names: Iterable[str]) -> dict[str, str]:
-    """What a docstring says of each of these parameters, where it says anything."""
+    """Descriptions of these parameters in a docstring, by name; others are absent."""
     text = inspect.cleandoc(text)
     known = list(names)
     entries = _entries(text, known)
@@ -120,14 +123,20 @@ def described(text: str, names: Iterable[str]) -> dict[str, str]:
 
 
 def _entries(text: str, names: Iterable[str]) -> list[re.Match[str]]:
-    """Where a docstring begins to describe one or several of these parameters; group 2: their names."""
+    """Matches where a docstring begins to describe these parameters.
+
+    Group 2 holds the names of one or several parameters.
+    """
     one = "|".join([*map(re.escape, sorted(names, key=len, reverse=True)), r"\w+_…"])
     entry = re.compile(rf"(?:(?<=^)|(?<=\n)|(?<=[.;] )|(?<=[.;]\n))([ ]*)((?:{one})(?:, (?:{one}))*):\s+")
     return list(entry.finditer(text))
 
 
 def _first_part(raw: str, before: str) -> str:
-    """A description without what follows it: a new paragraph, or a sentence on a line that is indented no further."""
+    """A description up to the next paragraph or sentence that is not part of it.
+
+    Such a sentence begins on a line with no further indentation.
+    """
     line = before.rpartition("\n")[2]
     indent = len(line) - len(line.lstrip())
     kept: list[str] = []

@@ -1,4 +1,4 @@
-"""The report's figures of a run, or of several, as Matplotlib figures that a notebook shows."""
+"""The report's figures of one or several runs, as Matplotlib figures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mast_zenoh.report.tables.scores import ESTIMATES, score_table
 
 
 class Run(Protocol):
-    """A run as figures need it; `mast_zenoh.api.runs.Run` is one."""
+    """The interface of a run for figures; `mast_zenoh.api.runs.Run` implements it."""
 
     @property
     def path(self) -> Path:
@@ -32,9 +32,9 @@ class Run(Protocol):
 
 
 class Plots:
-    """Figures of runs by label: of the first one, and where several are compared, of all.
+    """Figures of runs by label: of the first one or, in comparisons, of all.
 
-    Each method returns a Matplotlib figure: a notebook shows it, `figure.savefig("name.png")` keeps it.
+    Each method returns a Matplotlib figure: a notebook displays it, `figure.savefig("name.png")` saves it.
     """
 
     def __init__(self, runs: Mapping[str, RunFolder]) -> None:
@@ -44,11 +44,13 @@ class Plots:
     def over_time(
         self, metric: str | Sequence[str] = REPORT_COLUMNS, *others: Run, estimate: str = "picture"
     ) -> Figure:
-        """A metric of the ego by time: bold over the last five frames, pale in single frames; attacks are shaded.
+        """A metric of the ego over time, with attacks shaded.
 
-        metric:   a numeric column of `Run.metrics`, such as "fp", "fn", "rmse_m", or several, one below the other
+        Bold lines are means over the last five frames, pale lines the values of single frames.
+
+        metric:   a numeric column of `Run.metrics`, such as "fp", "fn", "rmse_m", or several for stacked charts
         others:   further runs to draw
-        estimate: that is drawn where there are several runs; of one run, all are
+        estimate: the one to draw for several runs; for one run, all are drawn
         """
         runs = {label: _with_all_columns(run) for label, run in (self._runs | labelled(others, self._runs)).items()}
         columns = (metric,) if isinstance(metric, str) else tuple(metric)
@@ -59,38 +61,38 @@ class Plots:
                     raise ConfigurationError(f"{label}: no metric {name!r}{nearest(name, set(known) - {'frame'})}")
         if estimate not in ESTIMATES:
             raise ConfigurationError(f"no estimate {estimate!r}{nearest(estimate, ESTIMATES)}")
-        return self._drawn(
+        return self._require(
             counts_over_time(runs, None, estimate, columns), "metrics.parquet holds no scores of the ego"
         )
 
     def birdseye(self, frame: int | None = None) -> Figure:
-        """The ego's surroundings from above in a frame: its own tracks, the picture, and both.
+        """Bird's-eye views of one frame: the ego's own tracks, the picture, and both.
 
-        frame: None: the one that the report shows
+        frame: by default the frame that the report shows
         """
         return birdseye_figure(self._view(frame))
 
     def camera(self, frame: int | None = None) -> Figure:
-        """The same frame through the ego's camera: its own tracks above, both below."""
-        return self._drawn(camera_figure(self._view(frame)), "the ego is not in the scene")
+        """The ego's camera view: its own tracks above, tracks and picture below."""
+        return self._require(camera_figure(self._view(frame)), "the ego is not in the scene")
 
     def causes(self) -> Figure:
-        """Missed and false objects of the picture by time, stacked by cause: of runs with links or faults."""
+        """Missed and false objects by cause over time, for runs with links or faults."""
         figure = causes_over_time(self._first, None)
-        return self._drawn(figure, "causes are drawn of runs with links or faults that left their objects")
+        return self._require(figure, "causes are known only for runs with links or faults, and with objects.parquet")
 
     def driving(self) -> Figure:
         """Time to collision, wrong objects in the ego's corridor and braking by time."""
-        return self._drawn(driving_over_time(self._first, None), "the run left no driving.parquet")
+        return self._require(driving_over_time(self._first, None), "there is no driving.parquet")
 
     def wiring(self) -> Figure:
         """The nodes and the data between them; intercepted wires are bold."""
-        return self._drawn(draw_wiring(self._first), "the run left no wiring.json")
+        return self._require(draw_wiring(self._first), "there is no wiring.json")
 
     def side_by_side(self, frame: int | None = None, *others: Run, estimate: str = "picture") -> Figure:
-        """One estimate of several runs in the same frame from above, their scores below.
+        """Bird's-eye views of one estimate of several runs, with scores below.
 
-        frame: None: the one in which a run differs most from the first
+        frame: by default the frame in which a run differs most from the first
         """
         runs = self._runs | labelled(others, self._runs)
         if frame is None:
@@ -105,10 +107,10 @@ class Plots:
     def _view(self, frame: int | None) -> FrameView:
         return _view(self._first, choose_frame(self._first) if frame is None else frame)
 
-    def _drawn(self, figure: Figure | None, lack: str) -> Figure:
+    def _require(self, figure: Figure | None, reason: str) -> Figure:
         if figure is None:
             reasons = " ".join(self._first.missing)
-            raise RunFolderError(f"{self._first.path}: nothing to draw: {lack}{f'; {reasons}' if reasons else ''}")
+            raise RunFolderError(f"{self._first.path}: nothing to draw: {reason}{f'; {reasons}' if reasons else ''}")
         return figure
 
     def __repr__(self) -> str:
@@ -117,7 +119,10 @@ class Plots:
 
 
 def labelled(runs: Sequence[Run], taken: Mapping[str, RunFolder]) -> dict[str, RunFolder]:
-    """Runs by a label that none of `taken` has: the scenario's name, else that of the folder, else with a number."""
+    """Runs by unique label, none of which is in `taken`.
+
+    A label is the scenario's name, else the folder's, else the name with a number.
+    """
     result: dict[str, RunFolder] = {}
     for run in runs:
         loaded = run._folder()
@@ -127,13 +132,13 @@ def labelled(runs: Sequence[Run], taken: Mapping[str, RunFolder]) -> dict[str, R
 
 
 def _with_all_columns(run: RunFolder) -> RunFolder:
-    """The run with every column of metrics.parquet: the report itself needs a few."""
+    """The run with every column of metrics.parquet, of which the report needs few."""
     return replace(run, counts=read_table(run.path / "metrics.parquet")) if run.counts is not None else run
 
 
 def _view(run: RunFolder, frame: int | None) -> FrameView:
     view = None if frame is None else frame_view(run, check_frame(run, frame))
     if view is None:
-        reasons = " ".join(run.missing) or "no frame is both scored and settled: name one"
+        reasons = " ".join(run.missing) or "no frame is both scored and settled: set `frame`"
         raise RunFolderError(f"{run.path}: no frame to draw: {reasons}")
     return view

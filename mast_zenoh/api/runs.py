@@ -22,11 +22,13 @@ if TYPE_CHECKING:  # drawing libraries are slow to load
 
 
 class Run:
-    """A run folder as an object, of a run that has ended or still goes on: every access reads what is there now.
+    """A run folder as an object, of a finished run or one in progress.
 
-    path: of the folder
+    Every access reads the current contents.
 
-    Raises RunFolderError where there is no run folder, and from a property whose file is missing.
+    path: its folder
+
+    Raises RunFolderError if there is no run folder; a property raises it if its file is missing.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -37,7 +39,7 @@ class Run:
 
     @property
     def record(self) -> dict[str, Any]:
-        """run.json: id, status, seed, versions, timings, how every node ended (docs/endings.md)."""
+        """run.json: id, status, seed, versions, timings, node endings (docs/endings.md)."""
         return liveness.current_record(folder.read_json(self.path / "run.json"))
 
     @property
@@ -52,7 +54,7 @@ class Run:
 
     @property
     def status(self) -> str:
-        """`running`, `ok`, or how else it ended (docs/endings.md)."""
+        """`running`, `ok`, or another status (docs/endings.md)."""
         return str(self.record["status"])
 
     @property
@@ -62,7 +64,7 @@ class Run:
 
     @property
     def running(self) -> bool:
-        """Whether it still goes on."""
+        """Whether the run is still in progress."""
         return self.status == RUNNING
 
     @property
@@ -74,22 +76,25 @@ class Run:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """metrics.json: means and standard deviations over the scored frames (docs/metrics.md)."""
+        """metrics.json: means and deviations over scored frames (docs/metrics.md)."""
         return dict(self._written("metrics.json", folder.read_json))
 
     @property
     def metrics(self) -> pyarrow.Table:
-        """A row per frame, agent and estimator: fn, fp, tp (objects), rmse_m (m), id_switches, ospa_m, gospa_m (m)."""
+        """A row per frame, agent and estimator.
+
+        Columns: fn, fp, tp (objects), rmse_m (m), id_switches, ospa_m, gospa_m (m).
+        """
         return self._table("metrics.parquet")
 
     @property
     def objects(self) -> pyarrow.Table:
-        """A row per box in range of an agent: what became of it, and where it is (m, rad; docs/metrics.md)."""
+        """A row per box in range of an agent: outcome and pose, m, rad (docs/metrics.md)."""
         return self._table("objects.parquet")
 
     @property
     def attacks(self) -> pyarrow.Table:
-        """A row per measured effect of an interposer; none where nobody sat on a wire (docs/effects.md)."""
+        """A row per measured effect of an interposer; may be empty (docs/effects.md)."""
         return self._table("attacks.parquet")
 
     @property
@@ -99,13 +104,15 @@ class Run:
 
     @property
     def driving(self) -> pyarrow.Table:
-        """A row per frame, vehicle and estimate: what the errors would have meant for driving (docs/metrics.md)."""
+        """A row per frame, vehicle and estimate: effects on driving (docs/metrics.md)."""
         return self._table("driving.parquet")
 
     def messages(self, pattern: str = "*", *, taps: bool = False) -> Iterator[WireMessage]:
-        """The recorded messages on the wires that a glob matches, by frame: `run.messages("agent/*/tracks")`.
+        """The recorded messages on the wires that a glob matches, sorted by frame.
 
-        taps: include the hidden legs of intercepted wires: what was sent before an interposer changed it
+        For example `run.messages("agent/*/tracks")`.
+
+        taps: include the hidden legs of intercepted wires, with messages before an interposer changed them
         """
         return recorded.messages(self.path, pattern, taps=taps)
 
@@ -120,7 +127,7 @@ class Run:
 
     @property
     def picture(self) -> pyarrow.Table:
-        """A row per frame and object of the common picture, world frame: columns as `truth`, and score, support."""
+        """Objects of the common picture by frame: columns of `truth`, score, support."""
         return recorded.table_of(self.path, "cc/picture", recorded.states)
 
     @property
@@ -130,7 +137,7 @@ class Run:
         return tuple(name for name, spec in nodes.items() if spec["role"] == "agent")
 
     def agent(self, name: str) -> Agent:
-        """One of the agents. Raises ConfigurationError for a name that none has."""
+        """The agent of this name; raises ConfigurationError if there is none."""
         if name not in self.agents:
             raise ConfigurationError(f"{self.path}: no agent {name!r} in this run{nearest(name, self.agents)}")
         return Agent(self.path, name)
@@ -143,16 +150,16 @@ class Run:
         return Plots({self._folder().label: self._folder()})
 
     def report(self, frame: int | None = None, against: Run | None = None) -> Path:
-        """Write report.html and its figures into the folder; its path.
+        """Write report.html and its figures into the folder; returns its path.
 
-        frame: that the pictures show;  against: another run of the same scene and seed, to compare with
+        frame: the frame that figures show;  against: another run of the same scene and seed, to compare with
         """
         from mast_zenoh.report import html as page
 
         return page.write_report(self.path, frame, None if against is None else against.path)
 
     def _folder(self) -> RunFolder:
-        """The folder as the report reads it; read again as long as the run goes on."""
+        """The folder as the report reads it; reloaded while the run is in progress."""
         from mast_zenoh.report.runfolder import RunFolder
 
         if self._loaded is None or self._loaded.run.get("status") == RUNNING:
@@ -163,10 +170,14 @@ class Run:
         return self._written(name, read_arrow)
 
     def _written(self, name: str, read: Any) -> Any:
-        """A file that is written when a run ends; raises RunFolderError where it is missing or broken."""
+        """Read a file that a run writes at its end; raises RunFolderError if unusable."""
         path = self.path / name
         if not path.is_file():
-            why = "the run still goes on, and it is written at its end" if self.running else f"the run is {self.status}"
+            why = (
+                "the run is still in progress, and writes it at its end"
+                if self.running
+                else f"the run is {self.status}"
+            )
             raise RunFolderError(f"{path}: missing; {why}")
         try:
             return read(path)
@@ -186,7 +197,7 @@ class Run:
 
 
 class Agent:
-    """What one agent of a run sent and was sent, frame by frame."""
+    """The messages that one agent of a run sent and received, by frame."""
 
     def __init__(self, path: Path, name: str) -> None:
         self.path = path
@@ -194,22 +205,25 @@ class Agent:
 
     @property
     def tracks(self) -> pyarrow.Table:
-        """A row per frame and track, as the broker receives them, world frame: columns as `Run.truth`, and score."""
+        """Tracks by frame, as the broker receives them: columns of `Run.truth`, and score."""
         return self._rows("tracks", recorded.states)
 
     @property
     def mission(self) -> pyarrow.Table:
-        """A row per frame and object of the mission estimate, its own tracks and the picture; columns as `tracks`."""
+        """Objects of the mission estimate (own tracks and picture) by frame, as `tracks`."""
         return self._rows("mission", recorded.states)
 
     @property
     def detections(self) -> pyarrow.Table:
-        """A row per frame and detection that it receives, in the frame of its sensor: columns as `tracks`, no id."""
+        """Received detections by frame, in the sensor's frame: columns of `tracks`, no id."""
         return self._rows("detections", recorded.detections)
 
     @property
     def pose(self) -> pyarrow.Table:
-        """A row per frame: x y z (m), vx vy vz (m/s) and quaternion qw qx qy qz of the agent in the world frame."""
+        """A row per frame: the agent's pose and velocity in the world frame.
+
+        Columns: x y z (m), vx vy vz (m/s) and the quaternion qw qx qy qz.
+        """
         return self._rows("pose", recorded.pose)
 
     def _rows(self, port: str, rows: Any) -> pyarrow.Table:

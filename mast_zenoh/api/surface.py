@@ -1,11 +1,11 @@
-"""The base classes that users derive from: with `mast_zenoh.__all__`, all that is public (docs/stability.md)."""
+"""Base classes for users, public like `mast_zenoh.__all__` (docs/stability.md)."""
 
 from __future__ import annotations
 
 import importlib
 from typing import Any
 
-#: By what one writes, its base classes as `module.Class`.
+#: Base classes as `module.Class`, by purpose.
 BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "node": ("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
     "attack": ("mast_zenoh.attacks.Attack", "mast_zenoh.attacks.Coordination"),
@@ -33,5 +33,5 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
 def base_class(place: str) -> type[Any]:
     """The class of an entry of BASE_CLASSES."""
     module, _, name = place.rpartition(".")
-    found: type[Any] = getattr(importlib.import_module(module), name)
-    return found
+    cls: type[Any] = getattr(importlib.import_module(module), name)
+    return cls

@@ -1,4 +1,4 @@
-"""The command line. Thin: every command is one call into the packages below."""
+"""The commands. Each one is a single call into the packages below."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ def run(
         raise typer.BadParameter(f"a secure mesh has its own router: {problem}", param_hint="--secure")
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    ended = launcher.run(resolved, out, **environment, **allowed, console=_out)
-    conclude(ended, report=report, against=against, allow_failures=allow_failures)
+    finished = launcher.run(resolved, out, **environment, **allowed, console=_out)
+    conclude(finished, report=report, against=against, allow_failures=allow_failures)
 
 
 @app.command()
@@ -107,7 +107,10 @@ def study(
     out: Out = None,
     allow_failures: AllowFailures = False,
 ) -> None:
-    """Run the scenarios of a study and compare them: once each with reports, or many trials with intervals."""
+    """Run the scenarios of a study and compare them.
+
+    Each runs once, with a report, or as many trials, with intervals.
+    """
     from mast_zenoh.study import definition
 
     loaded = definition.load(study_file, settings or ())
@@ -115,9 +118,9 @@ def study(
         options = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume}
         options |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
         if invalid := [name for name, value in options.items() if value]:
-            problem = f"attackers run once at each level, on the mesh: {', '.join(invalid)} cannot change that"
+            problem = f"attackers run once at each level, on the mesh: expected no {', '.join(invalid)}"
             raise typer.BadParameter(problem, param_hint=study_file)
-        _besiege(loaded, out, seed=seed, frames=frames)
+        _run_attackers(loaded, out, seed=seed, frames=frames)
         return
     count = trials or loaded.trials
     if count is None and not (jobs or cluster or resume):
@@ -127,7 +130,7 @@ def study(
     from mast_zenoh.study import execution
     from mast_zenoh.study import trials as study_trials
 
-    ended = study_trials.run(
+    finished = study_trials.run(
         loaded,
         out,
         count=count or 1,
@@ -140,36 +143,39 @@ def study(
         allow_failures=allow_failures,
         console=_out,
     )
-    _out.print(study_table.as_rich(ended.rows, ended.facts))
-    for path in ended.files:
+    _out.print(study_table.as_rich(finished.rows, finished.facts))
+    for path in finished.files:
         _out.print(str(path), markup=False, highlight=False)
-    _out.print(f"report: {ended.report}", markup=False, highlight=False)
-    ended.raise_failures()
+    _out.print(f"report: {finished.report}", markup=False, highlight=False)
+    finished.raise_failures()
 
 
 def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
-    """Run every configuration once, and compare them."""
+    """Run every configuration once and compare the runs."""
     from mast_zenoh.study import comparison
 
-    ended = comparison.run(loaded, out, console=_out, **options)
-    with reporting(ended.out):
+    finished = comparison.run(loaded, out, console=_out, **options)
+    with reporting(finished.out):
         from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
 
-        terminal.show(_out, ended.folders)
-        _out.print(f"report: {html.write_study_report(ended.out, ended.folders)}", highlight=False)
-    for label, run_ in ended.runs.items():
+        terminal.show(_out, finished.folders)
+        _out.print(f"report: {html.write_study_report(finished.out, finished.folders)}", highlight=False)
+    for label, run_ in finished.runs.items():
         show_notices(run_, f"{label}: ")
-    ended.raise_failures()
+    finished.raise_failures()
 
 
-def _besiege(loaded: Study, out: Path | None, **options: Any) -> None:
-    """Run every configuration at every security level, with the attackers that its scenario file lists."""
+def _run_attackers(loaded: Study, out: Path | None, **options: Any) -> None:
+    """Run every configuration at every security level, with its attackers.
+
+    The attackers are those that the scenario file lists.
+    """
     from mast_zenoh.report.tables import attempts
     from mast_zenoh.study.rogue import comparison
 
-    ended = comparison.run(loaded, out, console=_out, **options)
-    _out.print(attempts.as_rich(ended.rows))
-    for path in ended.files:
+    finished = comparison.run(loaded, out, console=_out, **options)
+    _out.print(attempts.as_rich(finished.rows))
+    for path in finished.files:
         _out.print(str(path), markup=False, highlight=False)
 
 
@@ -196,7 +202,10 @@ def diff(
     ignore: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to leave out: 'attack/*'.")] = None,
     taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
 ) -> None:
-    """Compare the messages of two runs: exit 0 when equal, 1 when they differ, 2 when they cannot be compared."""
+    """Compare the messages of two runs.
+
+    Exits with 0 if they are equal, 1 if they differ, 2 if they cannot be compared.
+    """
     from mast_zenoh.messagelog.churn import comparable
     from mast_zenoh.messagelog.difference import compare
     from mast_zenoh.messagelog.explain import explain
@@ -248,7 +257,7 @@ def report(
 
 
 def carry_out() -> int:
-    """Run the command; returns its exit code. An error becomes one line and its own code (docs/exit_codes.md)."""
+    """Run the command; returns its exit code (docs/exit_codes.md)."""
     os.umask(os.umask(0o022) | 0o022)  # only this user may change a run's files; its nodes inherit the umask
     try:
         app()

@@ -1,4 +1,4 @@
-"""`mast deploy …` and `mast doctor`: runs with nodes in containers or on other hosts, and checks of this machine."""
+"""`mast deploy …`: runs in containers or on other hosts; `mast doctor`: checks."""
 
 from __future__ import annotations
 
@@ -66,21 +66,21 @@ def up(
     allow_failures: AllowFailures = False,
     allow_churn: AllowChurn = False,
 ) -> None:
-    """Run a scenario in containers or on other hosts: start it, follow it, collect its results, clean up."""
+    """Run a scenario in containers or on other hosts, collect results and clean up."""
     from mast_zenoh.deploy import engines, space
     from mast_zenoh.launch import run
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
-    options = {"image": image, "hosts": hosts, "place": _placed(place), "patience_s": patience}
+    options = {"image": image, "hosts": hosts, "place": _placements(place), "patience_s": patience}
     kind = engines.load(engine)
     parameters = {name: value for name, value in options.items() if value is not None}
     _check_options(kind, parameters)
     chosen = engines.make(kind, parameters | engines.options(kind, option or ()))
     space.check(out or Path("runs"), space.needed(resolved))
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    ended = run.run(resolved, out, engine=chosen, secure=secure, **allowed, console=_out)
-    conclude(ended, report=report)
+    finished = run.run(resolved, out, engine=chosen, secure=secure, **allowed, console=_out)
+    conclude(finished, report=report)
 
 
 @app.command()
@@ -109,7 +109,7 @@ def logs(
 
 @app.command()
 def down(run_folder: RunFolder) -> None:
-    """Remove what is left of a run after its launcher was killed or its machine was lost."""
+    """Remove what is left of a run that lost its launcher or machine."""
     kind, record = _deployed(run_folder)
     kind.down(run_folder, record)
     if record["status"] == "running":
@@ -159,7 +159,7 @@ def _deployed(folder: Path) -> tuple[Any, dict[str, Any]]:
 
     record = read_json(folder / "run.json")
     if "deployment" not in record:
-        raise RunFolderError(f"{folder}: was not deployed: nothing of it exists but the folder")
+        raise RunFolderError(f"{folder}: was not deployed: it consists of this folder alone")
     return engines.load(record["deployment"]["engine"]), record
 
 
@@ -173,7 +173,7 @@ def _check_options(kind: Any, options: dict[str, Any]) -> None:
             )
 
 
-def _placed(words: list[str] | None) -> dict[str, str] | None:
+def _placements(words: list[str] | None) -> dict[str, str] | None:
     if not words:
         return None
     for word in words:

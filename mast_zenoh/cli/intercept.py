@@ -1,4 +1,4 @@
-"""`mast intercept` and `mast release`: commands that change the wiring of a running run."""
+"""`mast intercept` and `mast release`: change the wiring during a run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def intercept(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the node, or a dotted path.")
     ] = None,
 ) -> None:
-    """Insert a node into a wire of a running run: no message is lost, duplicated or reordered."""
+    """Insert a node into a wire during a run; no message is lost or duplicated."""
     from mast_zenoh.launch.interception import client
 
     result = client.intercept(run_folder, wire, node, name=name, input=input, output=output, settings=settings or ())
@@ -37,7 +37,7 @@ def release(
     name: Annotated[str | None, typer.Option(help="The node to release.")] = None,
     wire: Annotated[str | None, typer.Option(help="Or the wire whose only node is released.")] = None,
 ) -> None:
-    """Release a node from its wires in a running run, after it has forwarded all that it received."""
+    """Release a node from its wires during a run, after its messages are forwarded."""
     from mast_zenoh.launch.interception import client
 
     if (name is None) == (wire is None):

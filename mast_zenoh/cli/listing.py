@@ -15,7 +15,7 @@ def list_kind(
     kind: Annotated[str | None, typer.Argument(help=_HELP)] = None,
     name: Annotated[str | None, typer.Argument(help="One of the kind: shows this one alone.")] = None,
 ) -> None:
-    """List what a scenario can name: a line on each thing, its parameters, their defaults and units."""
+    """List what a scenario can name, with parameters, defaults and units."""
     from mast_zenoh.api import catalogue  # every package of algorithms: commands that need none do not load them
 
     if kind is None:

@@ -1,4 +1,4 @@
-"""Code shared by several commands: options, the two consoles, showing the results of a run."""
+"""Code shared by commands: options, the two consoles, output of results."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 class PlainConsole(Console):
-    """A console that replaces control characters, which a node's output may contain, by �."""
+    """A console that replaces control characters from a node's output by �."""
 
     def print(self, *objects: Any, **options: Any) -> None:
         super().print(*(_CONTROL.sub("�", text) if isinstance(text, str) else text for text in objects), **options)
@@ -80,24 +80,24 @@ class SecureCommand(TyperCommand):
         return super().parse_args(ctx, completed)
 
 
-def conclude(ended: Run, *, report: bool, against: str | None = None, allow_failures: bool = False) -> None:
-    """Show the results of a run, compared with another if one is named, and raise the run's error.
+def conclude(finished: Run, *, report: bool, against: str | None = None, allow_failures: bool = False) -> None:
+    """Show a run's results, compared with another run if named, and raise its error.
 
     If the comparison is not possible, results are still shown, and the run's own error is raised first. Failed handlers
     of a twin count as a failure of the run unless that is allowed.
     """
     try:
-        with reporting(ended.folder):
-            refusal, reference = _show(ended, report=report, against=against)
+        with reporting(finished.folder):
+            refusal, reference = _show(finished, report=report, against=against)
     except RunFolderError as error:
-        if ended.error:
+        if finished.error:
             err.print(f"warning: {error}", style="bold yellow", markup=False, highlight=False)
-            raise ended.error from None
+            raise finished.error from None
         raise
-    if ended.error:
+    if finished.error:
         if refusal:
             err.print(f"warning: not compared: {refusal}", style="bold yellow", markup=False, highlight=False)
-        raise ended.error
+        raise finished.error
     if refusal:
         raise refusal
     if reference is not None and against == "twin" and not allow_failures:
@@ -106,11 +106,11 @@ def conclude(ended: Run, *, report: bool, against: str | None = None, allow_fail
 
 @contextmanager
 def reporting(folder: Path, command: str = "report") -> Iterator[None]:
-    """Turn an exception while a report is written into an error that says how to write it again.
+    """Turn errors of report writing into errors with the command that repeats it.
 
     Raises RunFolderError for results that cannot be reported: a user's evaluator may return anything.
     """
-    hint = f"the results in {folder} are complete but for the report: `mast {command} {folder}` writes it"
+    hint = f"the results in {folder} are complete except for the report: `mast {command} {folder}` writes it"
     try:
         yield
     except (KeyboardInterrupt, OSError) as exception:
@@ -120,23 +120,23 @@ def reporting(folder: Path, command: str = "report") -> Iterator[None]:
         raise RunFolderError(f"{folder}: the evaluator's results cannot be reported: {description}") from exception
 
 
-def _show(ended: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
-    """Show the results of a run; returns (why it could not be compared, the run it was compared with)."""
+def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
+    """Show a run's results; returns (why it was not compared, the reference run)."""
     from mast_zenoh.report import html, terminal  # after the run: drawing libraries are slow to load
     from mast_zenoh.report.runfolder import RunFolder
 
-    scored = (ended.folder / "metrics.json").is_file()
-    run = RunFolder.load(ended.folder)
+    scored = (finished.folder / "metrics.json").is_file()
+    run = RunFolder.load(finished.folder)
     reference, refusal = None, None
     if against is not None and scored:
-        reference, refusal = _reference(run, against, interrupted=isinstance(ended.error, Interrupted))
+        reference, refusal = _reference(run, against, interrupted=isinstance(finished.error, Interrupted))
     if scored:
         terminal.show_loaded(out, run, reference)
     if report:
         out.print(f"report: {html.write_page(run, reference=reference)}", highlight=False)
     else:
-        out.print(f"run folder: {ended.folder}", highlight=False)
-    show_notices(ended)
+        out.print(f"run folder: {finished.folder}", highlight=False)
+    show_notices(finished)
     return refusal, reference
 
 
@@ -160,25 +160,25 @@ def _raise_failure(reference: Reference) -> None:
 
 
 def check_run_folder(folder: Path) -> None:
-    """Raise NotComparable unless a folder has the results of a run; called before a run that is compared with it."""
+    """Raise NotComparable unless a folder has the results of a run."""
     if not (folder / "metrics.json").is_file():
         raise NotComparable(f"{folder}: has no metrics.json: expected the folder of a run with results, or twin")
 
 
 def reference_folder(run_folder: Path, against: str) -> Path:
-    """The folder of the reference run; for `twin` that of its unattacked twin, which is played if needed."""
+    """The folder of the reference run; an unattacked twin runs first if needed."""
     from mast_zenoh.launch import twin
 
     return twin.of(run_folder, out) if against == twin.FOLDER else Path(against)
 
 
-def show_notices(ended: Run, label: str = "") -> None:
-    """Print the notices of a run, and failures of handlers that its error does not name."""
-    notices = [f"{notice['kind']}: {notice['text']}" for notice in ended.record.get("notices", ())]
-    if ended.record["message"] and not ended.error:
-        notices.append(f"note: {ended.record['message']}")
+def show_notices(finished: Run, label: str = "") -> None:
+    """Print a run's notices, and handler failures that its error does not name."""
+    notices = [f"{notice['kind']}: {notice['text']}" for notice in finished.record.get("notices", ())]
+    if finished.record["message"] and not finished.error:
+        notices.append(f"note: {finished.record['message']}")
     for notice in notices:
         out.print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
-    if ended.failures and not isinstance(ended.error, HandlerFailed):
-        warning = failures.summary(ended.failures, ended.logs)
+    if finished.failures and not isinstance(finished.error, HandlerFailed):
+        warning = failures.summary(finished.failures, finished.logs)
         err.print(f"{label}warning: {warning}", style="bold yellow", markup=False, highlight=False)

@@ -1,4 +1,7 @@
-"""Standard output and error that never fail: a closed pipe or a full disk loses text, but does not end a run."""
+"""Standard output and error that never fail.
+
+A closed pipe or a full disk loses text, but does not end a run.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,9 @@ from typing import Any, TextIO
 
 
 class _Lossy(io.FileIO):
-    """A file descriptor that accepts all writes; after the first failure, output is discarded.
+    """A file descriptor that accepts all writes.
 
+    After the first failure, output is discarded.
     failure: the first error; None if nothing was lost
     """
 
@@ -42,7 +46,10 @@ def replace() -> None:
 
 
 def failed_output() -> OSError | None:
-    """Flush both streams; returns why standard output is incomplete, None also if its reader closed the pipe."""
+    """Flush both streams; returns why standard output is incomplete.
+
+    None if it is complete, or if its reader closed the pipe.
+    """
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)

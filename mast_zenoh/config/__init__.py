@@ -1,1 +1,1 @@
-"""Turns what users write into objects: loads files, looks classes up by name, applies settings."""
+"""Turns user input into objects: loads files, finds classes, applies settings."""

@@ -1,4 +1,7 @@
-"""Paths of the files that users read and copy: beside the package in a checkout, inside it when installed."""
+"""Paths of the shipped files that users read and copy.
+
+They are beside the package in a checkout, and inside it when installed.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,10 @@ ROOT = _PACKAGE / "bundled" if (_PACKAGE / "bundled").is_dir() else _PACKAGE.par
 
 
 def find(kind: str, name: str, beside: Path | None = None) -> Path | None:
-    """The file `name` of a kind ("nodes", "keyexpr_maps", "scenarios", "studies"): in `beside`, else as shipped."""
+    """The file `name` of a kind, in the folder `beside` or as shipped; None: neither.
+
+    kind: "nodes", "keyexpr_maps", "scenarios" or "studies"
+    """
     for folder in (beside, ROOT / kind):
         if folder is not None and (folder / name).is_file():
             return (folder / name).resolve()

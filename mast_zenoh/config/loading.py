@@ -19,15 +19,14 @@ from mast_zenoh.node import Node, handler_names
 
 
 def module(path: Path) -> ModuleType:
-    """The module in a file, run once, and again after a change of it or of files beside it that it has imported.
+    """Load the module in a file; loaded again after it or a sibling import changes.
 
-    Files beside it can be imported by name; what it imports that way is not kept.
-
-    Raises ConfigurationError, with file and line, when it fails.
+    Files in the same folder can be imported by name; such imports are not kept. Raises ConfigurationError, with file
+    and line, if it fails.
     """
     path = path.resolve()
-    # Dataclasses look their module up in sys.modules; there it has a name of its own, so that a user's file called
-    # `types.py` stands in for no other module.
+    # Dataclasses look up their module in sys.modules. It gets a unique name there, so that a user's file called
+    # `types.py` does not replace another module.
     name = f"{path.stem.replace('.', '_')}_{hashlib.blake2b(os.fsencode(path), digest_size=6).hexdigest()}"
     if name in sys.modules and _unchanged(sys.modules[name]):
         return sys.modules[name]
@@ -55,7 +54,7 @@ def module(path: Path) -> ModuleType:
     return loaded
 
 
-#: Of a loaded module, the files that it is made of, and when each was changed last.
+#: By loaded module: its source files, with time of change in ns and size.
 _SOURCES: WeakKeyDictionary[ModuleType, dict[Path, tuple[int, int] | None]] = WeakKeyDictionary()
 
 
@@ -64,7 +63,7 @@ def _unchanged(loaded: ModuleType) -> bool:
 
 
 def _changed_at(file: Path) -> tuple[int, int] | None:
-    """Time of change in ns and size; None where there is no such file."""
+    """(time of change in ns, size); None if there is no such file."""
     try:
         stat = file.stat()
     except OSError:
@@ -73,7 +72,7 @@ def _changed_at(file: Path) -> tuple[int, int] | None:
 
 
 def function(kind: str, name: str, function_name: str) -> tuple[Path, Callable[..., Any]]:
-    """(file, function) in a file of a kind; `name` is a path, or the name of a shipped file with or without .py."""
+    """(file, function) for a path, or for the name of a shipped file of a kind."""
     path = Path(name)
     if not path.is_file():
         short = path.name if path.suffix == ".py" else f"{path.name}.py"
@@ -92,8 +91,11 @@ def function(kind: str, name: str, function_name: str) -> tuple[Path, Callable[.
     return path.resolve(), target
 
 
-def place_of(function: Callable[..., Any]) -> Path:
-    """The file that defines a function; for one of a notebook or script, its name in that one's folder."""
+def defining_file(function: Callable[..., Any]) -> Path:
+    """The file that defines a function.
+
+    For a function of a notebook or script: its name in the folder of the notebook or script.
+    """
     home = sys.modules.get(function.__module__)
     file = getattr(home, "__file__", None)
     if file and function.__module__ != "__main__":
@@ -103,33 +105,33 @@ def place_of(function: Callable[..., Any]) -> Path:
 
 
 def file_of_class(cls: type) -> Path | None:
-    """The file from which another process can load a class; None: it is of this session, a notebook or a script."""
+    """The file of a class for other processes; None for notebooks and scripts."""
     file = getattr(sys.modules.get(cls.__module__), "__file__", None)
     return Path(file).resolve() if file and cls.__module__ != "__main__" else None
 
 
 def session_classes() -> dict[str, type]:
-    """The classes that `type=…` can name and that this session defines, a notebook or a script, by name."""
-    found = [value for value in vars(sys.modules["__main__"]).values() if isinstance(value, type)]
-    return {cls.__name__: cls for cls in found if cls.__module__ == "__main__" and _ours(cls)}
+    """Classes that `type=…` can name and that a notebook or script defines, by name."""
+    classes = [value for value in vars(sys.modules["__main__"]).values() if isinstance(value, type)]
+    return {cls.__name__: cls for cls in classes if cls.__module__ == "__main__" and _is_derived(cls)}
 
 
-def _ours(cls: type) -> bool:
+def _is_derived(cls: type) -> bool:
     """Whether a class derives from one of this package."""
     return any(base.__module__.startswith("mast_zenoh.") for base in cls.__mro__[1:])
 
 
 def defines_algorithms(loaded: ModuleType) -> bool:
-    """Whether a user's module, or one beside it that it imports, adds classes that `type=…` can name."""
+    """Whether a user's module, or a sibling that it imports, defines algorithms."""
     classes = [value for value in vars(loaded).values() if isinstance(value, type)]
     for value in vars(loaded).values():
         if isinstance(value, ModuleType) and _folder(value) == _folder(loaded):
             classes += [item for item in vars(value).values() if isinstance(item, type)]
-    return any(not cls.__module__.startswith("mast_zenoh.") and _ours(cls) for cls in classes)
+    return any(not cls.__module__.startswith("mast_zenoh.") and _is_derived(cls) for cls in classes)
 
 
 def _folder(loaded: ModuleType) -> Path | None:
-    """The folder of a module's file; None for built-in modules and namespace packages, which have no file."""
+    """The folder of a module's file; None for built-in and namespace packages."""
     file = getattr(loaded, "__file__", None)
     return Path(file).parent if file else None
 
@@ -137,12 +139,14 @@ def _folder(loaded: ModuleType) -> Path | None:
 _nodes: dict[tuple[str, str | None], type[Node]] = {}
 
 
-#: Stands for the file of a node class that this session defines, a notebook or a script.
+#: Placeholder for the file of a node class that a notebook or script defines.
 SESSION = Path("__main__")
 
 
 def node_file(name: object) -> Path | None:
-    """The file of a node class that a scenario names without its file, the class itself or by name; None: unknown.
+    """The file of a node class that a scenario names without its file; None: unknown.
+
+    name: the class or its name
 
     Raises NodeFileError for a class whose handlers do not fit its ports.
     """
@@ -151,15 +155,15 @@ def node_file(name: object) -> Path | None:
     if cls is None:
         return None
     if not issubclass(cls, Node):
-        raise NodeFileError(f"type={cls.__name__}: is no node, expected a subclass of mast_zenoh.node.Node")
+        raise NodeFileError(f"type={cls.__name__}: is not a node, expected a subclass of mast_zenoh.node.Node")
     file = file_of_class(cls)
     if file is None:
-        _nodes[str(SESSION), cls.__name__] = _sound(cls, SESSION)
+        _nodes[str(SESSION), cls.__name__] = _with_valid_handlers(cls, SESSION)
     return file or SESSION
 
 
 def node_class(file: Path, name: str | None = None) -> type[Node]:
-    """The node class in a file: the one called `name`, or the only one that the file defines."""
+    """The node class in a file: the one called `name`, or the only one."""
     if name is not None and not isinstance(name, str):
         raise NodeFileError(f"{file}: type is {name!r}, expected the name of a node")
     known = _nodes.get((str(file), name))
@@ -176,9 +180,11 @@ def node_class(file: Path, name: str | None = None) -> type[Node]:
     if name is not None and name not in classes:
         raise NodeFileError(f"{file}: defines no node {name!r}{nearest(name, classes)}")
     if name is None and len(classes) != 1:
-        raise NodeFileError(f"{file}: defines {len(classes)} nodes ({', '.join(sorted(classes))}): say which by type=…")
+        raise NodeFileError(
+            f"{file}: defines {len(classes)} nodes ({', '.join(sorted(classes))}): expected type=… to select one"
+        )
     cls = classes[name] if name else next(iter(classes.values()))
-    _nodes[str(file), name] = _sound(cls, file)
+    _nodes[str(file), name] = _with_valid_handlers(cls, file)
     return cls
 
 
@@ -187,7 +193,7 @@ def _defines(loaded: ModuleType, cls: type) -> bool:
     return cls.__module__ == loaded.__name__ and getattr(loaded, cls.__name__, None) is cls
 
 
-def _sound(cls: type[Node], file: Path) -> type[Node]:
+def _with_valid_handlers(cls: type[Node], file: Path) -> type[Node]:
     """A node class whose handlers fit its ports; raises NodeFileError for any other."""
     try:
         handler_names(cls)

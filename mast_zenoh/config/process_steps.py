@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-#: kill: at once, without results; leave: asked to finish; start: for the first time, or again;
-#: pause, resume: stopped and continued by signals; disconnect, connect: taken off its networks and put back.
+#: kill: at once, without results; leave: requested to finish; start: for the first time, or again;
+#: pause, resume: stopped and continued by signals; disconnect, connect: from and to its networks.
 ACTIONS = ("kill", "leave", "start", "pause", "resume", "disconnect", "connect")
 
 #: Actions for real time only: in lock-step, the run waits for every node.
 REALTIME = ("pause", "resume", "disconnect", "connect")
 
-#: Actions that last until another one ends them, and that other one.
+#: Actions that last until another one ends them, with that other action.
 UNDONE_BY = {"pause": "resume", "disconnect": "connect"}
 
 

@@ -1,8 +1,10 @@
-"""Builds objects from plain dicts: `dict(type="ClassName", parameter=…)`, or with the class itself as `type`.
+"""Builds objects from dicts: `dict(type="ClassName", parameter=…)`.
+
+`type` may also be the class itself.
 
 Any subclass of a base can be named where that base is expected; there is nothing to register. A package imports
 all its modules that define algorithms, so that they exist as soon as their base does. Parameters are checked
-against the class's `__init__`: unknown names, missing ones and wrong types are refused with the path to them.
+against the class's `__init__`: unknown names, missing ones and wrong types raise an error with their path.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ _Signature = tuple[dict[str, inspect.Parameter], dict[str, Any]]
 
 
 class ClassName(str):
-    """The name of a class in a scenario, and the class: what `type=MyAttack` becomes; in JSON it is the name alone."""
+    """A class name that also holds the class, from `type=MyAttack`; a name in JSON."""
 
     cls: type
 
@@ -32,7 +34,7 @@ class ClassName(str):
 
 
 def own_copy(value: Any) -> Any:
-    """A copy of nested dicts and lists in which none stands in two places, and a class as `type` is a ClassName."""
+    """A deep copy of nested dicts and lists, with classes in `type` as ClassName."""
     if isinstance(value, dict):
         return {
             key: ClassName(item) if key == "type" and isinstance(item, type) else own_copy(item)
@@ -42,7 +44,7 @@ def own_copy(value: Any) -> Any:
 
 
 def type_names(value: Any) -> Iterator[str]:
-    """What stands as `type` in nested dicts and lists: names, some of which know their class (`ClassName`)."""
+    """The values of `type` in nested dicts and lists; some are of type ClassName."""
     if isinstance(value, Mapping) and isinstance(value.get("type"), str):
         yield value["type"]
     for item in value.values() if isinstance(value, Mapping) else value if isinstance(value, (list, tuple)) else ():
@@ -59,9 +61,9 @@ def known_types(base: type) -> dict[str, type]:
 
 
 def build(spec: object, base: type, path: str) -> Any:
-    """The object that `spec` describes, of a subclass of `base`.
+    """Build the object that `spec` describes, of a subclass of `base`.
 
-    `path` is the spec's place in its scenario. Raises ConfigurationError naming the path.
+    path: of the spec in its scenario. Raises ConfigurationError, which names the path.
     """
     if not isinstance(spec, Mapping):
         raise ConfigurationError(f"{path}: found {spec!r}, expected a dict(type=…) naming a {base.__name__}")
@@ -73,14 +75,14 @@ def build(spec: object, base: type, path: str) -> Any:
             raise ConfigurationError(f"{path}: no type given{nearest('', classes)}")
     name = ClassName(spec["type"]) if isinstance(spec["type"], type) else spec["type"]
     if isinstance(name, ClassName) and issubclass(name.cls, base):
-        classes = {name: name.cls}  # of two classes of one name, the one that is meant
+        classes = {name: name.cls}  # several classes may have this name
     if not isinstance(name, str) or name not in classes:
         raise ConfigurationError(f"{path}.type: no {base.__name__} named {name!r}{nearest(str(name), classes)}")
     return construct(classes[name], {key: value for key, value in spec.items() if key != "type"}, path)
 
 
 def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
-    """An object of `cls` from plain values; nested dicts are built where a class is annotated."""
+    """An object of `cls` from plain values; nested dicts are built by annotation."""
     parameters, hints = _signature(cls)
     for key in arguments:
         if key not in parameters:
@@ -98,7 +100,7 @@ def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
         raise ConfigurationError(f"{path}: {cls.__name__}: {error}") from None
 
 
-#: Cache of `_signature`. Weak keys: a class that is deleted can no longer be named either.
+#: Cache of `_signature`. The keys are weak, so deleted classes are removed.
 _SIGNATURES: WeakKeyDictionary[type, _Signature] = WeakKeyDictionary()
 
 
@@ -112,7 +114,7 @@ def _signature(cls: type) -> _Signature:
 
 
 def _value(value: object, hint: Any, path: str) -> Any:
-    """`value`, converted as the annotation `hint` demands."""
+    """`value`, converted to the type that the annotation `hint` requires."""
     if hint is Any or (isinstance(hint, type) and hint not in (float, int) and isinstance(value, hint)):
         return value
     origin = typing.get_origin(hint)

@@ -1,4 +1,4 @@
-"""A scenario with nothing left to decide, as run folders hold it and the processes of a run receive it."""
+"""A fully resolved scenario, as stored in run folders and sent to processes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ DRIVER_ROLE = "simulator"
 
 @dataclass(frozen=True, slots=True)
 class NodeSpec:
-    """One node of a run: its role, file, class, parameters, and what the run does when it exits."""
+    """One node of a run: its role, file, class and parameters.
+
+    on_exit: what the run does when the node exits
+    """
 
     role: str
     file: str
@@ -41,10 +44,10 @@ def driver_of(nodes: Mapping[str, NodeSpec]) -> str:
 
 @dataclass(frozen=True)
 class Resolved:
-    """A scenario with nothing left to decide.
+    """A fully resolved scenario.
 
     modules: the user's Python files that define algorithms named in it; to be loaded before its nodes are built
-    steps: what happens to processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
+    steps: actions on processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
     leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
     """
 
@@ -71,7 +74,7 @@ class Resolved:
 
     @property
     def patient(self) -> bool:
-        """Whether the run waits for a silent node: in lock-step, unless the scenario cuts networks."""
+        """Whether the run waits for silent nodes: in lock-step without network cuts."""
         return self.mode == "lockstep" and not self.network
 
     def to_json(self) -> dict[str, Any]:
@@ -92,7 +95,7 @@ class Resolved:
         return {**{name: getattr(self, name) for name in names}, "steps": steps, "nodes": nodes}
 
     def _plain(self, value: Any) -> Any:
-        """A configuration as JSON values; the recorded scene and the log become their file names."""
+        """A configuration as JSON values; recorded scene and log become file names."""
         if value is self.recording is not None:
             return RECORDING
         if isinstance(value, MessageLog):
@@ -118,7 +121,7 @@ class Resolved:
         return cls.from_json(scenario, json.loads((run_folder / "wiring.json").read_text(encoding="utf-8")))
 
     def in_folder(self, run_folder: Path) -> Resolved:
-        """A copy whose nodes write into a run folder, for nodes that are built in another directory."""
+        """A copy for nodes that write into a run folder from another directory."""
 
         def in_run_folder(value: Any) -> Any:
             return MessageLog(run_folder / value.path) if isinstance(value, MessageLog) else value
@@ -132,7 +135,7 @@ class Resolved:
         )
 
     def write(self, run_folder: Path) -> None:
-        """Write scenario.json, wiring.json and scene.npz: all that the nodes of the run need."""
+        """Write scenario.json, wiring.json and scene.npz, which the run's nodes need."""
         if self.recording is not None:
             self.recording.save(run_folder / RECORDING)
         for name, content in (("scenario.json", self.to_json()), ("wiring.json", self.wiring)):

@@ -1,4 +1,4 @@
-"""Launch-time settings, `--set KEY=VALUE`: parsed, typed, and applied to a scenario."""
+"""Launch-time settings, `--set KEY=VALUE`: parsed, typed and applied."""
 
 from __future__ import annotations
 
@@ -39,20 +39,21 @@ def split(settings: Sequence[str], function: Callable[..., Any], place: str) -> 
 def from_values(
     values: Mapping[str, Any], function: Callable[..., Any] | None, place: str, known: Iterable[str] = ()
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(parameters of the function, dotted settings) of Python values; None: there is no function, a dict is given.
+    """(parameters of the function, dotted settings) from Python values.
 
-    known: further names to suggest where one is unknown
+    function: None for a scenario given as a dict
+    known: further names to suggest in place of an unknown one
     """
-    takes = inspect.signature(function).parameters if function is not None else {}
+    accepted = inspect.signature(function).parameters if function is not None else {}
     parameters = {
-        key: _checked(value, takes[key].default, f"{place}: {key}", value)
+        key: _checked(value, accepted[key].default, f"{place}: {key}", value)
         for key, value in values.items()
-        if key in takes
+        if key in accepted
     }
     dotted = {key: value for key, value in values.items() if "." in key}
     for key in values:
-        if key not in takes and key not in dotted:
-            raise ConfigurationError(f"{place}: {key}: no such parameter{nearest(key, {*takes, *known})}")
+        if key not in accepted and key not in dotted:
+            raise ConfigurationError(f"{place}: {key}: no such parameter{nearest(key, {*accepted, *known})}")
     return parameters, dotted
 
 
@@ -74,7 +75,10 @@ def nested(settings: Sequence[str]) -> dict[str, Any]:
 
 
 def set_dotted(scenario: dict[str, Any], dotted: str, value: Any, place: str) -> None:
-    """Set the value that a dotted key names. Every step but the last must exist; the last one is checked later."""
+    """Set the value that a dotted key names.
+
+    Every step but the last must exist; the last one is checked later.
+    """
     *steps, last = dotted.split(".")
     steps[0] = ALIASES.get(steps[0], steps[0])
     scenario |= {key: {} for key in steps[:1] if key in KEYS and key not in scenario}
@@ -103,17 +107,18 @@ def _typed(value: str, default: Any, place: str) -> Any:
     return _checked(_literal(value), default, place, value)
 
 
-def _checked(found: Any, default: Any, place: str, written: Any) -> Any:
-    """A value, which must be of the type of a parameter's default; where that is text or a class, it may be anything.
+def _checked(value: Any, default: Any, place: str, written: Any) -> Any:
+    """Check that a value has the type of a parameter's default, and return it.
 
+    Any value is valid if the default is text or a class.
     written: the value as the user wrote it
     """
     if default is None or default is inspect.Parameter.empty or isinstance(default, (str, type)):
-        return found
-    if isinstance(default, float) and type(found) is int:
-        return float(found)
-    if type(found) is not type(default) and not (
-        isinstance(default, (list, tuple)) and isinstance(found, (list, tuple))
+        return value
+    if isinstance(default, float) and type(value) is int:
+        return float(value)
+    if type(value) is not type(default) and not (
+        isinstance(default, (list, tuple)) and isinstance(value, (list, tuple))
     ):
         raise ConfigurationError(f"{place}: found {written!r}, expected {type(default).__name__} as in {default!r}")
-    return found
+    return value

@@ -177,7 +177,7 @@ def wiring_of(value: object, what: str) -> Wiring:
             fields.flag(listener.source, what)
     for wire, leg in wiring.legs():
         fields.key(leg.key, what)
-        for end in (leg.publisher, *wire.hearers(leg)):
+        for end in (leg.publisher, *wire.receivers(leg)):
             fields.name(end.node, what)
             fields.name(end.port, what)
     for end in wiring.overhearers:

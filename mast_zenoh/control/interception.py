@@ -85,8 +85,8 @@ def place_of(value: object) -> Place:
 
 def place_json(place: Place) -> dict[str, Any]:
     """A place as plain values."""
-    data = {"wire": place.wire, "input": place.input, "output": place.output, "hears": dict(place.hears)}
-    return data | {"says": Wiring(place.says).to_json()["wires"]}
+    data = {"wire": place.wire, "input": place.input, "output": place.output, "hears": dict(place.other_inputs)}
+    return data | {"says": Wiring(place.published_wires).to_json()["wires"]}
 
 
 def _spec(value: object) -> NodeSpec:

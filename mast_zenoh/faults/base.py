@@ -40,7 +40,7 @@ class Fault(ABC):
             raise ValueError("expected `node` or `nodes`: the targets of the fault")
 
     @property
-    def aims(self) -> Sequence[str]:
+    def selectors(self) -> Sequence[str]:
         """The targets as configured."""
         if self.node is not None:
             return (self.node,)
@@ -56,7 +56,7 @@ class Fault(ABC):
         return DIRECTIONS
 
     def rules(self, lockstep: bool) -> Sequence[Rule]:
-        """Rules for the links of its targets during the fault; empty: it acts on processes."""
+        """Link rules of its targets during the fault; empty for process faults."""
         return ()
 
     def events(self) -> Sequence[Event]:

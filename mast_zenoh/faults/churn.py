@@ -1,4 +1,4 @@
-"""Faults of processes: nodes are killed, leave, join, pause, are disconnected and return."""
+"""Faults of processes: kill, leave, restart, join, pause and unplug."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ def _check_wait(name: str, value: float | None) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Kill(ProcessFault):
-    """Kills its targets, which report no results. restart_after: s until they are restarted; None: never."""
+    """Kills its targets, which report no results.
+
+    restart_after: s until they are restarted; None: never.
+    """
 
     begins = "kill"
     restart_after: float | None = None
@@ -55,7 +58,10 @@ class Kill(ProcessFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Leave(ProcessFault):
-    """Stops its targets as at the end of a run. return_after: s until they return; None: never."""
+    """Stops its targets as at the end of a run.
+
+    return_after: s until they return; None: never.
+    """
 
     begins = "leave"
     return_after: float | None = None
@@ -71,7 +77,10 @@ class Leave(ProcessFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Restart(ProcessFault):
-    """Stops its targets properly and restarts them. down_s: s in between, at least a frame."""
+    """Stops its targets properly and restarts them.
+
+    down_s: s in between, at least a frame.
+    """
 
     begins = "leave"
     down_s: float = 0.5
@@ -99,9 +108,9 @@ class Join(ProcessFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Pause(ProcessFault):
-    """Suspends its targets until `until`; then they process all messages that have arrived.
+    """Suspends its targets; then they process all messages that have arrived.
 
-    until: s of scene time at which they go on
+    until: s of scene time at which they resume
 
     In real time their processes are stopped and continued. In lock-step all nodes would wait for them; there links hold
     their messages in both directions and then deliver them in order.
@@ -124,9 +133,9 @@ class Pause(ProcessFault):
 
 @dataclass(frozen=True, kw_only=True)
 class Unplug(ProcessFault):
-    """Disconnects its targets from their networks until `until`; then they reconnect by themselves.
+    """Disconnects its targets from their networks; then they reconnect by themselves.
 
-    until: s of scene time at which they are put back
+    until: s of scene time at which they are connected again
 
     In real time only, and only if nodes have their own networks: in the containers of engine compose. Elsewhere, use
     Partition.

@@ -1,4 +1,4 @@
-"""Faults of messages: temporary rules of the links between agents and command centre."""
+"""Faults of messages: temporary rules of links between agents and command centre."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mast_zenoh.links.timing import QUEUE_S
 
 @dataclass(frozen=True, kw_only=True)
 class LinkFault(Fault):
-    """A fault of the links of its targets, exact in lock-step, on the wall clock in real time.
+    """A fault of links, exact in lock-step, on the wall clock in real time.
 
     until:     s of scene time at which it ends; None: at the end of the run
     direction: "up" (to the command centre), "down" (from it) or "both"
@@ -71,7 +71,7 @@ class Loss(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class BurstLoss(LinkFault):
-    """Loses messages in bursts (Gilbert-Elliott): probabilities of state changes and of loss in each state.
+    """Loses messages in bursts (Gilbert-Elliott).
 
     good_to_bad, bad_to_good: probability of a change from one message to the next, 0 to 1
     loss_good, loss_bad:      probability of losing a message in the good, or in the bad state, 0 to 1
@@ -103,9 +103,9 @@ class Delay(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class SlowNode(LinkFault):
-    """Delays the messages that a node publishes by delay_s, but not those that it receives.
+    """Delays the messages that a node publishes, but not those that it receives.
 
-    delay_s: how much longer
+    delay_s: delay of each message
 
     For the broker and the command centre, this is the picture.
     """
@@ -121,9 +121,9 @@ class SlowNode(LinkFault):
 
 @dataclass(frozen=True, kw_only=True)
 class BandwidthLimit(LinkFault):
-    """Limits the bandwidth to bits_per_s; messages that would wait longer than queue_s are lost.
+    """Limits the bandwidth; messages that would wait longer than queue_s are lost.
 
-    bits_per_s: that it carries;  queue_s: how long a message may wait for its turn before it is lost
+    bits_per_s: bandwidth;  queue_s: maximum waiting time of a message
     """
 
     bits_per_s: float
@@ -137,7 +137,7 @@ class BandwidthLimit(LinkFault):
 class Corrupt(LinkFault):
     """Flips `flips` bits of a message with this probability.
 
-    probability: that a message is corrupted, 0 to 1;  flips: bits that are flipped in it
+    probability: that a message is corrupted, 0 to 1;  flips: number of flipped bits
     """
 
     probability: float
@@ -151,7 +151,7 @@ class Corrupt(LinkFault):
 class Duplicate(LinkFault):
     """Repeats a message with this probability, `copies` times.
 
-    probability: that a message is repeated, 0 to 1;  copies: how many more of it arrive
+    probability: that a message is repeated, 0 to 1;  copies: number of additional copies
     """
 
     probability: float
@@ -165,7 +165,7 @@ class Duplicate(LinkFault):
 class Flood(LinkFault):
     """Repeats every message `copies` times.
 
-    copies: how many more of each arrive
+    copies: number of additional copies
     """
 
     copies: int = FLOOD_COPIES
@@ -178,7 +178,7 @@ class Flood(LinkFault):
 class Reorder(LinkFault):
     """Delays a message by by_s with this probability, so that others overtake it.
 
-    probability: that a message is held up, 0 to 1;  by_s: for how long
+    probability: that a message is delayed, 0 to 1;  by_s: its delay
     """
 
     probability: float

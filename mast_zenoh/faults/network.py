@@ -82,7 +82,9 @@ def resolve(
     place: str,
     beside: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Resolve hosts and their faults to plain JSON without defaults or patterns; {} without hosts.
+    """Resolve hosts and their faults to plain JSON without defaults or patterns.
+
+    Returns {} without hosts.
 
     hosts: a scenario's `hosts`: name → dict(nodes=[names or patterns], delay_ms, jitter_ms, loss, bits_per_s, delay_by)
     faults: (place in the scenario, fault) for faults of the types HOST_FAULTS
@@ -137,7 +139,7 @@ def bands(network: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def own_states(network: Mapping[str, Any]) -> dict[str, LinkState]:
-    """The state of every host's link without faults, as at the start and after the end of a run."""
+    """The state of each host's link without faults, as before and after a run."""
     return {
         name: LinkState(False, spec["loss"], spec["delay_ms"], spec["jitter_ms"], spec["bits_per_s"])
         for name, spec in network["hosts"].items()
@@ -145,7 +147,7 @@ def own_states(network: Mapping[str, Any]) -> dict[str, LinkState]:
 
 
 def steps(network: Mapping[str, Any]) -> list[LinkStep]:
-    """Changes of the links in order of time, one for each time at which faults begin or end."""
+    """Changes of the links, one for each time at which faults begin or end."""
     faults = network["faults"]
     times = {fault["at"] for fault in faults} | {fault["until"] for fault in faults if fault["until"] is not None}
     before, changes = own_states(network), []
@@ -161,9 +163,9 @@ def steps(network: Mapping[str, Any]) -> list[LinkStep]:
 
 
 def needs(network: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Capabilities that the machine needs for this network, each with the hosts that need it.
+    """Capabilities that this network needs, with the hosts that need them.
 
-    "partition", "loss", "bandwidth", "netem", "relay", or "delay" for either of the latter two
+    Keys: "partition", "loss", "bandwidth", "netem", "relay", or "delay" for either of the latter two
     """
     states: dict[str, list[LinkState]] = {name: [state] for name, state in own_states(network).items()}
     for step in steps(network):

@@ -1,4 +1,4 @@
-"""Converts the faults of a scenario to link rules, process steps and bands of the timeline."""
+"""Converts faults to link rules, process steps and bands of the timeline."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ def plan(
                 f"{place}: {type(fault).__name__}: in lock-step all nodes would wait for a stopped or disconnected "
                 "one; use Partition, which acts on links, or real time (mode realtime)"
             )
-        nodes = targets.processes(fault.aims, roles, rng, where) if events else []
+        nodes = targets.processes(fault.selectors, roles, rng, where) if events else []
         in_run = frame_at(times_ns, fault.at) < len(times_ns)
         if rules:
             ways = {role: fault.ways(role) for role in roles.values()}
-            aims = nodes or fault.aims
-            agents = targets.links(aims, roles, ways, rng, where)
+            selectors = nodes or fault.selectors
+            agents = targets.links(selectors, roles, ways, rng, where)
             nodes = nodes or list(agents)
             for agent, directions in agents.items():
                 of_agent = result.rules.setdefault(agent, {way: [] for way in DIRECTIONS})
@@ -141,7 +141,10 @@ def _steps(name: str, actions: list[_Action], times_ns: Ints) -> list[ProcessSte
 
 
 def _clip_to_run(steps: list[ProcessStep], frames: int) -> list[ProcessStep]:
-    """The steps before the end of the run; a pause or cut that would outlast it ends before the last frame."""
+    """The steps before the end of the run.
+
+    A pause or cut that would outlast the run ends before the last frame.
+    """
     inside = [step for step in steps if step.frame < frames]
     if not inside or inside[-1].action not in UNDONE_BY:
         return inside
@@ -152,7 +155,10 @@ def _clip_to_run(steps: list[ProcessStep], frames: int) -> list[ProcessStep]:
 
 
 def _band(fault: Fault, nodes: Sequence[str], backend: str, times_ns: Ints) -> dict[str, Any]:
-    """The band of a fault on the timeline. A Join is shown from the start; a fault that outlasts the run has no end."""
+    """The band of a fault on the timeline.
+
+    A Join is shown from the start; a fault that outlasts the run has no end.
+    """
     until_s = fault.over
     if until_s is not None and frame_at(times_ns, until_s) >= len(times_ns):
         until_s = None

@@ -21,10 +21,12 @@ def random_schedule(
     *,
     servers: Sequence[str] = (),
     settle_s: float = 2.0,
-    most: int = 5,
+    max_faults: int = 5,
     kinds: Sequence[str] | None = None,
 ) -> list[dict[str, Any]]:
-    """A list of 1 to `most` faults as a scenario's `faults` takes it; equal arguments give equal lists.
+    """A random list of faults, as for a scenario's `faults`.
+
+    Equal arguments give equal lists.
 
     duration_s: of the run, s of scene time;  settle_s: fault-free time at the end, s
     agents:     possible targets
@@ -38,7 +40,7 @@ def random_schedule(
     for kind in kinds:
         if kind not in _PARAMETERS:
             raise ValueError(f"kinds: no fault {kind!r}{nearest(str(kind), _PARAMETERS)}")
-    if not agents or not kinds or most < 1:
+    if not agents or not kinds or max_faults < 1:
         raise ValueError("expected at least one agent, one kind and one fault")
     ticks = int((duration_s - settle_s) / _STEP_S + 1e-9)
     shortest = round(_SHORTEST_S / _STEP_S)
@@ -47,7 +49,7 @@ def random_schedule(
     rng = stream(seed, "faults", "schedule")
     busy: dict[str, list[tuple[int, int]]] = {}
     faults: list[dict[str, Any]] = []
-    for _ in range(int(rng.integers(1, most + 1))):
+    for _ in range(int(rng.integers(1, max_faults + 1))):
         kind = str(rng.choice(list(kinds)))
         start = int(rng.integers(1, ticks - shortest + 1))
         end = int(rng.integers(start + shortest, ticks + 1))

@@ -16,7 +16,9 @@ MAX_DELAY_S = 600.0  #: upper limit of the delay by one rule
 
 
 class Passage(NamedTuple):
-    """One copy of a message in transit through a link, with the effects of the rules so far.
+    """One copy of a message in transit through a link, with the effects so far.
+
+    Effects are those of the rules that were already applied.
 
     time_ns:  scene time of its passage, that of the newest clock
     now_ns:   time on the clock for delays: the same in lock-step, the wall clock in real time
@@ -83,12 +85,12 @@ class Rule(ABC):
         return sampled
 
     def restamps_s(self, duration_s: float) -> float:
-        """Largest magnitude of `skew_ns`, s, in a run of that length; overridden by rules that set it."""
+        """Largest magnitude of `skew_ns`, s; overridden by rules that set it."""
         return 0.0
 
     @abstractmethod
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
-        """Apply the rule to a message; returns no, one or several copies, the message itself first."""
+        """Apply the rule; returns no, one or several copies, the message itself first."""
 
 
 def expect(name: str, value: object, condition: bool, expected: str) -> None:

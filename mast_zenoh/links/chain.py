@@ -1,4 +1,4 @@
-"""The sequence of rules of one wire, which determines the copies and delays of its messages."""
+"""The sequence of rules of one wire: determines copies and delays of its messages."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Chain:
 
 
 def _number_copies(passages: Sequence[Passage]) -> list[Passage]:
-    """Number the copies of one message uniquely, keeping existing numbers; at most MAX_COPIES copies."""
+    """Number the copies of one message uniquely; keeps at most MAX_COPIES of them."""
     used = {passage.copy for passage in passages}
     next_number = max(used) + 1
     numbered, numbers = [], set()
@@ -130,7 +130,10 @@ class _Draws:
         self._begin = 0  # number of the first row
 
     def row(self, number: int, copy_: int) -> Sequence[float]:
-        """Random numbers for a copy of a message; message numbers never decrease by more than a block."""
+        """Random numbers for a copy of a message.
+
+        Message numbers never decrease by more than a block.
+        """
         if self._stream is None:
             self._stream = self._rng(*self._purpose)
         while number >= self._begin + len(self._rows):

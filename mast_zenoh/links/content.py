@@ -1,4 +1,4 @@
-"""Rules that change the content of messages: clock and pose errors of the sender, flipped bits."""
+"""Rules that change messages: clock and pose errors of the sender, flipped bits."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ClockSkew(Rule):
 
 
 class PoseError(Rule):
-    """An error of the sender's own pose, and so of the frame of reference of its tracks.
+    """An error of the sender's own pose, and so of its tracks' frame of reference.
 
     position_std_m, yaw_std_rad: m and rad, standard deviations of the errors in x and y and in heading, drawn for each
                                  message
@@ -116,7 +116,7 @@ def flipped(payload: bytes, positions: Sequence[float]) -> bytes:
 
 
 def displaced(body: Mapping[str, NDArray[Any]], shift: tuple[float, float], turn: float) -> dict[str, NDArray[Any]]:
-    """Columns with their frame of reference moved by `shift` m (x, y) and rotated by `turn` rad about z."""
+    """Columns with a frame of reference moved by (x, y) m and turned by rad about z."""
     c, s = math.cos(turn / 2.0), math.sin(turn / 2.0)
     w, x, y, z = body["rotation"]
     rotation = np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])

@@ -14,8 +14,9 @@ FLOOD_COPIES = 5  #: default, also of the fault
 
 
 class Duplicate(Rule):
-    """Repeats some messages with the same number. Later rules act on each copy independently.
+    """Repeats some messages with the same number.
 
+    Later rules act on each copy independently.
     probability: that a message is repeated; copies: number of additional copies.
     """
 

@@ -30,7 +30,7 @@ class Loss(Rule):
 
 
 class GilbertElliott(Rule):
-    """Drops messages in bursts: the channel is good or bad, and may change between two messages.
+    """Drops messages in bursts: the channel is good or bad, and changes at random.
 
     good_to_bad, bad_to_good: probabilities of a change from one message to the next
     loss_good, loss_bad:      probabilities that a message is lost in either state

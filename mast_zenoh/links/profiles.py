@@ -31,7 +31,7 @@ PROFILES: dict[str, dict[str, list[dict[str, Any]]]] = {
 
 
 def profile(name: str) -> dict[str, list[dict[str, Any]]]:
-    """A copy of the rules of a profile, up and down; raises ConfigurationError for an unknown name."""
+    """A copy of a profile's rules by direction; raises ConfigurationError if unknown."""
     if name not in PROFILES:
         raise ConfigurationError(f"no profile of a link named {name!r}{nearest(name, PROFILES)}")
     return copy.deepcopy(PROFILES[name])

@@ -68,9 +68,10 @@ class Delay(Rule):
 
 
 class Bandwidth(Rule):
-    """Transmits messages one after the other; drops those that would wait too long (tail drop).
+    """Transmits messages one after the other; drops those that would wait too long.
 
-    bits_per_s: of the wire; queue_s: s, longest time that a message may wait for transmission.
+    The queue is limited by time (tail drop).
+    bits_per_s: bandwidth; queue_s: s, longest time that a message may wait for transmission.
 
     Only the payload counts, without protocol headers.
     """
@@ -124,7 +125,7 @@ class Reorder(Rule):
 
 
 class Hold(Rule):
-    """Holds all messages until `until`, then delivers them in order, as if the process had paused."""
+    """Holds all messages until `until`, then delivers them in order, as after a pause."""
 
     fate = "delayed"
 

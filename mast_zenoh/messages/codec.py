@@ -1,4 +1,4 @@
-"""Encodes and decodes messages: MessagePack, columnar, versioned, strictly checked.
+"""Encodes and decodes messages: columnar MessagePack, versioned, strictly checked.
 
     {"schema": "tracks", "version": 1, "source": "ego", "frame": 3, "time_ns": 300000000, "seq": 3,
      "body": {"position": ["<f8", [12, 3], b"..."], "agents": ["str", [2], ["ego", "infra_1"]], ...}}
@@ -28,7 +28,7 @@ _HEADER_LIMIT = 1 << 62
 
 
 def conform(header: Header, body: Body) -> Message:
-    """A message whose body has exactly the columns of its schema, read-only and contiguous.
+    """A message with exactly the columns of its schema, read-only and contiguous.
 
     Raises MessageError where a column is missing, unknown, or of the wrong dtype or shape.
     """
@@ -45,7 +45,7 @@ def conform(header: Header, body: Body) -> Message:
             return Message(header, exact)
         shapes, sizes = plan.shapes, layout.named(size_key)
     except (KeyError, IndexError, ValueError):
-        shapes = ()  # what is wrong is explained below
+        shapes = ()  # the loop below raises the error
     columns: dict[str, NDArray[Any]] = {}
     for index, column in enumerate(schema.columns):
         name, wire = column.name, WIRE_DTYPE.get(column.dtype)
@@ -65,7 +65,7 @@ def conform(header: Header, body: Body) -> Message:
 
 
 def check_values(message: Message) -> None:
-    """Raise MessageError if `decode` would refuse a message that `conform` made, after it was sent as bytes."""
+    """Raise MessageError if `decode` would refuse a message that `conform` made."""
     header = message.header
     _check_header(header)
     if LAYOUTS[header.schema].is_valid(message.body):
@@ -97,7 +97,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(payload: bytes, expected: str) -> Message:
-    """Decode a message, which must have the schema `expected` in this package's version.
+    """Decode a message of the schema `expected`, in this package's version.
 
     Raises MessageError for anything else: truncated, oversized, another version, a missing or unknown
     column, a forged shape, a value that is not finite.
@@ -152,7 +152,7 @@ def decode_header_only(payload: bytes, expected: str) -> Header:
 
 
 def _quick_header(payload: bytes, expected: str) -> Header | None:
-    """The header of a valid message, read without its body; None if anything is unusual."""
+    """The header of a valid message, without its body; None if anything is unusual."""
     end = payload.find(_BODY_KEY, 0, _LONGEST_HEADER)
     if payload[:1] != _MAP_OF_7 or end < 0 or len(payload) > MAX_BYTES:
         return None

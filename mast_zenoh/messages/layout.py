@@ -1,6 +1,6 @@
-"""What the columns of a message must be, by their schema: dtype, shape, and the limits of their values.
+"""Valid columns of each schema: dtypes, shapes and limits of values.
 
-Nearly all messages are valid, which is found out here in one go. `validation` explains what is wrong with the others.
+Nearly all messages are valid, so all columns are checked at once. `validation` explains what is wrong with the others.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from numpy.typing import NDArray
 from mast_zenoh.kernels import kernel
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Schema
 
-MAX_BYTES = 16 * 1024 * 1024  #: no message is longer
-MAX_ROWS = 100_000  #: no column has more rows
+MAX_BYTES = 16 * 1024 * 1024  #: limit of a message
+MAX_ROWS = 100_000  #: limit of a column
 MAX_TEXT = 256  #: characters in one string
-MAX_MAGNITUDE = 1e9  #: no quantity of a scene in SI units comes near it; more would overflow the filters
+MAX_MAGNITUDE = 1e9  #: limit of values in SI units, far above any scene; larger ones would overflow the filters
 
 #: By dtype of a column: its NumPy dtype in memory (little-endian), and its name in a message.
 WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")}
 DTYPE_NAME = {name: dtype.str for name, dtype in WIRE_DTYPE.items()} | {"str": "str"}
 _TEXT = np.dtype(object)
-assert sys.byteorder == "little", "columns are sent as they lie in memory"
+assert sys.byteorder == "little", "columns are sent with their bytes in memory order"
 
 MAX_SQUARES = MAX_MAGNITUDE**2
 _MAX_PLANS = 1024
 
 
 class Plan(NamedTuple):
-    """What the columns of a body of known sizes must hold, by column; what a kernel checks, it finds here.
+    """The valid columns of a body with known sizes, as kernels check them.
 
     dtypes: object for text; limits: see `limit_of`
     packed: (name of the dtype, shape as a list, bytes) of the column in a message; text has no bytes
@@ -46,7 +46,10 @@ class Plan(NamedTuple):
 
 
 def limit_of(column: Column) -> float:
-    """To what values are held besides being finite: characters of text, the index to stay below, least squares."""
+    """The limit of a column's values, besides being finite.
+
+    Of text: characters; of indices: the exclusive maximum; of floats: the least sum of squares.
+    """
     if column.dtype == "str":
         return MAX_TEXT
     return column.below if column.dtype == "uint8" else column.least_length**2
@@ -72,8 +75,9 @@ class Layout:
         return dict(zip(self._letters, sizes, strict=True))
 
     def plan(self, sizes: tuple[int, ...]) -> Plan:
-        """What every column of a body must hold; `sizes` are those of the letters, in their order.
+        """The valid columns of a body.
 
+        sizes: of the letters, in their order
         Raises ValueError for an invalid size.
         """
         plan = self._plans.get(sizes)
@@ -102,7 +106,7 @@ class Layout:
         )
 
     def sizes(self, body: Body) -> tuple[int, ...]:
-        """The sizes of the letters, from arrays; raises KeyError or IndexError if a column or an axis is missing."""
+        """Sizes of the letters, from arrays; raises KeyError or IndexError if missing."""
         return tuple([body[name].shape[axis] for name, axis in self._sources])
 
     def unpack(self, body: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
@@ -129,7 +133,7 @@ class Layout:
 
 
 def packed_columns(body: Mapping[str, Any], plan: Plan) -> dict[str, NDArray[Any]] | None:
-    """The columns of a packed body if all match the plan, else None; values are not checked."""
+    """The columns of a packed body if all match the plan, else None; values unchecked."""
     columns: dict[str, NDArray[Any]] = {}
     for name, dtype, shape, (dtype_name, dims, n_bytes) in zip(
         plan.names, plan.dtypes, plan.shapes, plan.packed, strict=True
@@ -162,7 +166,10 @@ def exact_columns(
     dtypes: tuple[np.dtype[Any], ...],
     shapes: tuple[tuple[int, ...], ...],
 ) -> dict[str, NDArray[Any]] | None:
-    """The columns of a body, read-only, if they are arrays of these dtypes and shapes, of contiguous memory."""
+    """The columns of a body, read-only; None unless dtypes and shapes match exactly.
+
+    Arrays must be contiguous.
+    """
     columns: dict[str, NDArray[Any]] = {}
     for name, dtype, shape in zip(names, dtypes, shapes, strict=True):
         array = body.get(name)
@@ -180,11 +187,11 @@ def exact_columns(
 
 @kernel
 def sound_values(columns: Mapping[str, NDArray[Any]], names: tuple[str, ...], limits: tuple[float, ...]) -> float:
-    """The sum of the squares of all that is float64; infinite where anything is beyond its limit.
+    """The sum of squares of all float64 values; infinite if any value is invalid.
 
     columns: arrays of the names; limits: see `limit_of`
     """
-    # All numbers at once. Less than the limit in all is less than what a column may have by itself.
+    # All numbers in one sum: if it is within the limit, the sum of every column is too.
     squares = 0.0
     for name, limit in zip(names, limits, strict=True):
         array = columns[name]

@@ -1,4 +1,6 @@
-"""Message types: one table per type with column, dtype, shape and unit. docs/messages.md is generated from it.
+"""Message types: a table per type, with column, dtype, shape and unit.
+
+docs/messages.md is generated from it.
 
 A message is a header and a body of columns. In a shape, letters are sizes that must agree within one message
 (`n` rows are n objects, `a` rows are a agents); numbers are fixed.
@@ -23,7 +25,7 @@ class Header(NamedTuple):
     """The header of every message.
 
     schema:  name of the message type
-    source:  name of the node that made it (an interposer leaves it unchanged)
+    source:  name of the node that published it (an interposer leaves it unchanged)
     frame:   index of the scene's frame that the message is about
     time_ns: int, ns, time of that frame in the scene
     seq:     number of the message among those of one publisher on one wire, from 0
@@ -52,11 +54,11 @@ def same_columns(one: Body, other: Body) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: all that senders, receivers and the documentation know of it.
+    """One column, as used by senders, receivers and the documentation.
 
     dtype: a NumPy name or `str`; shape: as in the module's docstring
-    below: of uint8, indices: what they must be below
-    least_length: of float64, quaternions and matrices: the least square root of the sum of squares
+    below: for indices (uint8): exclusive upper limit
+    least_length: for quaternions and matrices (float64): minimum square root of the sum of squares
     """
 
     name: str
@@ -79,7 +81,7 @@ class Schema:
 
 
 def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tuple[Column, ...]:
-    """Columns of object states; `filtered` ones also have covariance and existence probability."""
+    """Columns of object states; filtered: with covariance and existence probability."""
     columns = [
         Column("id", "int64", (size,), "", "identity, unique within one producer"),
         Column("position", "float64", (size, 3), "m", "centre of the box"),
@@ -97,7 +99,7 @@ def _states(prefix: str = "", size: str = "n", *, filtered: bool = True) -> tupl
     )
 
 
-_ROTATION: dict[str, Any] = {"least_length": 1e-3}  # they are normalised by those who use them
+_ROTATION: dict[str, Any] = {"least_length": 1e-3}  # receivers normalise it
 
 _FRAME_OF_REFERENCE = (
     Column("origin", "float64", (3,), "m", "of the columns' frame of reference, in the world frame"),

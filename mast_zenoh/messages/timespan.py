@@ -1,4 +1,4 @@
-"""The frames and times that messages of a run can have; others are rejected on arrival."""
+"""The valid frames and times of a run's messages; others are rejected on arrival."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ class Timespan(NamedTuple):
     leeway_ns: int
 
     def refusal(self, header: Header, step: int) -> str:
-        """Why a message cannot belong to the run, or ""; step: the current frame of the run, -1 if unknown.
+        """The reason why a message cannot belong to the run, or "".
+
+        step: the current frame of the run, -1 if unknown
 
         A message is about a frame of the run that has begun. Its time is between that of its frame and that of `step`.
         Both may be off by the leeway.

@@ -1,4 +1,4 @@
-"""Explains why columns are invalid: each check raises MessageError, or finds nothing wrong."""
+"""Explains why columns are invalid; each check raises MessageError on failure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mast_zenoh.messages.schemas import Column, Message
 
 
 def array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) -> NDArray[Any]:
-    """The array of a column packed as [dtype, shape, data]; sizes: as in `check_shape`."""
+    """The array of a column packed as [dtype, shape, data]; sizes: see `check_shape`."""
     if not isinstance(packed, list) or len(packed) != 3:
         raise MessageError(f"{schema}.{column.name}: not [dtype, shape, data]")
     dtype, shape, data = packed
@@ -46,7 +46,7 @@ def array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) ->
 
 
 def check_shape(schema: str, column: Column, shape: tuple[int, ...], sizes: dict[str, int]) -> None:
-    """Check a shape against the schema; `sizes` holds the known sizes of letters, and gets those of this shape."""
+    """Check a shape against the schema; adds the sizes of its letters to `sizes`."""
     if len(shape) == len(column.shape):
         for size, expected_size in zip(shape, column.shape, strict=True):
             if not 0 <= size <= MAX_ROWS:
@@ -67,9 +67,9 @@ def check_texts(schema: str, column: Column, texts: Sequence[object] | NDArray[A
 
 
 def check_values(schema: str, column: Column, array: NDArray[Any]) -> None:
-    """Check that numbers are finite and plausible, quaternions not zero, and indices within their limit."""
+    """Check values: finite and plausible numbers, quaternions not zero, valid indices."""
     if column.dtype == "float64":
-        # The sum of squares is not finite if one value is not, and too large if one is absurd: one pass, no temporary.
+        # One pass without temporaries: the sum of squares is not finite, or too large, if any value is.
         # The mean is limited, not the sum, so that a message collated from many valid ones is valid.
         flat = array.reshape(-1)
         squares = np.vdot(flat, flat)

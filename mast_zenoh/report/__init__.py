@@ -1,11 +1,14 @@
-"""Tables, figures and pages of a run, or of several compared. See docs/report.md and docs/studies.md.
+"""Tables, figures and pages of one run or of compared runs.
+
+See docs/report.md and docs/studies.md.
 
 runfolder, files   contents of a run folder
 comparison         the reference run of a comparison
 figures/           the pictures and charts of runs and of studies
 tables/            rows and cells, for every output
 narrative/         results in words
-html, study_page   the pages, which page renders from templates/;  faulted: tables for links, faults, wall clock
+html, study_page   the pages, which page renders from templates/
+fault_tables       tables for links, faults and the wall clock
 terminal           results on the terminal
 study_facts        configurations, seeds and failed trials of a study
 """

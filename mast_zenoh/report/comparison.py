@@ -97,7 +97,10 @@ def _flat(name: str, value: Any) -> dict[str, Any]:
 
 
 def _same_scene(one: RunFolder, other: RunFolder) -> bool:
-    """Whether objects have equal positions in all frames, or, without recordings, equal scenes."""
+    """Whether two runs have the same scene.
+
+    Compares object positions in all frames or, without recordings, the scene settings.
+    """
     if one.recording is None or other.recording is None:
         return bool(one.scenario.get("scene") == other.scenario.get("scene"))
     frames = int(one.metrics["frames"])

@@ -32,14 +32,17 @@ def rows(table: Table, mask: Bools) -> Table:
 
 
 class Reader:
-    """Reads files of a folder and lists absent and unreadable ones in `missing`, one sentence each."""
+    """Reads files of a folder.
+
+    missing: absent and unreadable files, one sentence each
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.missing: list[str] = []
 
     def read(self, name: str, reader: Callable[[Path], Any], consequence: str, default: Any) -> Any:
-        """Read a file with `reader`; `default` on failure. consequence: what the report then lacks, in words."""
+        """Read a file; returns `default` on failure, with its `consequence` in `missing`."""
         path = self.folder / name
         try:
             return reader(path)
@@ -71,7 +74,7 @@ def scene(path: Path) -> Recording:
 
 
 def table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
-    """A reader of columns of a Parquet table, for one agent if given; `optional` ones may be absent."""
+    """A reader of columns of a Parquet table, some `optional`, for one agent if given."""
 
     def read(path: Path) -> Table:
         content = read_arrow(path)

@@ -15,7 +15,7 @@ import numpy as np
 from mast_zenoh.control import failures
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.faulted import CAUSE_GROUPS, cause_rows, check_rows, late_rows, latency_rows
+from mast_zenoh.report.fault_tables import CAUSE_GROUPS, cause_rows, check_rows, late_rows, latency_rows
 from mast_zenoh.report.figures.catalogue import frame_choice, run_figures, study_figures
 from mast_zenoh.report.figures.view import (
     PANELS,
@@ -40,7 +40,7 @@ from mast_zenoh.report.tables.wiring import wire_rows
 
 
 def write_report(run_folder: Path, frame: int | None = None, against: Path | None = None) -> Path:
-    """Write `report.html` and `figures/*.png` into a run folder, from the files that are there.
+    """Write `report.html` and `figures/*.png` into a run folder.
 
     frame:   the frame that pictures show; by default that of `view.choose_frame`
     against: folder of a reference run of the same scene
@@ -60,7 +60,7 @@ def write_page(run: RunFolder, frame: int | None = None, reference: Reference | 
     else:
         chosen, frame_note = check_frame(run, frame), ""
         if not settled(run, np.array([frame])).all():
-            frame_note = "This frame was asked for; it is not among those that are scored."
+            frame_note = "This frame was requested; it is not a scored frame."
     view = None if chosen is None else frame_view(run, chosen, estimate)
     return _write_run(run, view, frame_note=frame_note, reference=reference, estimate=estimate)[1]
 
@@ -73,7 +73,9 @@ def _estimate(run: RunFolder, reference: Reference | None) -> str:
 
 
 def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int | None = None) -> Path:
-    """Write the report of compared runs into `study_folder`, and every run's own report.
+    """Write the report of compared runs and each run's own report.
+
+    The former goes into `study_folder`.
 
     runs:  folders of runs of one scene and seed by label, in the order to show them; the one labelled `baseline`,
            or else the first, is what the others are compared with
@@ -112,7 +114,10 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
 
 
 def _view_to_show(run: RunFolder, frame: int | None, common: int | None) -> FrameView | None:
-    """The view of a run at the requested frame, else the common one, else the run's own choice."""
+    """The view of a run at the requested frame.
+
+    Without one: at the common frame, or else at the run's own choice.
+    """
     if frame is not None:
         return frame_view(run, check_frame(run, frame))
     chosen = choose_frame(run) if common is None else common
@@ -217,7 +222,7 @@ def _facts(run: RunFolder) -> list[str]:
 
 
 def _healed(run: RunFolder) -> list[str]:
-    """When faults were healed, and how soon the picture then equalled the unfaulted one."""
+    """When faults healed, and how soon the picture then equalled the fault-free one."""
     heals, converged = run.checks.get("heals_s") or [], run.checks.get("converged_after_s")
     facts = [f"healed at {', '.join(f'{each:g}' for each in heals)} s"] if heals else []
     if isinstance(converged, (int, float)):
@@ -234,7 +239,7 @@ def _study_facts(runs: Mapping[str, RunFolder]) -> list[str]:
     facts += [f"seed {', '.join(sorted(seeds))}"] if seeds else []
     facts += [f"each {frames.pop()}"] if len(frames) == 1 else []
     bad = [label for label, run in runs.items() if run.run.get("status") != "ok"]
-    return facts + ([f"not ended well: {', '.join(bad)}"] if bad else [])
+    return facts + ([f"did not end well: {', '.join(bad)}"] if bad else [])
 
 
 def _frames(run: RunFolder) -> str:

@@ -13,7 +13,7 @@ from mast_zenoh.version import __version__
 
 
 def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
-    """Write `report.html` into a folder, which is created if missing; returns its path."""
+    """Write `report.html` into a folder, which is created if needed; returns the path."""
     page = environment().get_template(template).render(content, version=__version__)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.html"

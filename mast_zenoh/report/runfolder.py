@@ -14,7 +14,7 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.report import files
-from mast_zenoh.report.faulted import with_faults
+from mast_zenoh.report.fault_tables import with_faults
 from mast_zenoh.report.files import Reader, Table, rows
 from mast_zenoh.scenes.recording import Recording
 
@@ -29,7 +29,9 @@ _DRIVING = ("frame", "agent", "estimate", "false", "missed", "ttc_s", "brake", "
 
 @dataclass(frozen=True, eq=False)
 class RunFolder:
-    """The contents of a run folder; absent and unreadable files are empty and named in `missing`.
+    """The contents of a run folder.
+
+    Absent and unreadable files are empty and listed in `missing`.
 
     path:      the folder
     run:       run.json
@@ -64,7 +66,7 @@ class RunFolder:
 
     @classmethod
     def load(cls, path: Path) -> RunFolder:
-        """Read a run folder. Raises RunFolderError if it holds neither run.json nor scenario.json."""
+        """Read a run folder; raises RunFolderError if it is not a run folder."""
         if not path.is_dir():
             raise RunFolderError(f"{path}: no such folder, expected the folder of a run")
         if not (path / "run.json").is_file() and not (path / "scenario.json").is_file():
@@ -105,11 +107,11 @@ class RunFolder:
 
     @cached_property
     def ego(self) -> str | None:
-        """The agent whose view the report shows: `ego` if there is one, else the first; None: not known."""
+        """The agent whose view the report shows: `ego` or else the first; None: unknown."""
         return _ego(self.metrics, self.counts, self.recording)
 
     def role(self, node: str) -> str:
-        """The role of a node; if not in run.json, guessed from its wires and name (`adversary_1`)."""
+        """The role of a node, from run.json or guessed from its wires and name."""
         known = self.run.get("nodes", {}).get(node, {}).get("role")
         known = known or self.metrics.get("interposers", {}).get(node, {}).get("role")
         if known:
@@ -119,7 +121,7 @@ class RunFolder:
 
     @cached_property
     def attacks(self) -> Table | None:
-        """The effects of interposers other than links, in known frames; None: not measured."""
+        """Effects of interposers other than links, in known frames; None: not measured."""
         if self.effects is None:
             return None
         settled = (self.effects["effect"] != "unsettled") & (self.effects["frame"] >= 0)
@@ -146,15 +148,16 @@ class RunFolder:
 
     @cached_property
     def unsettled_frames(self) -> frozenset[int]:
-        """Frames with unknown effects of an interposer: around wiring changes, and the last."""
+        """Frames with unknown effects: around wiring changes, and the last frame."""
         if self.effects is None:
             return frozenset()
         return frozenset(self.effects["frame"][self.effects["effect"] == "unsettled"].tolist())
 
     @cached_property
     def timeline(self) -> tuple[dict[str, Any], ...]:
-        """Planned faults and attacks: label, kind, type, at_s, until_s (None: to the end), nodes, backend.
+        """Planned faults and attacks.
 
+        Each has label, kind, type, at_s, until_s (None: to the end), nodes and backend.
         Links that last for the whole run are not included.
         """
         planned = [each for each in self.scenario.get("timeline", ()) if {"label", "kind", "at_s"} <= each.keys()]
@@ -209,7 +212,7 @@ class RunFolder:
         return {name: column[order] for name, column in selected.items()} if len(order) else None
 
     def seconds(self, frames: NDArray[Any]) -> Floats | None:
-        """Time of frames (n,) in s since the scene's first; None: the scene is absent or shorter."""
+        """Time of frames (n,) in s since the first; None: scene absent or shorter."""
         if self.recording is None or not len(frames) or frames.max() >= len(self.recording):
             return None
         times = self.recording.times_ns
@@ -222,7 +225,7 @@ class RunFolder:
 
 
 def agent_of(key: str) -> str | None:
-    """The agent in a key expression such as `agent/infra_1/detections`, with or without a prefix."""
+    """The agent in a key such as `prefix/agent/infra_1/tracks`; None: no agent."""
     chunks = key.split("/")
     following = chunks.index("agent") + 1 if "agent" in chunks else len(chunks)
     return chunks[following] if following < len(chunks) else None

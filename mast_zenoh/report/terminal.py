@@ -10,7 +10,7 @@ from rich.markup import escape
 
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.faulted import cause_table, check_lines
+from mast_zenoh.report.fault_tables import cause_table, check_lines
 from mast_zenoh.report.narrative.circumstances import reference_status, status
 from mast_zenoh.report.narrative.explanations import explanations
 from mast_zenoh.report.narrative.phrases import effects, plural
@@ -21,8 +21,9 @@ from mast_zenoh.report.tables.scores import as_rich, score_table
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
-    """Print the results of run folders by label; the reference is `baseline`, or else the first.
+    """Print the results of run folders by label.
 
+    The reference is `baseline`, or else the first.
     A run without a readable metrics.json gets dashes. Runs with links or faults also get the causes of their errors;
     runs with checks get the outcome of every check.
     """
@@ -35,7 +36,7 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
 
 
 def show_run(console: Console, run_folder: Path, against: Path | None = None) -> None:
-    """Print the results of one run and its largest change, over a reference run if given.
+    """Print one run's results and its largest change, over a reference if given.
 
     Raises NotComparable if the two cannot be compared.
     """

@@ -78,7 +78,7 @@ class NodeContext:
         self.time_ns = 0
         self.log = logging.getLogger(f"mast.{name}")
         self._inputs = dict(ports.inputs)
-        self.hears: Mapping[str, Input] = self._inputs
+        self.subscriptions: Mapping[str, Input] = self._inputs
         self.sent: Counter[str] = Counter()
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.first_rejected: dict[str, tuple[int, str]] = {}

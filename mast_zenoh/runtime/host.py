@@ -113,7 +113,7 @@ class Host(NodeContext):
         counted: whether it is from a node of this run, so that lock-step waits until it is handled
         flaw: why it is invalid, for a message that was never encoded
         """
-        port_input = self.hears.get(key)
+        port_input = self.subscriptions.get(key)
         if port_input is None:
             return
         if self._overhears:

@@ -1,4 +1,4 @@
-"""Scenarios: reads a Python file of plain dicts and resolves all that a run needs, before any process starts.
+"""Reads scenario files and resolves all that a run needs before processes start.
 
     mast_zenoh.config.loading     runs the user's file
     reading     load: calls its `scenario(...)` with the launch-time parameters, and applies dotted settings

@@ -30,9 +30,7 @@ def nodes_of(
 
     def add(name: str, role: str, config: Mapping[str, Any]) -> None:
         if name == ALL:
-            raise ConfigurationError(
-                f"{path}: {name}: this name stands for all adversaries together: choose another one"
-            )
+            raise ConfigurationError(f"{path}: {name}: this name means all adversaries together: choose another one")
         if name in specs:
             raise ConfigurationError(f"{path}: {name}: another node has this name already")
         specs[name] = node_spec(path, name, role, config)
@@ -40,7 +38,7 @@ def nodes_of(
     add("simulator", "simulator", {"recording": recording, "frames": frames})
     patterns = scenario.get("agents", {"*": {}})
     for agent in recording.agents:
-        pattern = matching(patterns, agent.name)
+        pattern = best_pattern(patterns, agent.name)
         if pattern is None:
             raise ConfigurationError(f"{path}: agents: no entry for {agent.name!r}{nearest(agent.name, patterns)}")
         if not isinstance(config := patterns[pattern], Mapping):
@@ -50,7 +48,7 @@ def nodes_of(
         add(role, role, scenario.get(role, {}))
     agents = [agent.name for agent in recording.agents]
     adversaries = scenario.get("adversaries", {})
-    for name, config in _named(adversaries, f"{path}: adversaries"):
+    for name, config in _checked_configs(adversaries, f"{path}: adversaries"):
         if config.get("agent") not in agents:
             agent_name = str(config.get("agent"))
             raise ConfigurationError(
@@ -59,13 +57,13 @@ def nodes_of(
         add(name, "adversary", config)
     if scenario.get("coordinator") is not None:
         add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
-    inform(specs, recording)
+    add_surroundings(specs, recording)
     ages = {name: specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config}
     evaluator = scenario.get("evaluator", {})
     ages_option = {"picture_ages_s": ages} if ages and "picture_age_s" not in evaluator else {}
     add("evaluator", "evaluator", {"agents": agents, **ages_option, **evaluator})
     _share_max_age(specs["broker"], specs["evaluator"])
-    for name, config in _named(scenario.get("nodes", {}), f"{path}: nodes"):
+    for name, config in _checked_configs(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:
         add("recorder", "recorder", {"log": MessageLog()})
@@ -73,14 +71,14 @@ def nodes_of(
 
 
 def _share_max_age(broker: NodeSpec, evaluator: NodeSpec) -> None:
-    """Let the evaluator count an agent as cut off when its tracks are too old for the broker."""
+    """Let the evaluator use the broker's maximum age of tracks for cut-off agents."""
     accepted = inspect.signature(loading.node_class(Path(evaluator.file), evaluator.type)).parameters
     cut_off = evaluator.config.get("cut_off", {})
     if "max_age_s" in broker.config and "cut_off" in accepted and isinstance(cut_off, Mapping):
         evaluator.config["cut_off"] = {"max_age_s": broker.config["max_age_s"], **cut_off}
 
 
-def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _checked_configs(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield (name, configuration) of each node, with checked types."""
     for name, config in configs.items():
         if not isinstance(name, str):
@@ -90,8 +88,11 @@ def _named(configs: Mapping[Any, Any], place: str) -> Iterator[tuple[str, Mappin
         yield name, config
 
 
-def inform(specs: Mapping[str, NodeSpec], recording: Recording) -> None:
-    """Add the `surroundings` parameter to adversaries and coordinators whose class takes it."""
+def add_surroundings(specs: Mapping[str, NodeSpec], recording: Recording) -> None:
+    """Add the `surroundings` parameter to attackers whose class takes it.
+
+    Attackers are adversaries and coordinators.
+    """
     attackers = {name: spec for name, spec in specs.items() if spec.role in ("adversary", "coordinator")}
     victims = list(dict.fromkeys(str(spec.config["agent"]) for spec in attackers.values() if "agent" in spec.config))
     for spec in attackers.values():
@@ -132,7 +133,10 @@ def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> No
     return NodeSpec(role, str(file), cls.__name__, parameters, on_exit)
 
 
-def matching(patterns: Mapping[str, Any], name: str) -> str | None:
-    """The longest pattern that matches, so that a name wins over a wildcard; None if none matches."""
+def best_pattern(patterns: Mapping[str, Any], name: str) -> str | None:
+    """The longest pattern that matches; None if none matches.
+
+    A plain name therefore wins over a wildcard.
+    """
     matches = [pattern for pattern in patterns if fnmatchcase(name, pattern)]
     return max(matches, key=lambda pattern: (pattern == name, len(pattern))) if matches else None

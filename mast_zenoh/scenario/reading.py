@@ -16,7 +16,9 @@ from mast_zenoh.scenario.shape import normalise_keys
 
 
 def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, Any]:
-    """The spec of a scene, from a short name ("intersection", "avstack:PATH", …) or a dict, with the options set.
+    """The spec of a scene, from a short name or a dict, with options set.
+
+    scene: "intersection", "avstack:PATH", … or a dict
 
     Options that are None are ignored. Raises ConfigurationError for an option that the scene's type does not take, or
     that contradicts the scene.
@@ -37,8 +39,9 @@ def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, An
 
 
 def agents_of(scene: str | Mapping[str, Any]) -> tuple[str, ...]:
-    """The names of a scene's agents, the ego first, for scenarios that refer to agents by name.
+    """The names of a scene's agents, the ego first.
 
+    For scenarios that refer to agents by name.
     Raises ConfigurationError (scene parameters), SceneError (scene data).
     """
     spec = choose_scene(scene)
@@ -47,7 +50,7 @@ def agents_of(scene: str | Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def victims_of(scene: str | Mapping[str, Any], count: int) -> tuple[str, ...]:
-    """The names of `count` agents for adversaries to compromise: static ones first, never the ego.
+    """The names of `count` agents to compromise: static ones first, never the ego.
 
     Raises ConfigurationError if the scene has fewer.
     """
@@ -60,44 +63,46 @@ def victims_of(scene: str | Mapping[str, Any], count: int) -> tuple[str, ...]:
 
 
 def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]:
-    """(file, scenario dict) of a scenario file, with settings `key=value` as given to `--set`.
+    """(file, scenario dict) of a scenario file, with settings as given to `--set`.
 
+    settings: `key=value`.
     A key without a dot is a parameter of the file's `scenario` function, typed like its default; a dotted key
     names a value in the dict that it returns.
     """
     path, function = loading.function("scenarios", name, "scenario")
     parameters, dotted = split(settings, function, str(path))
-    return path, _called(path, function, parameters, dotted)
+    return path, _call(path, function, parameters, dotted)
 
 
 def load_values(
     source: str | Path | Mapping[str, Any] | Callable[..., Any], values: Mapping[str, Any], known: Iterable[str] = ()
 ) -> tuple[Path, dict[str, Any]]:
-    """(file, scenario dict) of a file, the name of one of ours, a dict or a function, under settings as Python values.
+    """(file, scenario dict) of a scenario, with settings as Python values.
 
-    A dict, and a function that no file defines (of a notebook, say), has a path without suffix: it says by which name
-    errors call it, and beside which files it stands.
-    known: further names to suggest where a setting is unknown
+    source: a file, the name of a shipped scenario, a dict or a function
+    A dict, or a function that no file defines (of a notebook, say), has a path without suffix. Errors use it as the
+    name, and its folder is searched for files.
+    known: further names to suggest in place of an unknown setting
     """
     if isinstance(source, Mapping):
         path, function = Path("scenario"), None
     elif callable(source):
-        path, function = loading.place_of(source), source
+        path, function = loading.defining_file(source), source
     elif isinstance(source, (str, Path)):
         path, function = loading.function("scenarios", str(source), "scenario")
     else:
         raise ConfigurationError(f"scenario: found {source!r}, expected a name, a file, a dict or a function")
     parameters, dotted = from_values(values, function, str(path), known)
     if function is not None:
-        return path, _called(path, function, registry.own_copy(parameters), dotted)
+        return path, _call(path, function, registry.own_copy(parameters), dotted)
     assert isinstance(source, Mapping)
-    return path, _set(path, dict(source), dotted)
+    return path, _with_settings(path, dict(source), dotted)
 
 
-def _called(
+def _call(
     path: Path, function: Callable[..., Any], parameters: Mapping[str, Any], dotted: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What a scenario function returns, under dotted settings."""
+    """The result of a scenario function, with dotted settings applied."""
     try:
         scenario = function(**parameters)
     except MastError as error:
@@ -106,11 +111,14 @@ def _called(
         raise ConfigurationError(f"{path}: scenario(...): {type(error).__name__}: {error}") from error
     if not isinstance(scenario, dict):
         raise ConfigurationError(f"{path}: scenario(...) returned {type(scenario).__name__}, expected a dict")
-    return _set(path, scenario, dotted)
+    return _with_settings(path, scenario, dotted)
 
 
-def _set(path: Path, scenario: Mapping[str, Any], dotted: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of a scenario under dotted settings: what is set in one dict of it must not change another."""
+def _with_settings(path: Path, scenario: Mapping[str, Any], dotted: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of a scenario with dotted settings applied.
+
+    Shared dicts are copied: a setting in one must not change another.
+    """
     result: dict[str, Any] = registry.own_copy(normalise_keys(scenario, str(path)))
     for key, value in dotted.items():
         set_dotted(result, key, value, str(path))

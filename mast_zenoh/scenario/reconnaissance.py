@@ -1,4 +1,4 @@
-"""What an attacker can know about a scene before a run: the `surroundings` of adversaries and coordinators."""
+"""Attackers' knowledge of a scene: `surroundings` of adversaries and coordinators."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ ROUTE_STEP_S = 0.5
 
 
 def surroundings_of(recording: Recording, victims: Iterable[str]) -> dict[str, Any]:
-    """The parameters of `attacks.Surroundings` for attackers of the agents `victims`: buildings, sensors and routes.
+    """The parameters of `attacks.Surroundings`: buildings, sensors and routes.
 
-    Buildings out of every sensor's range are left out.
+    victims: the attackers' agents. Buildings out of every sensor's range are left out.
     """
     times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
     stride = max(1, round(ROUTE_STEP_S * 1e9 / recording.period_ns))
@@ -53,7 +53,7 @@ def _route(recording: Recording, agent: int, times_s: Floats, rows: Ints) -> lis
 
 
 def _within_range(recording: Recording, rows: Ints) -> list[int]:
-    """Indices of buildings with a corner, or the middle of a wall, within the range of a sensor at any time."""
+    """Indices of buildings with a corner or wall centre ever in range of a sensor."""
     near: list[int] = []
     max_range_m = np.array([agent.sensor.max_range_m for agent in recording.agents])
     positions = recording.agent_position[rows, :, :2]

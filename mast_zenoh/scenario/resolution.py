@@ -1,4 +1,4 @@
-"""Resolves a scenario into everything that a run needs, checked before any process starts."""
+"""Resolves a scenario into all that a run needs, before any process starts."""
 
 from __future__ import annotations
 
@@ -34,8 +34,9 @@ def resolve(
     record: bool = False,
     **run: Any,
 ) -> Resolved:
-    """Resolve the scenario of a file; arguments that are not None override its `run` part.
+    """Resolve the scenario of a file.
 
+    Arguments that are not None override its `run` part.
     record: add a recorder, unless the scenario's `run.record` is False
 
     Raises ConfigurationError (scenario), WiringError (key-expression map), SceneError (scene data).
@@ -77,7 +78,7 @@ def resolve(
 
 
 def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
-    """The files that define what the scenario names: its own, and those of the classes that stand in it."""
+    """The scenario's own file, and the files of the classes in it."""
     files = [path] if path.suffix and loading.defines_algorithms(loading.module(path)) else []
     for cls in [name.cls for name in registry.type_names(scenario) if isinstance(name, registry.ClassName)]:
         file = loading.file_of_class(cls)
@@ -87,7 +88,7 @@ def _modules(path: Path, scenario: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:
-    """Whether the shipped simulator plays the scene: a user's may play other frames, at other times."""
+    """Whether the shipped simulator plays the scene; others may use other times."""
     shipped = (bundle.ROOT / "nodes" / "simulator.py").resolve()
     return all(Path(spec.file).resolve() == shipped for spec in nodes.values() if spec.role == DRIVER_ROLE)
 
@@ -101,7 +102,7 @@ def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:
 
 
 def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpec], rewrites: list[str]) -> Wiring:
-    """The wiring under the scenario's own rewrites, followed by those of `rewrites` that are not among them."""
+    """The wiring under the scenario's own rewrites, followed by others in `rewrites`."""
     options = {"map": "testbed.toml", "rewrites": [], **scenario.get("keyexpr", {})}
     for key in options:
         if key not in ("map", "rewrites"):
@@ -133,6 +134,6 @@ def _wiring(path: Path, scenario: Mapping[str, Any], nodes: Mapping[str, NodeSpe
 
 
 def _shipped_ports() -> dict[str, set[str]]:
-    """The ports of each role's shipped node: a user's node of that role may lack any of them."""
+    """Ports of the shipped nodes by role; a user's node may lack any of them."""
     shipped = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
     return {cls.role: {*cls.inputs, *cls.outputs} for cls in shipped}

@@ -29,7 +29,7 @@ def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
 
 
 def checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
-    """The scenario itself; raises ConfigurationError for an unknown key or a value that is not a dict."""
+    """Return a scenario; raises ConfigurationError for invalid keys or values."""
     for key, value in scenario.items():
         if key not in KEYS:
             raise ConfigurationError(f"{place}: {key}: unknown key{nearest(str(key), KEYS)}")

@@ -1,4 +1,4 @@
-"""What happens in a run and when: imperfect links, faults and their ends, attacks."""
+"""Resolves the events of a run over time: links, faults and attacks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
 from mast_zenoh.faults.base import DIRECTIONS, Rule
-from mast_zenoh.scenario.nodes import matching, node_spec
+from mast_zenoh.scenario.nodes import best_pattern, node_spec
 from mast_zenoh.scenes.recording import Recording
 
 #: The rewrite that puts every link between its agent and the network.
@@ -49,8 +49,9 @@ def timeline_of(
     seed: int,
     mode: str,
 ) -> Timeline:
-    """The timeline of a scenario over its first `frames` frames; `nodes` are all nodes except links.
+    """The timeline of a scenario over its first `frames` frames.
 
+    nodes: all nodes except links.
     Raises ConfigurationError.
     """
     roles = {name: spec.role for name, spec in nodes.items()}
@@ -117,7 +118,7 @@ def _profiles(
     rules: dict[str, dict[str, list[Rule]]] = {}
     matched_agents: dict[str, list[str]] = {pattern: [] for pattern in patterns}
     for agent in agents:
-        pattern = matching(patterns, agent)
+        pattern = best_pattern(patterns, agent)
         if pattern is not None:
             rules[agent] = _rules_of(patterns[pattern], f"{path}: links[{pattern!r}]", gateways)
             matched_agents[pattern].append(agent)
@@ -135,8 +136,9 @@ def _profiles(
 
 
 def _rules_of(spec: object, place: str, gateways: list[list[float]]) -> dict[str, list[Rule]]:
-    """The checked rules of one link, by direction: those of a profile, followed by its own.
+    """The checked rules of one link, by direction.
 
+    Those of a profile come first, then its own.
     gateways: (x, y, z) m, from which ranges of radio links are measured, where a rule does not name its own
     """
     spec = {"type": spec} if isinstance(spec, str) else spec
@@ -167,7 +169,10 @@ def _name_of(spec: object) -> str:
 
 
 def _gateways(recording: Recording) -> list[list[float]]:
-    """Positions where radio links reach the wired network, (x, y, z) m: every static agent, else the first agent."""
+    """Positions where radio links reach the wired network, (x, y, z) m.
+
+    They are those of all static agents, or else of the first agent.
+    """
     static = [i for i, agent in enumerate(recording.agents) if agent.kind == "static"] or [0]
     return [[float(value) for value in recording.agent_position[0, i]] for i in static]
 
@@ -186,7 +191,7 @@ def attack_starts(nodes: Mapping[str, NodeSpec]) -> dict[tuple[str, float], list
 
 
 def _attacks(nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
-    """The beginnings of attacks: one band for all adversaries that begin the same attack at the same time."""
+    """A band for all adversaries that begin the same attack at the same time."""
     return [_band(kind, "attack", at_s, names, "adversary") for (kind, at_s), names in attack_starts(nodes).items()]
 
 

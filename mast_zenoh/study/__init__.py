@@ -1,4 +1,6 @@
-"""Studies: many runs, compared. The package can be called: `mast_zenoh.study("case_study")` carries out a study.
+"""Studies: many runs, compared.
+
+The package can be called: `mast_zenoh.study("case_study")` carries out a study.
 
     interface   what calling the package does, and the object that it returns
     definition  study files: validation, and expansion of grids into configurations
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class _Study(ModuleType):
-    """This package as the function `mast_zenoh.study`: a package and a function of one name are one object."""
+    """This package, callable as `mast_zenoh.study`: module and function in one."""
 
     def __call__(self, study: str, **options: Any) -> FinishedStudy:
         from mast_zenoh.study.interface import carry_out

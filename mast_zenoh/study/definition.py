@@ -36,7 +36,7 @@ COLUMNS = {
     *("scenes", "seeds", "seeds_left_out"),
 }
 #: The key of the study file that replaces such a parameter.
-_SUGGESTIONS = {"scene": "; list scenes under `scenes`", "seed": "; say how many seeds under `trials`"}
+_SUGGESTIONS = {"scene": "; list scenes under `scenes`", "seed": "; set the number of seeds under `trials`"}
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Configuration:
 
     label:    unique: the run's label and the values of its grid: "uncoordinated-2"
     run:      label of the run in the study file
-    scenario: file, or name of one of ours
+    scenario: file, or name of a shipped scenario
     settings: KEY=VALUE, as for `mast run --set`
     point:    this configuration's values of the grid's parameters
     """
@@ -67,7 +67,7 @@ class StudyScene:
 
 @dataclass(frozen=True)
 class Study:
-    """A validated study file with its parameters set; trials: None if the file sets no number."""
+    """A validated study file with its parameters set; trials: None if not set."""
 
     path: Path
     name: str
@@ -82,23 +82,21 @@ class Study:
 
 
 def load(name: str, settings: Sequence[str] = ()) -> Study:
-    """The study of a file (or the name of one of ours) under `--set` settings of its parameters.
+    """Load a study from a file or by its name, with `--set` settings.
 
     Raises ConfigurationError, which names the file, the key, the value found and the value expected.
     """
     path, function = loading.function("studies", name, "study")
-    return _called(path, function, *split(settings, function, str(path)))
+    return _call(path, function, *split(settings, function, str(path)))
 
 
 def load_values(name: str, values: Mapping[str, Any], known: Iterable[str] = ()) -> Study:
-    """The same under parameters as Python values; known: further names to suggest where one is unknown."""
+    """Load a study with Python values; known: further names to suggest."""
     path, function = loading.function("studies", name, "study")
-    return _called(path, function, *from_values(values, function, str(path), known))
+    return _call(path, function, *from_values(values, function, str(path), known))
 
 
-def _called(
-    path: Path, function: Callable[..., Any], parameters: Mapping[str, Any], dotted: Mapping[str, Any]
-) -> Study:
+def _call(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any], dotted: Mapping[str, Any]) -> Study:
     """The study that a function returns."""
     if dotted:
         raise ConfigurationError(f"{path}: --set {next(iter(dotted))}: a study has no dotted settings")
@@ -188,7 +186,10 @@ def _expand(path: Path, label: Any, run: Any) -> list[Configuration]:
 
 
 def _scenes(path: Path, scenes: Sequence[Any]) -> tuple[StudyScene, ...]:
-    """The scenes with unique labels: their values, or keys and values where values alone are ambiguous."""
+    """The scenes, with unique labels.
+
+    Labels are the settings' values, or keys and values if the values alone are ambiguous.
+    """
     labelled = [_scene(path, index, content) for index, content in enumerate(scenes)]
     if len({scene.label for scene in labelled}) < len(labelled):
         labelled = [StudyScene(", ".join(scene.settings) or "default", scene.settings) for scene in labelled]

@@ -22,7 +22,7 @@ _PACKAGES = ("mast-zenoh", "numpy", "scipy", "filterpy", "msgpack")
 
 @cache
 def environment() -> dict[str, str]:
-    """Versions of Python, kernels and packages that affect results, and hashes of our code and files."""
+    """Versions of Python, kernels and packages, and hashes of our code and files."""
     versions = {"python": platform.python_version(), "kernels": kernels.USED} | {
         name: version(name) for name in _PACKAGES
     }
@@ -39,7 +39,7 @@ def scene_key(scene: scenes.Scene) -> str:
 
 @cache
 def files_key(paths: tuple[Path, ...]) -> str:
-    """A hash of the names, sizes and modification times of files, or of all files below folders."""
+    """A hash of files or folders: names, sizes and modification times of all files."""
     lines = []
     for path in paths:
         for file in [path] if path.is_file() else sorted(path.rglob("*")):
@@ -54,7 +54,7 @@ def input_files(scene: scenes.Scene) -> tuple[Path, ...]:
 
 
 def user_files(path: Path, loaded: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Python files in the scenario's folder, which it may import; none for shipped scenarios."""
+    """Python files in a user's scenario folder, which the scenario may import."""
     if path.parent == bundle.ROOT / "scenarios":
         return ()
     return tuple(sorted(path.parent.glob("*.py")))

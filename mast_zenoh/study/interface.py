@@ -1,4 +1,4 @@
-"""`mast_zenoh.study(…)`: a study carried out from Python, and its tables."""
+"""`mast_zenoh.study(…)`: carries out a study from Python."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from mast_zenoh.study import trials as many
 
 
 class FinishedStudy:
-    """A study that has ended.
+    """A finished study and its tables.
 
-    path:   of its folder
-    report: its page
-    runs:   the run of each configuration, by label, where each was carried out once; {} of many trials
+    path:   its folder
+    report: its HTML page
+    runs:   the run of each configuration by label, if each was run once; {} for many trials
     """
 
     def __init__(self, path: Path, report: Path, runs: Mapping[str, Run], text: str = "") -> None:
@@ -38,8 +38,8 @@ class FinishedStudy:
     def table(self) -> pyarrow.Table:
         """The estimates.
 
-        Of many trials a row per configuration and series, with intervals (table.csv, docs/studies.md); of a study that
-        ran each configuration once, the table of `mast_zenoh.compare`.
+        For many trials: a row per configuration and series, with intervals (table.csv, docs/studies.md). If each
+        configuration was run once: the table of `mast_zenoh.compare`.
         """
         if self.runs:
             return self.comparison.table
@@ -47,9 +47,9 @@ class FinishedStudy:
 
     @property
     def comparison(self) -> Comparison:
-        """The runs compared with the first of them: of a study whose configurations were carried out once."""
+        """The runs, compared with the first; for studies that run each configuration once."""
         if not self.runs:
-            raise ConfigurationError(f"{self.path}: of many trials no run is kept: expected a study without `trials`")
+            raise ConfigurationError(f"{self.path}: a study with trials keeps no runs: expected one without `trials`")
         baseline = ["baseline"] if "baseline" in self.runs else []
         labels = [*baseline, *(label for label in self.runs if label not in baseline)]
         return Comparison(tuple(self.runs[label] for label in labels))
@@ -66,7 +66,7 @@ class FinishedStudy:
 
     def _of_trials(self, name: str) -> pyarrow.Table:
         if not (self.path / name).is_file():
-            raise RunFolderError(f"{self.path / name}: missing; it is written where `trials` were asked for")
+            raise RunFolderError(f"{self.path / name}: missing: only a study with `trials` writes it")
         return read_arrow(self.path / name)
 
     def __str__(self) -> str:
@@ -96,22 +96,22 @@ def carry_out(
 ) -> FinishedStudy:
     """Carry out a study, and return its tables.
 
-    study:      name of one of ours (`mast.list("studies")`), or a file
-    parameters: of the study's function
-    trials:     seeds for each configuration and scene; None: as the study says, or else one run of each configuration
-    jobs:       trials at a time; None: as many as there are cores, if dask is installed
-    cluster:    address of a Dask scheduler, tcp://HOST:8786;  resume: go on with what is done in `out`
-    frames, seed, runtime, out, allow_failures: as of `mast_zenoh.run`
+    study:      name of a shipped study (`mast.list("studies")`), or a file
+    parameters: arguments of the study's function
+    trials:     seeds for each configuration and scene; None: the study's own number, or else one run per configuration
+    jobs:       trials at a time; None: the number of cores if dask is installed, else 1
+    cluster:    address of a Dask scheduler, tcp://HOST:8786;  resume: continue the unfinished study in `out`
+    frames, seed, runtime, out, allow_failures: as for `mast_zenoh.run`
 
-    A script that has more than one job needs `if __name__ == "__main__":`, as each worker imports it.
+    A script with more than one job needs `if __name__ == "__main__":`, as each worker imports it.
 
-    Raises ConfigurationError before anything starts. Raises TrialsFailed or HandlerFailed where trials or runs have
-    failed: what the others gave is kept in the folder that the error names.
+    Raises ConfigurationError before anything starts. Raises TrialsFailed or HandlerFailed if trials or runs have
+    failed; the results of the others are in the folder that the error names.
     """
     options = [name for name in inspect.signature(carry_out).parameters if name not in ("study", "parameters")]
     loaded = definition.load_values(str(study), parameters, options)
     if loaded.security:
-        raise ConfigurationError(f"{loaded.path}: a study of security runs by the command line: mast study {study}")
+        raise ConfigurationError(f"{loaded.path}: a security study runs from the command line only: mast study {study}")
     if runtime not in definition.RUNTIMES:
         raise ConfigurationError(f"runtime: found {runtime!r}, expected inproc or mesh")
     folder = None if out is None else Path(out)
@@ -123,15 +123,15 @@ def carry_out(
         _raise(compared, compared.out)
         return FinishedStudy(compared.out, page, {label: Run(path) for label, path in compared.folders.items()})
     jobs = jobs or execution.default_jobs()
-    ended = many.run(loaded, folder, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **chosen)
-    _raise(ended, ended.out)
-    return FinishedStudy(ended.out, ended.report, {}, as_text(study_table.as_rich(ended.rows, ended.facts)))
+    finished = many.run(loaded, folder, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **chosen)
+    _raise(finished, finished.out)
+    return FinishedStudy(finished.out, finished.report, {}, as_text(study_table.as_rich(finished.rows, finished.facts)))
 
 
-def _raise(ended: Any, folder: Path) -> None:
-    """Raise what runs or trials have failed by, with the folder that keeps the others."""
+def _raise(finished: Any, folder: Path) -> None:
+    """Raise the error of failed runs or trials, with the folder of the others."""
     try:
-        ended.raise_failures()
+        finished.raise_failures()
     except MastError as error:
-        error.add_note(f"What the others gave is in {folder}.")
+        error.add_note(f"The results of the others are in {folder}.")
         raise

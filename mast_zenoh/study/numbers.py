@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from mast_zenoh.metrics import CAUSES
 
 NAN = float("nan")
-#: The estimator of numbers that tell what an adversary achieved.
+#: The estimator of an adversary's achievements.
 ACHIEVED = "achieved"
-#: Prefix of the metrics that tell what an estimate would mean for driving.
+#: Prefix of metrics of an estimate's consequences for driving.
 DRIVING = "driving"
 #: s; a trial with a smaller minimum time to collision is critical: van der Horst (1990), see `braking.TimeToCollision`.
 CRITICAL_S = 1.5
@@ -22,14 +22,14 @@ SELECTIVE = frozenset(f"{DRIVING}.{_MIN_TTC}{suffix}" for suffix in ("", "_iob")
 class Number(NamedTuple):
     """One number of one run.
 
-    who:       the agent; of an achievement, the adversary, or "all" for all of them
+    owner:     the agent; of an achievement, the adversary, or "all" for all of them; the column `who`
     estimator: "local", "picture", "mission", …; ACHIEVED for achievements
     metric:    its name; names of nested blocks are joined by dots: "fn_split.attack", "driving.braking_s"
     std:       over frames, NaN for a metric of the whole run; frames: how many, 0 for such a metric
     binary:    whether it is a boolean, as 1 or 0
     """
 
-    who: str
+    owner: str
     estimator: str
     metric: str
     value: float
@@ -39,8 +39,9 @@ class Number(NamedTuple):
 
 
 def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
-    """The numbers below `agents`, `driving` and `achieved` of metrics.json, in file order.
+    """The numbers below `agents`, `driving` and `achieved` of metrics.json.
 
+    In file order.
     `null` becomes NaN, true and false become 1 and 0; other values are skipped. Every cause in `causes` gets a number
     of objects per frame, "fp inserted", even if it does not occur. "driving.critical" tells whether the minimum time
     to collision is below CRITICAL_S; every trial has it. These blocks hold no wall-clock times, so all numbers depend
@@ -62,18 +63,18 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
         yield from _flatten(adversary, ACHIEVED, (), content, frames)
 
 
-def _flatten(who: str, estimator: str, path: tuple[str, ...], content: Any, frames: int) -> Iterator[Number]:
+def _flatten(owner: str, estimator: str, path: tuple[str, ...], content: Any, frames: int) -> Iterator[Number]:
     if isinstance(content, Mapping) and content.keys() == {"mean", "std"}:
         mean, std = (NAN if content[name] is None else float(content[name]) for name in ("mean", "std"))
-        yield Number(who, estimator, ".".join(path), mean, std, frames)
+        yield Number(owner, estimator, ".".join(path), mean, std, frames)
     elif isinstance(content, Mapping) and path[-1:] == ("causes",):
         for outcome, counts in content.items():
             for cause in (*CAUSES, *(each for each in counts if each not in CAUSES)):
-                yield Number(who, estimator, f"{outcome} {cause}", counts.get(cause, 0) / max(frames, 1), NAN, frames)
+                yield Number(owner, estimator, f"{outcome} {cause}", counts.get(cause, 0) / max(frames, 1), NAN, frames)
     elif isinstance(content, Mapping):
         for name, part in content.items():
-            yield from _flatten(who, estimator, (*path, str(name)), part, frames)
+            yield from _flatten(owner, estimator, (*path, str(name)), part, frames)
     elif isinstance(content, bool):
-        yield Number(who, estimator, ".".join(path), float(content), binary=True)
+        yield Number(owner, estimator, ".".join(path), float(content), binary=True)
     elif content is None or isinstance(content, (int, float)):
-        yield Number(who, estimator, ".".join(path), NAN if content is None else float(content))
+        yield Number(owner, estimator, ".".join(path), NAN if content is None else float(content))

@@ -34,8 +34,9 @@ def _as_text(values: dict[str, Any]) -> dict[str, Value]:
 
 
 class ParameterColumns:
-    """Inserts a column per parameter after a table's first column; null where it does not apply.
+    """Inserts a column per parameter after a table's first column.
 
+    Values are null where a parameter does not apply.
     A parameter with the name of one of the table's columns (user-defined metrics add columns) becomes `grid.<name>`.
     """
 

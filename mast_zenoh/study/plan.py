@@ -51,7 +51,7 @@ def trials(study: Study, *, count: int, seed: int, frames: int | None, runtime: 
 
 
 def _idle_period(resolved: Resolved) -> tuple[float, float] | None:
-    """Start of the first attack and end of the run, s, if the run ends before any attack.
+    """(start of first attack, end of run), s, if the run ends before any attack.
 
     None if an attack starts in time, if there is none, or if an adversary's start is not known.
     """

@@ -15,7 +15,7 @@ _DIFFERENCES = ("_iob", "_ioe")
 
 
 def value_range(series: Series) -> tuple[float, float]:
-    """Smallest and largest possible value of a series; infinite where unbounded or unknown.
+    """(smallest, largest) possible value of a series; infinite where unknown.
 
     Counts, lengths and times are at least 0, shares are 0 to 1, differences can have either sign.
     """

@@ -51,30 +51,30 @@ def _increments_over_baseline(
 
     Means over frames are subtracted frame by frame, over the scored frames in which both runs have a value.
     """
-    who = ego(outcome.metrics.get("agents", {}))
+    agent = ego(outcome.metrics.get("agents", {}))
     baseline_values = {
-        (each.estimator, each.metric): each.value for each in numbers(baseline.metrics) if each.who == who
+        (each.estimator, each.metric): each.value for each in numbers(baseline.metrics) if each.owner == agent
     }
-    tables = [_rows_by_estimator(_scored_rows(each), who) for each in (baseline, outcome)]
+    tables = [_rows_by_estimator(_scored_rows(each), agent) for each in (baseline, outcome)]
     for number in attacked_numbers:
-        if number.who != who or (number.estimator, number.metric) not in baseline_values:
+        if number.owner != agent or (number.estimator, number.metric) not in baseline_values:
             continue
         name = f"{number.metric}_iob"
         series = [table.get(number.estimator, {}) for table in tables] if number.frames else [{}]
         if all(number.metric in each for each in series):
             differences = _frame_by_frame(series[0], series[1], number.metric)
             mean, std = (differences.mean(), differences.std()) if len(differences) else (NAN, NAN)
-            yield Number(who, number.estimator, name, float(mean), float(std), len(differences))
+            yield Number(agent, number.estimator, name, float(mean), float(std), len(differences))
         else:
-            yield Number(who, number.estimator, name, number.value - baseline_values[number.estimator, number.metric])
+            yield Number(agent, number.estimator, name, number.value - baseline_values[number.estimator, number.metric])
 
 
 def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
-    """The paper's other increments: over the ego alone (IoE), and of the compromised agents."""
-    who = ego(outcome.metrics["agents"])
-    summary = increments(_scored_rows(baseline), _scored_rows(outcome), agent=who, compromised=outcome.compromised)
+    """Increments over the ego alone (IoE), and those of the compromised agents."""
+    agent = ego(outcome.metrics["agents"])
+    summary = increments(_scored_rows(baseline), _scored_rows(outcome), agent=agent, compromised=outcome.compromised)
     n = summary["frames"]
-    rows = [(who, "picture", f"{name}_ioe", summary[name]["ioe"], n) for name in ("fn", "fp", "tp")]
+    rows = [(agent, "picture", f"{name}_ioe", summary[name]["ioe"], n) for name in ("fn", "fp", "tp")]
     pooled_frames = n * len(outcome.compromised)
     rows += [(COMPROMISED, "local", f"{name}_iob", summary[name], pooled_frames) for name in ("cafn", "cafp")]
     for agent, estimator, metric, content, frames in rows:
@@ -101,7 +101,7 @@ def _rows_by_estimator(table: Table, agent: str) -> dict[str, Table]:
 
 
 def _frame_by_frame(before: Table, after: Table, metric: str) -> Any:
-    """(n,) differences `after` minus `before`, in the frames in which both have a value."""
+    """(n,) differences `after` minus `before` in the frames where both have a value."""
     _, after_rows, before_rows = np.intersect1d(after["frame"], before["frame"], return_indices=True)
     differences = after[metric][after_rows].astype(np.float64) - before[metric][before_rows]
     return differences[~np.isnan(differences)]

@@ -26,7 +26,7 @@ _UPPER = 0.5 + CONFIDENCE / 2.0
 
 
 class Moments(NamedTuple):
-    """Number, mean and population standard deviation of the values of one trial's frames."""
+    """Number, mean and population standard deviation over the frames of one trial."""
 
     n: int
     mean: float
@@ -34,14 +34,14 @@ class Moments(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """Lower and upper bound, arrays of the shape of the leading axes; NaN where there is no interval."""
+    """Lower and upper bounds: arrays of the leading axes' shape; NaN: no interval."""
 
     low: Floats
     high: Floats
 
 
 def pooled(parts: Sequence[Moments]) -> tuple[float, float]:
-    """Mean and standard deviation of all frames of all trials together; NaN without any."""
+    """Mean and standard deviation of the frames of all trials; NaN without any."""
     n = np.array([part.n for part in parts], np.float64)
     if n.sum() == 0.0:
         return float("nan"), float("nan")
@@ -51,8 +51,9 @@ def pooled(parts: Sequence[Moments]) -> tuple[float, float]:
 
 
 def over_seeds(values: Floats) -> Interval:
-    """Interval of the mean over other seeds of these same scenes: Student's t over the seeds' averages.
+    """Interval of the mean over other seeds of these scenes: Student's t.
 
+    Computed from the averages of the seeds.
     Exact for normal averages, for any correlation between the scenes of one seed. NaN for fewer than MIN_CLUSTERS
     seeds, and where all averages are equal: without spread, nothing is known about the next seed.
     """
@@ -61,7 +62,7 @@ def over_seeds(values: Floats) -> Interval:
 
 
 def equals_zero(values: Floats) -> Floats:
-    """Two-sided p-value of a zero mean over seeds, by the t statistic of `over_seeds`; NaN without one."""
+    """Two-sided p-value of a zero mean over seeds (t statistic); NaN: not defined."""
     mean, error = _seed_means(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         p: Floats = 2.0 * stdtr(values.shape[-1] - 1.0, -np.abs(mean / error))
@@ -69,7 +70,9 @@ def equals_zero(values: Floats) -> Floats:
 
 
 def over_scenes(values: Floats) -> Interval:
-    """Interval of the mean over other random scenes and seeds; needs MIN_CLUSTERS of each.
+    """Interval of the mean over other random scenes and seeds.
+
+    Needs MIN_CLUSTERS of each.
 
     Two-way analysis of variance with mean squares A between scenes, B between seeds and C of the residuals:
     the variance of the mean is estimated by (A + max(B - C, 0)) / (scenes * seeds), its degrees of freedom by
@@ -96,7 +99,9 @@ def over_scenes(values: Floats) -> Interval:
 
 
 def of_rate(successes: Floats) -> Interval:
-    """Interval of a success rate over other seeds of these same scenes, of trials that are 0 or 1.
+    """Interval of a success rate over other seeds of these scenes.
+
+    Values of trials are 0 or 1.
 
     Clopper and Pearson's (1934, Biometrika 26:404) for the effective number of trials of Korn and Graubard (1998,
     Survey Methodology 24:193): the number of independent trials whose rate would vary as much as the seeds' averages
@@ -122,7 +127,7 @@ def of_rate(successes: Floats) -> Interval:
 
 
 def _seed_means(values: Floats) -> tuple[Floats, Floats]:
-    """Mean of the seeds' averages and its standard error; NaN for too few seeds and for equal averages."""
+    """Mean of the seeds' averages, and its standard error; NaN if not estimable."""
     averages = values.mean(axis=-2)
     seeds, mean = averages.shape[-1], averages.mean(axis=-1)
     if seeds < MIN_CLUSTERS:

@@ -20,7 +20,7 @@ _METADATA = b"mast-zenoh"
 
 
 class Store:
-    """The folder of one study: `study.json`, `trials/<digest>.parquet`, and later the tables."""
+    """The folder of a study: `study.json`, `trials/<digest>.parquet` and the tables."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -37,7 +37,7 @@ class Store:
             for subfolder in ("logs", "figures"):
                 (folder / subfolder).rmdir()
         elif out is None:
-            raise RunFolderError("--resume: expected --out too, the folder of the study to go on with")
+            raise RunFolderError("--resume: expected also --out, the folder of the study to continue")
         elif not out.exists() or not any(out.iterdir()):
             return cls.create(out, study, resume=False)
         else:
@@ -96,7 +96,7 @@ class Store:
         write_parquet(self._path(trial), table)
 
     def load(self, trial: Trial) -> Outcome | None:
-        """The stored outcome of a trial; None if absent, broken, or with failures not allowed."""
+        """The stored outcome of a trial; None if absent, broken or with failures."""
         try:
             table = read_arrow(self._path(trial))
             metadata = json.loads(table.schema.metadata[_METADATA])

@@ -18,7 +18,7 @@ from mast_zenoh.study.trial import Outcome
 
 
 class Samples:
-    """The numbers that a study reports: of the ego, of the compromised agents, and of achievements."""
+    """The reported numbers: of the ego, compromised agents and achievements."""
 
     def __init__(self, study: Study, seeds: Sequence[int]) -> None:
         """seeds: the planned seeds of every configuration and scene."""
@@ -38,7 +38,7 @@ class Samples:
         for number in trial_numbers:
             if number.metric in SELECTIVE:
                 continue
-            if number.who in (agent, COMPROMISED) or number.estimator == ACHIEVED:
+            if number.owner in (agent, COMPROMISED) or number.estimator == ACHIEVED:
                 series = Series(*number[:3])
                 if series not in cells:
                     cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)
@@ -64,7 +64,9 @@ class Samples:
 
 
 def _estimate(series: Series, values: Floats, stds: Floats, frames: Floats, *, rate: bool) -> Estimate:
-    """The estimate of a series from arrays (scenes, seeds), NaN where a trial has no value.
+    """The estimate of a series from arrays (scenes, seeds).
+
+    NaN where a trial has no value.
 
     Statistics over frames use all trials. Statistics over trials use the seeds that have a value in every scene with
     any value. Bounds are clipped to the possible range of the metric.

@@ -11,8 +11,9 @@ from pyarrow import parquet
 
 
 class TableFile:
-    """A Parquet file written in pieces: complete when the block ends, absent if the block raises.
+    """A Parquet file written in pieces.
 
+    It is complete when the block ends, and absent if the block raises.
     Pieces are buffered up to one row group, so memory use does not grow with the table.
     """
 

@@ -90,8 +90,9 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
 def _write_parquet(
     study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int]
 ) -> tuple[Counter[str], list[StudyRow]]:
-    """Write results.parquet and frames.parquet; returns finished trials by configuration, and table rows.
+    """Write results.parquet and frames.parquet.
 
+    Returns the numbers of finished trials by configuration, and the table rows.
     Only the trials of one scene and seed are in memory at a time.
     """
     trial_schema = to_arrow(results.columns(trials[0], [])).schema

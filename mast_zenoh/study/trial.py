@@ -23,7 +23,9 @@ from mast_zenoh.study import identity
 
 @dataclass(frozen=True)
 class Trial:
-    """One run of a study. Trials with equal digests (`identity.digest`) have equal outcomes.
+    """One run of a study.
+
+    Trials with equal digests (`identity.digest`) have equal outcomes.
 
     configuration, scene: labels in the study
     scenario, settings:   as for `mast run SCENARIO --set …`
@@ -57,8 +59,9 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a trial; error: why it failed, or ""; warning: handler failures that were allowed.
+    """The outcome of a trial.
 
+    error: why it failed, or ""; warning: handler failures that were allowed
     metrics:     content of metrics.json
     per_frame:   the columns of metrics.parquet
     compromised: agents with adversaries on their wires

@@ -51,16 +51,16 @@ def run(
     pending = [trial for trial in trials if not resume or store.load(trial) is None]
     if len(pending) < len(trials):
         console.print(f"{len(trials) - len(pending)} of {len(trials)} trials are done already", highlight=False)
-    hint = f"what is done is kept: go on with the same command and --out {store.folder} --resume"
+    hint = f"finished trials are kept: to continue, repeat the command with --out {store.folder} --resume"
     with ending.status_written(lambda status: store.write_status(study, trials, failures, status)):
         try:
             _run_trials(store, pending, failures, jobs, cluster, console)
-            ended = tables.write(study, store, trials, failures)
+            finished = tables.write(study, store, trials, failures)
         except (KeyboardInterrupt, OSError) as caught:
             raise ending.with_hint(caught, hint) from None
     if failures:
         store.write_status(study, trials, failures, "failed")
-    return ended
+    return finished
 
 
 def _run_trials(

@@ -1,4 +1,6 @@
-"""Checks for classes that users write: each raises AssertionError that says what does not hold (docs/extending.md).
+"""Checks for user-written classes (docs/extending.md).
+
+A failed check raises AssertionError, which says what is wrong.
 
 samples     objects, detections and estimates of any number
 comparison  equal values, unchanged inputs

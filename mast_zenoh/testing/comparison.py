@@ -1,4 +1,4 @@
-"""Compares what a class returns, and finds inputs that it has changed."""
+"""Compares results of a class, and detects changed inputs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 
 def expect(holds: object, text: str) -> None:
-    """Raises AssertionError with this text unless something holds."""
+    """Raise AssertionError with this text unless a condition holds."""
     if not holds:
         raise AssertionError(text)
 
@@ -30,24 +30,26 @@ def arrays_of(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 @contextmanager
-def unchanged(who: str, **inputs: Any) -> Iterator[None]:
-    """Raises AssertionError if an array of the inputs is changed meanwhile."""
+def unchanged(subject: str, **inputs: Any) -> Iterator[None]:
+    """Raise AssertionError if an input array has changed at the end of the block."""
     before = copy.deepcopy(inputs)
     yield
     for name, value in inputs.items():
         for (path, old), (_, new) in zip(arrays_of(before[name], name), arrays_of(value, name), strict=True):
             same = old.shape == new.shape and np.array_equal(old, new, equal_nan=old.dtype.kind == "f")
-            expect(same, f"{who}: changed its input {path}, expected that inputs are left as they are")
+            expect(same, f"{subject}: changed its input {path}, expected unchanged inputs")
 
 
 def expect_same(first: Any, second: Any, text: str) -> None:
-    """Raises AssertionError with this text unless all arrays of two values are equal, bit by bit."""
+    """Raise AssertionError with this text unless all arrays are equal, bit by bit."""
     for (path, a), (_, b) in zip(arrays_of(first, "result"), arrays_of(second, "result"), strict=True):
         expect(a.shape == b.shape, f"{text}: {path} has the shape {b.shape}, before {a.shape}")
         expect(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"), f"{text}: {path} differs")
 
 
-def expect_finite(value: Any, who: str) -> None:
-    """Raises AssertionError unless all numbers are finite."""
+def expect_finite(value: Any, subject: str) -> None:
+    """Raise AssertionError unless all numbers are finite."""
     for path, array in arrays_of(value, "result"):
-        expect(array.dtype.kind != "f" or np.isfinite(array).all(), f"{who}: {path} has numbers that are not finite")
+        expect(
+            array.dtype.kind != "f" or np.isfinite(array).all(), f"{subject}: {path} has numbers that are not finite"
+        )

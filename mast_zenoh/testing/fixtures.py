@@ -15,7 +15,10 @@ from mast_zenoh.api.runs import Run
 
 @pytest.fixture
 def play(tmp_path: Path) -> Callable[..., Run]:
-    """Runs a scenario in this process, into a folder of the test, 20 frames unless told otherwise: `mast_zenoh.run`."""
+    """A function that runs a scenario in this process: `mast_zenoh.run`.
+
+    Into a folder of the test; 20 frames by default.
+    """
     runs: list[Run] = []
 
     def played(scenario: Scenario, **options: Any) -> Run:

@@ -14,11 +14,13 @@ _PER_BOX = [field.name for field in fields(Estimate)][fields(Estimate).index(Est
 
 
 def check_metric(metric: Metric) -> None:
-    """Check that a metric has a value for zero, one and a thousand boxes, whatever their order.
+    """Check that a metric has a value for zero, one and 1000 boxes, in any order.
 
     Raises AssertionError.
     """
-    expect(metric.label.isidentifier(), f"{type(metric).__name__}: is called {metric.label!r}, expected a plain name")
+    expect(
+        metric.label.isidentifier(), f"{type(metric).__name__}: found the label {metric.label!r}, expected a plain name"
+    )
     for n in samples.COUNTS:
         for frames in (1, 20):
             _check_value(
@@ -26,18 +28,18 @@ def check_metric(metric: Metric) -> None:
             )
 
 
-def _check_value(metric: Metric, who: str, estimate: Estimate) -> None:
+def _check_value(metric: Metric, subject: str, estimate: Estimate) -> None:
     try:
-        with unchanged(who, estimate=estimate):
+        with unchanged(subject, estimate=estimate):
             value = metric.value(estimate)
     except Exception as error:
-        raise AssertionError(f"{who}: {type(error).__name__}: {error}") from error
+        raise AssertionError(f"{subject}: {type(error).__name__}: {error}") from error
     if isinstance(metric, FrameMetric):
         shape = np.asarray(value).shape
-        expect(shape == estimate.frames.shape, f"{who}: found the shape {shape}, expected {estimate.frames.shape}")
+        expect(shape == estimate.frames.shape, f"{subject}: found the shape {shape}, expected {estimate.frames.shape}")
     order = np.random.default_rng(0).permutation(len(estimate.frame))
     shuffled = metric.value(replace(estimate, **{name: getattr(estimate, name)[order] for name in _PER_BOX}))
     same = value is shuffled or np.allclose(
         np.asarray(value, np.float64), np.asarray(shuffled, np.float64), rtol=1e-9, equal_nan=True
     )
-    expect(same, f"{who}: depends on the order of the boxes")
+    expect(same, f"{subject}: depends on the order of the boxes")

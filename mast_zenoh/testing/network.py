@@ -17,61 +17,66 @@ from mast_zenoh.testing.comparison import expect
 
 
 def check_link_rule(rule: Rule) -> None:
-    """Check that a rule of links keeps to what `Rule` says, with zero, one and a thousand messages.
+    """Check a link rule with zero, one and a thousand messages.
 
-    rule: as newly made; it is copied, and not changed
+    It must fulfil what the documentation of `Rule` promises.
+
+    rule: a new instance; it is copied, and not changed
     Raises AssertionError.
     """
-    who = type(rule).__name__
+    subject = type(rule).__name__
     fate = getattr(rule, "fate", None)
-    expect(fate in FATES, f"{who}.fate: found {fate!r}, expected one of {', '.join(FATES)}")
+    expect(fate in FATES, f"{subject}.fate: found {fate!r}, expected one of {', '.join(FATES)}")
     for n in samples.COUNTS:
-        expect(_passed(rule, n) == _passed(rule, n), f"{who}: two rules of the same draws do different things")
+        expect(_passed(rule, n) == _passed(rule, n), f"{subject}: two rules of the same draws do different things")
 
 
 def _passed(rule: Rule, n: int) -> list[tuple[Passage, ...]]:
-    """What becomes of n messages."""
-    who = type(rule).__name__
+    """The passages of n messages through a rule."""
+    subject = type(rule).__name__
     rule, random = copy.deepcopy(rule), np.random.default_rng(n)
     rows = rule.sample(random, n)
-    expect(len(rows) == n, f"{who}.sample: found {len(rows)} rows of draws for {n} messages")
+    expect(len(rows) == n, f"{subject}.sample: found {len(rows)} rows of draws for {n} messages")
     results = []
     for index, row in enumerate(rows.tolist()):
         now = index * samples.PERIOD_NS
         position = np.zeros(3) if rule.needs_position else None
         message = Passage(now, now, size=1000 if rule.needs_size else 0, position=position, referenced=rule.needs_frame)
         copies = rule.apply(message, row) if rule.active(now) else (message,)
-        expect(isinstance(copies, tuple), f"{who}.apply: found {type(copies).__name__}, expected a tuple of passages")
+        expect(
+            isinstance(copies, tuple), f"{subject}.apply: found {type(copies).__name__}, expected a tuple of passages"
+        )
         for passage in copies:
-            expect(isinstance(passage, Passage), f"{who}.apply: found {type(passage).__name__}, expected a Passage")
-            expect(passage.delay_ns >= message.delay_ns, f"{who}.apply: a message leaves before it has come")
+            expect(isinstance(passage, Passage), f"{subject}.apply: found {type(passage).__name__}, expected a Passage")
+            expect(passage.delay_ns >= message.delay_ns, f"{subject}.apply: a message leaves before it arrives")
             again = rule.sample_copy(row, random)
-            expect(len(again) == len(row), f"{who}.sample_copy: found {len(again)} draws, expected {len(row)}")
+            expect(len(again) == len(row), f"{subject}.sample_copy: found {len(again)} draws, expected {len(row)}")
         results.append(tuple(passage._replace(position=None) for passage in copies))
     return results
 
 
 def check_fault(fault: Fault) -> None:
-    """Check that a fault acts on messages or on processes, by rules and actions that there are.
+    """Check that a fault acts on messages or processes, with valid rules and actions.
 
     Raises AssertionError.
     """
-    who = type(fault).__name__
+    subject = type(fault).__name__
     expect(
-        fault.over is None or fault.over >= fault.at, f"{who}.over: found {fault.over}, expected {fault.at} or later"
+        fault.over is None or fault.over >= fault.at,
+        f"{subject}.over: found {fault.over}, expected {fault.at} or later",
     )
     events = fault.events()
     for lockstep in (True, False):
         rules = fault.rules(lockstep)
-        expect(rules or events, f"{who}: has neither rules nor events, so nothing happens")
-        expect(rules == fault.rules(lockstep), f"{who}.rules: differ from call to call")
+        expect(rules or events, f"{subject}: has neither rules nor events, so nothing happens")
+        expect(rules == fault.rules(lockstep), f"{subject}.rules: differ from call to call")
         for index, rule in enumerate(rules):
             try:
-                registry.build({**rule, "at": fault.at, "until": fault.over}, Rule, f"{who}.rules[{index}]")
+                registry.build({**rule, "at": fault.at, "until": fault.over}, Rule, f"{subject}.rules[{index}]")
             except ConfigurationError as error:
                 raise AssertionError(str(error)) from error
     for time_s, action in events:
-        expect(action in ACTIONS, f"{who}.events: found {action!r}, expected one of {', '.join(ACTIONS)}")
-        expect(time_s >= fault.at, f"{who}.events: {action} at {time_s} s, expected {fault.at} s or later")
+        expect(action in ACTIONS, f"{subject}.events: found {action!r}, expected one of {', '.join(ACTIONS)}")
+        expect(time_s >= fault.at, f"{subject}.events: {action} at {time_s} s, expected {fault.at} s or later")
     ascending = all(first[0] <= second[0] for first, second in pairwise(events))
-    expect(ascending, f"{who}.events: are not in the order of their times")
+    expect(ascending, f"{subject}.events: are not in the order of their times")

@@ -1,4 +1,4 @@
-"""Objects, detections and estimates to check classes with: any number of them, always the same."""
+"""Reproducible objects, detections and estimates of any number, for checks."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from mast_zenoh.arrays.states import CLASS_INDEX, Detections, Floats, ObjectStat
 from mast_zenoh.metrics.causes import CAUSES
 from mast_zenoh.metrics.user_metrics import Estimate
 
-#: How many objects a class must cope with.
+#: Numbers of objects that a class must handle.
 COUNTS = (0, 1, 1000)
 PERIOD_NS = 100_000_000
 
 
 def positions(n: int, frame: int, seed: int = 0) -> tuple[Floats, Floats]:
-    """(n, 3) m and (n, 3) m/s: objects on a grid of 12 m, each with a constant velocity, in a frame."""
+    """(n, 3) m and (n, 3) m/s: objects of constant velocity on a grid, in a frame."""
     random = np.random.default_rng(seed)
     grid = np.stack(np.divmod(np.arange(n), 40), axis=1) * 12.0 - 20.0
     velocity = np.column_stack([random.uniform(-8.0, 8.0, (n, 2)), np.zeros(n)])
@@ -23,7 +23,7 @@ def positions(n: int, frame: int, seed: int = 0) -> tuple[Floats, Floats]:
 
 
 def states(n: int, frame: int = 0, *, noise_m: float = 0.1, source: int = 0) -> ObjectStates:
-    """n cars in a frame, as one source reports them; ids from 0, in an order of its own."""
+    """n cars in a frame, as one source reports them, with ids from 0."""
     random = np.random.default_rng([n, frame, source])
     position, velocity = positions(n, frame)
     variance = [0.04] * 3 + [0.02] * 3 + [0.5] * 3
@@ -41,9 +41,14 @@ def states(n: int, frame: int = 0, *, noise_m: float = 0.1, source: int = 0) -> 
 
 def detections(n: int, frame: int = 0) -> Detections:
     """n detections of cars in the world frame, in a frame."""
-    found = states(n, frame, noise_m=0.2)
+    objects = states(n, frame, noise_m=0.2)
     return Detections(
-        found.position, found.size, found.yaw, found.score, found.class_id, found.covariance[:, :3, :3].copy()
+        objects.position,
+        objects.size,
+        objects.yaw,
+        objects.score,
+        objects.class_id,
+        objects.covariance[:, :3, :3].copy(),
     )
 
 

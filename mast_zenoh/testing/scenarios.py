@@ -27,10 +27,9 @@ _ORDERS = 3  #: random orders of delivery
 
 
 def check_node(node: type[Node]) -> None:
-    """Check that the class of a node has a role, a handler for each input, and ports of known message types.
+    """Check a node class: its role, a handler per input, and known message types.
 
     `check_scenario` checks what it does.
-    Raises AssertionError.
     """
     expect(node.role, f"{node.__name__}.role: found nothing, expected the name of a role")
     for ports in ("inputs", "outputs"):
@@ -46,15 +45,15 @@ def check_node(node: type[Node]) -> None:
 def check_scenario(
     scenario: Scenario, *, frames: int = 20, seed: int = 0, mesh: bool = False, **parameters: Any
 ) -> None:
-    """Check that a scenario gives the same messages and results in every order of delivery and in every place.
+    """Check that neither the order of delivery nor the runtime affects a scenario.
 
-    scenario, parameters: as `mast_zenoh.run` takes them
-    frames, seed:         how much is played, and the seed of all random draws
-    mesh:                 play it with a process for each node as well, which takes some seconds
+    scenario, parameters: as for `mast_zenoh.run`
+    frames, seed:         number of frames, and the seed of all random draws
+    mesh:                 also run it with a process for each node, which takes some seconds
 
-    It is played with messages shared between its nodes, with copies, and in random orders of delivery. A node that
-    changes its inputs, or depends on the order of messages, is found if it changes any message or result.
-    Raises AssertionError; MastError for a scenario that cannot be played.
+    Messages and results must be equal whether nodes share messages or get copies, and for random orders of delivery.
+    This detects nodes that change their inputs or depend on the order of messages.
+    Raises AssertionError; MastError for a scenario that cannot run.
     """
     path, content = scenarios.load_values(scenario, parameters)
     resolved = scenarios.resolve(path, content, frames=frames, seed=seed, mode="lockstep")
@@ -98,5 +97,5 @@ def _check_mesh(resolved: Resolved) -> None:
         for run in (here, there):
             if run.error is not None:
                 raise run.error
-        found = compare(here.folder, there.folder, taps=True)
-        expect(found.first is None, "the mesh differs from one process:\n" + "\n".join(explain(found)))
+        difference = compare(here.folder, there.folder, taps=True)
+        expect(difference.first is None, "the mesh differs from one process:\n" + "\n".join(explain(difference)))

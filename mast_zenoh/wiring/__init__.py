@@ -1,1 +1,1 @@
-"""Publishers and subscribers of every key: maps, rewrites, and the resulting model. Pure functions."""
+"""Key-expression maps, rewrites, and publishers and subscribers of every key."""

@@ -1,4 +1,4 @@
-"""The nodes and ports that an entry of a key-expression map refers to. Pure functions."""
+"""Finds the nodes and ports that entries of a key-expression map refer to."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ ROLES = (
 
 @dataclass(frozen=True, slots=True)
 class NodeOptions:
-    """What the wiring depends on in a node: its role, its ports, and the options that bind it to a wire."""
+    """The properties of a node that the wiring depends on.
+
+    options: those that bind it to a wire; inputs, outputs: message type by port
+    """
 
     role: str
     options: Mapping[str, str]
@@ -34,7 +37,9 @@ def members(
     subject: str = "",
     node: str | None = None,
 ) -> dict[str, NodeOptions]:
-    """The nodes of a role that belong to one subject of a placeholder; without a placeholder, all of them.
+    """The nodes of a role that belong to one subject of a placeholder.
+
+    Without a placeholder, all nodes of the role.
 
     A node belongs to a subject if it is the subject, or if its option with the placeholder's name names it. If no node
     of the role has that option, all of them belong to every subject.

@@ -1,4 +1,6 @@
-"""Inserts a node into a resolved wiring, or removes one, to rewire a running mesh. Pure functions.
+"""Inserts nodes into a resolved wiring, or removes them, to rewire a running mesh.
+
+Pure functions.
 
 Inserting works as in a key-expression map: the publisher of the wire's key gets a tap key, to which only the new node
 subscribes, and the new node publishes the wire's key. Subscribers keep theirs. The new node comes at the end of the
@@ -22,15 +24,15 @@ class Place:
     """Where a node is inserted into a running mesh.
 
     wire:  key of the wire that it interposes;  input, output: its ports on that wire
-    hears: its other inputs, port by key of the wire
-    says:  wires that it publishes, each with one leg
+    other_inputs:    its other inputs, port by key of the wire
+    published_wires: wires that it publishes, each with one leg
     """
 
     wire: str
     input: str
     output: str
-    hears: Mapping[str, str] = field(default_factory=dict)
-    says: tuple[Wire, ...] = ()
+    other_inputs: Mapping[str, str] = field(default_factory=dict)
+    published_wires: tuple[Wire, ...] = ()
 
 
 def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
@@ -42,7 +44,7 @@ def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
     if not _NAME.fullmatch(node):
         raise WiringError(f"node {node!r}: a node's name is one chunk of a key expression: letters, digits, _ . -")
     wires = {wire.key: wire for wire in wiring.wires}
-    for key in (place.wire, *place.hears):
+    for key in (place.wire, *place.other_inputs):
         if key not in wires:
             raise WiringError(f"no wire {key!r}{nearest(key, wires)}")
     target = wires[place.wire]
@@ -56,11 +58,11 @@ def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
     into = Leg(tap, last.publisher, (Endpoint(node, place.input),))
     out = replace(last, publisher=Endpoint(node, place.output))
     wires[target.key] = replace(target, legs=(*before, into, out))
-    for key, port in place.hears.items():
+    for key, port in place.other_inputs.items():
         *before, last = wires[key].legs
         extended = replace(last, subscribers=(*last.subscribers, Endpoint(node, port)))
         wires[key] = replace(wires[key], legs=(*before, extended))
-    for wire in place.says:
+    for wire in place.published_wires:
         if wire.key in wires:
             raise WiringError(f"the key {wire.key!r} already has a publisher")
         wires[wire.key] = wire
@@ -68,7 +70,9 @@ def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
 
 
 def remove(wiring: Wiring, node: str) -> Wiring:
-    """The wiring without `node`: the publisher before it publishes on the key that it used.
+    """The wiring without `node`.
+
+    The publisher before the node then publishes on the key that the node used.
 
     Raises WiringError for a node on no wire, for one before a single subscriber, and if a listener at the source
     would need another key.
@@ -76,14 +80,14 @@ def remove(wiring: Wiring, node: str) -> Wiring:
     interposers_of = {wire.key: wire.interposers for wire in wiring.wires if wire.interposers}
     if not any(node in interposers for interposers in interposers_of.values()):
         known = {name for interposers in interposers_of.values() for name in interposers}
-        raise WiringError(f"no node {node!r} sits on a wire{nearest(node, known) if known else ''}")
+        raise WiringError(f"no node {node!r} is on a wire{nearest(node, known) if known else ''}")
     return replace(
         wiring, wires=tuple(_without(wire, node) for wire in wiring.wires if wire.legs[0].publisher.node != node)
     )
 
 
 def never_inserted(wiring: Wiring, nodes: Collection[str]) -> Wiring:
-    """The wiring as it would be without some nodes, be they interposers, publishers or listeners."""
+    """The wiring without some nodes: interposers, publishers or listeners."""
     return Wiring(
         tuple(_without_all(wire, nodes) for wire in wiring.wires if wire.legs[0].publisher.node not in nodes),
         tuple(end for end in wiring.overhearers if end.node not in nodes),
@@ -91,7 +95,7 @@ def never_inserted(wiring: Wiring, nodes: Collection[str]) -> Wiring:
 
 
 def interposer_of(wiring: Wiring, wire: str) -> str:
-    """The only interposer of a wire; raises WiringError if there is none, or more than one."""
+    """The only interposer of a wire; raises WiringError unless there is exactly one."""
     wires = {known.key: known for known in wiring.wires}
     if wire not in wires:
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
@@ -103,7 +107,7 @@ def interposer_of(wiring: Wiring, wire: str) -> str:
 
 
 def taps_into(wiring: Wiring, nodes: Collection[str]) -> dict[str, str]:
-    """The keys on which these nodes receive the messages that they forward, each with the node."""
+    """The keys on which these nodes receive messages to forward; values: nodes."""
     return {
         leg.key: end.node
         for wire in wiring.wires
@@ -116,7 +120,7 @@ def taps_into(wiring: Wiring, nodes: Collection[str]) -> dict[str, str]:
 def parties(wire: Wire) -> set[str]:
     """The nodes that publish or subscribe to any leg of a wire."""
     legs = wire.every_leg
-    return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in wire.hearers(leg)}
+    return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in wire.receivers(leg)}
 
 
 def _without_all(wire: Wire, nodes: Collection[str]) -> Wire:
@@ -150,7 +154,7 @@ def _shortened(trunk: tuple[Leg, ...], nodes: Collection[str]) -> list[Leg]:
 
 
 def _check_source(wire: Wire) -> None:
-    """Raise WiringError if nodes listen at the source: subscribers keep their key during a run."""
+    """Raise WiringError for listeners at the source, as their key cannot change."""
     names = ", ".join(listener.end.node for listener in wire.listeners if listener.source)
     if names:
         raise WiringError(

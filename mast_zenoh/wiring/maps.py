@@ -1,4 +1,6 @@
-"""Key-expression maps: which nodes exchange messages on which key, and nodes inserted into wires. Pure functions.
+"""Key-expression maps: which nodes exchange messages on which key.
+
+Also nodes that are inserted into wires. Pure functions.
 
 A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inserts nodes, or adds subscribers.
 
@@ -84,7 +86,7 @@ Sources = Sequence[tuple[str, Mapping[str, Any]]]
 
 
 def load(path: Path) -> dict[str, Any]:
-    """Read a map or rewrite file as a dict; raises WiringError if it is missing or not TOML."""
+    """Read a map or rewrite file; raises WiringError if missing or not TOML."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -104,8 +106,9 @@ def resolve(
     nodes: Mapping[str, NodeOptions],
     optional: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Wiring:
-    """The wiring of `nodes` under a map followed by rewrites, each given as (its file's name, its content).
+    """The wiring of `nodes` under a map followed by rewrites.
 
+    sources: (name of the file, its content) of the map and of each rewrite
     optional: ports by role that a node of that role may lack: wires skip it. (A user's adversary need not take the
     pose that the shipped one takes.)
 
@@ -193,7 +196,10 @@ def _instances(
 
 
 def _template_of(wire: object, templates: Mapping[str, list[str]], place: str, *, every: bool = False) -> str:
-    """The template that a rewrite's `wire` names: as the template, as one of its keys, or with `*` if `every`."""
+    """The template that a rewrite's `wire` refers to.
+
+    wire: the template, one of its keys or, if `every`, the template with `*`
+    """
     for template, keys in templates.items():
         if wire in (template, *keys) or (every and wire == _PLACEHOLDER.sub("*", template)):
             return template
@@ -214,7 +220,7 @@ def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOption
 def _check_affected(
     entry: Mapping[str, Any], placeholder: str, wires: Sequence[Wire], nodes: Mapping[str, NodeOptions], place: str
 ) -> None:
-    """Raise WiringError if nodes of the entry's role exist, but none of them belongs to any of these wires."""
+    """Raise WiringError if the entry's role has nodes, but none is on these wires."""
     role, node = entry["role"], entry.get("node")
     candidates = members(role, nodes, place, node=node)
     for wire in wires:
@@ -249,7 +255,7 @@ def _listed(to: object) -> list[object]:
 
 
 def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """(place, entry) of all entries of one kind, in order; raises WiringError for invalid keys or values."""
+    """Yield (place, entry) of one kind; raises WiringError for invalid entries."""
     required, optional = _KEYS[kind]
     for file, content in sources:
         for index, entry in enumerate(content.get(kind, ())):

@@ -1,4 +1,4 @@
-"""A resolved key-expression map: wires, their legs, and the ports of every node; as JSON, text and drawing."""
+"""A resolved key-expression map: wires, legs, ports; as JSON, text and diagram."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-#: The message type of an input port that receives every key: a node that has one publishes nothing.
+#: The message type of an input port that receives every key. A node with such a port publishes nothing.
 ANY = "*"
 
 #: The verbatim chunk of hidden legs, which wildcard subscribers do not match.
@@ -33,7 +33,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """The interposers of a single subscriber: leaves the trunk at `entrance` and ends at `subscriber`."""
+    """The interposers of one subscriber, from the trunk at `entrance` on."""
 
     entrance: Endpoint
     subscriber: Endpoint
@@ -54,8 +54,9 @@ class Listener:
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """A logical connection. `subject` is the name in its key (the agent of agent/{agent}/pose), else empty.
+    """A logical connection.
 
+    subject: the name in its key (the agent of agent/{agent}/pose), or empty
     legs:      the trunk, common to all subscribers; its last leg has the wire's key, and leads to the subscribers
                without a branch and to the entrances of the branches
     listeners: further subscribers, not among those of its legs
@@ -75,12 +76,12 @@ class Wire:
 
     @property
     def interposers(self) -> tuple[str, ...]:
-        """The nodes inserted into the wire: those of the trunk from the publisher on, then those of each branch."""
+        """The nodes inserted into the wire: trunk first, then each branch."""
         return tuple(leg.publisher.node for leg in self.every_leg[1:])
 
     @property
     def subscribers(self) -> tuple[Endpoint, ...]:
-        """The endpoints that the wire is for, with or without a branch."""
+        """The endpoints of the wire, with or without a branch."""
         branch_ends = {branch.entrance: branch.subscriber for branch in self.branches}
         return tuple(branch_ends.get(end, end) for end in self.legs[-1].subscribers)
 
@@ -92,14 +93,14 @@ class Wire:
         """The listeners on one of the wire's legs."""
         return tuple(listener.end for listener in self.listeners if self.key_of(listener) == leg.key)
 
-    def hearers(self, leg: Leg) -> tuple[Endpoint, ...]:
+    def receivers(self, leg: Leg) -> tuple[Endpoint, ...]:
         """The subscribers and the listeners of one of the wire's legs."""
         return (*leg.subscribers, *self.listeners_of(leg))
 
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A node's input on one key: the port, the subject, the message type, and the wire's publisher."""
+    """A node's input on one key; source: the wire's publisher."""
 
     port: str
     subject: str
@@ -117,7 +118,7 @@ class Ports:
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """An interposer's two keys on one wire: it receives messages on one, and forwards them on the other.
+    """An interposer's two keys on one wire: for received and for forwarded messages.
 
     wire, subject, message: of the wire, see `Wire`; port: the output port of the wire's publisher
     before: the only subscriber behind it; empty: it is before all of them
@@ -150,7 +151,7 @@ class Wiring:
                 yield wire, leg
 
     def passages(self) -> Iterator[Passage]:
-        """Every interposer's passage through each of its wires, in the order of the wires and their legs."""
+        """Yield each interposer's passage through each of its wires, in order."""
         for wire in self.wires:
             ends = [("", leg) for leg in wire.legs]
             yield from _passages(wire, ends)
@@ -159,9 +160,9 @@ class Wiring:
                 yield from _passages(wire, [ends[-1], *((before, leg) for leg in branch.legs)])
 
     def flows(self) -> Iterator[tuple[str, str, str]]:
-        """(key, publisher, subscriber) of every leg; listeners and overhearers count as subscribers."""
+        """Yield (key, publisher, subscriber) of every leg; listeners are subscribers too."""
         for wire, leg in self.legs():
-            for end in (*wire.hearers(leg), *self.overhearers):
+            for end in (*wire.receivers(leg), *self.overhearers):
                 yield leg.key, leg.publisher.node, end.node
 
     def keys(self) -> tuple[str, ...]:
@@ -175,7 +176,7 @@ class Wiring:
         for wire, leg in self.legs():
             if leg.publisher.node == node:
                 outputs[leg.publisher.port, wire.subject] = leg.key
-            for subscriber in (*wire.hearers(leg), *self.overhearers):
+            for subscriber in (*wire.receivers(leg), *self.overhearers):
                 if subscriber.node == node:
                     inputs[leg.key] = Input(subscriber.port, wire.subject, wire.message, wire.legs[0].publisher.node)
         return Ports(inputs, outputs)
@@ -235,7 +236,7 @@ NO_WIRING = Wiring(())
 
 
 def _passages(wire: Wire, legs: Sequence[tuple[str, Leg]]) -> Iterator[Passage]:
-    """The passages between consecutive legs; each leg comes with its only subscriber, or ""."""
+    """The passages between consecutive legs, each with its only subscriber or ""."""
     for (_, into), (before, out) in pairwise(legs):
         port = wire.legs[0].publisher.port
         yield Passage(out.publisher.node, wire.key, wire.subject, wire.message, port, into.key, out.key, before)
@@ -288,7 +289,7 @@ def to_text(wiring: Wiring) -> str:
 
 
 def to_mermaid(wiring: Wiring) -> str:
-    """The wiring as a Mermaid flow chart; inserted nodes, tap legs and listeners are marked."""
+    """A Mermaid flow chart with inserted nodes, tap legs and listeners marked."""
     lines = ["flowchart LR"]
     interposers = sorted({node for wire in wiring.wires for node in wire.interposers})
     lines += [f"    {node}{{{{{node}}}}}:::inserted" for node in interposers]

@@ -1,4 +1,4 @@
-"""Messages as a node receives them: decoded, to be forwarded undecoded, or overheard on any key of the run."""
+"""Messages as nodes receive them: decoded, undecoded for forwarding, or overheard."""
 
 from __future__ import annotations
 
@@ -52,8 +52,9 @@ class Received(NamedTuple):
 
 
 class Unopened(Received):
-    """A message that a node only forwards, not decoded yet: accessing its content may raise MessageError.
+    """An undecoded message that a node only forwards.
 
+    Accessing its content may raise MessageError.
     Its fields are (message type, subject, payload, step).
     """
 
@@ -72,13 +73,14 @@ class Unopened(Received):
 
 
 class Overheard:
-    """A message as a node gets it that hears every key (an input port of the type `model.ANY`).
+    """A message received on any key of the run.
 
+    For nodes with an input port of the type `model.ANY`. Content is decoded on access, so a node can skip messages.
     Nothing is decoded before it is asked for, so that a node may pass over what it does not need.
 
-    key:     on which it came, tap legs included
-    wire:    what is known of that key: subject, message type, the node that publishes the wire
-    step:    frame that the run was at when the message was sent; -1: unknown
+    key:     its key, which may be that of a tap leg
+    wire:    properties of that key: subject, message type, publisher of the wire
+    step:    the run's frame when the message was sent; -1: unknown
     """
 
     __slots__ = ("_content", "_flaw", "_header", "_now", "_timespan", "key", "step", "wire")
@@ -93,9 +95,10 @@ class Overheard:
         timespan: Timespan | None = None,
         now: int = -1,
     ) -> None:
-        """content: the bytes as sent, or in one process the message; flaw: why a receiver refuses that message.
+        """content: the bytes as sent, or in one process the message.
 
-        timespan: the frames and times it can have, None: any; now: the run's current frame, if `step` is unknown
+        flaw: why receivers refuse the message, or ""
+        timespan: its valid frames and times, None: any; now: the run's current frame, if `step` is unknown
         """
         self.key, self.wire, self.step = key, wire, step
         self._timespan, self._now = timespan, now
@@ -109,7 +112,7 @@ class Overheard:
 
     @property
     def header(self) -> Header:
-        """The header; raises MessageError if it is invalid, or names another node than the wire's publisher."""
+        """The header; raises MessageError if invalid or not from the wire's publisher."""
         header = self._header
         if header is None:
             content, wire = self._content, self.wire
@@ -121,7 +124,7 @@ class Overheard:
 
     @property
     def body(self) -> Body:
-        """The columns, decoded at each access; raises MessageError if a subscriber of the key would refuse them."""
+        """The columns, decoded at each access; raises MessageError if invalid."""
         if isinstance(self._content, Message):
             if self._flaw:
                 raise MessageError(self._flaw)
@@ -134,7 +137,7 @@ class Overheard:
         self.check_time()
 
     def check_time(self) -> None:
-        """Raise MessageError if a subscriber would refuse the header, or its frame and time."""
+        """Raise MessageError if a subscriber would refuse the header, frame or time."""
         header = self.header
         if self._timespan is not None:
             refusal = self._timespan.refusal(header, self.step if self.step >= 0 else self._now)
@@ -143,7 +146,7 @@ class Overheard:
 
     @property
     def encoded(self) -> bool:
-        """Whether it came as bytes, so that its columns are views that keep the whole payload in memory."""
+        """Whether it was received as bytes, which its columns then keep in memory."""
         return isinstance(self._content, bytes)
 
     def same_bytes(self, other: Overheard) -> bool:

@@ -1,4 +1,4 @@
-"""Applies the entries of a rewrite to a wire: `[[insert]]` puts nodes into it, `[[listen]]` adds subscribers."""
+"""Applies rewrites to a wire: `[[insert]]` nodes, `[[listen]]` adds subscribers."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from mast_zenoh.wiring.model import TAP, Branch, Endpoint, Leg, Listener, Wire
 def insert(
     wire: Wire, entry: Mapping[str, Any], placeholder: str, nodes: Mapping[str, NodeOptions], place: str
 ) -> Wire:
-    """The wire with the nodes of an `[[insert]]` before all subscribers, or before the one of the role `to`.
+    """The wire with the nodes of an `[[insert]]`.
 
+    They come before all subscribers, or before the one of the role `to`.
     Raises WiringError for a node without the ports, a node that is on the wire already, and an ambiguous `to`.
     """
     inserted = members(
@@ -41,8 +42,9 @@ def insert(
 
 
 def listen(wire: Wire, listeners: list[Listener], place: str, *, every: bool) -> Wire:
-    """The wire with more listeners. A node receives a wire once, and never what it publishes or forwards itself.
+    """The wire with more listeners.
 
+    A node receives a wire once, and never what it publishes or forwards itself.
     every: the entry refers to every wire of its kind: a node that cannot listen to this one is skipped. Otherwise
            WiringError is raised, unless the node already receives the wire as the entry asks.
     """
@@ -63,7 +65,7 @@ def listen(wire: Wire, listeners: list[Listener], place: str, *, every: bool) ->
 
 
 def _subscriber(wire: Wire, node: str, role: str, nodes: Mapping[str, NodeOptions], place: str) -> Endpoint | None:
-    """The subscriber of `role` before which a node is inserted; None if there is none on this wire.
+    """The subscriber of `role` before which a node is inserted; None if there is none.
 
     It is the one that the node's option with the role's name names, else the only one.
     """
@@ -80,7 +82,7 @@ def _subscriber(wire: Wire, node: str, role: str, nodes: Mapping[str, NodeOption
 
 
 def _on_branch(wire: Wire, entrance: Endpoint, exit_: Endpoint, subscriber: Endpoint) -> Wire:
-    """The wire with a node at the end of the branch to `subscriber`, which is created if needed."""
+    """The wire with a node at the end of a branch, which is created if needed."""
     branches = {branch.subscriber: branch for branch in wire.branches}
     branch = branches.get(subscriber)
     legs = branch.legs if branch else ()

@@ -115,7 +115,7 @@ def test_docstrings_describe_parameters_in_lines_and_in_sentences() -> None:
 def test_defaults_units_and_meanings_are_shown() -> None:
     shown = str(mast.list("scenarios")["coordinated"])
     assert "attack_start_s = 4.0 s" in shown
-    assert "how often the coordinator makes a new plan" in shown, "its own description"
+    assert "interval at which the coordinator makes a new plan" in shown, "its own description"
     assert "mean number added by each (Poisson)" in shown, "that of `uncoordinated`"
     shown = str(mast.list("faults")["Pause"])
     assert "until (s), required" in shown

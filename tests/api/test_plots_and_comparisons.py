@@ -57,7 +57,7 @@ def test_what_cannot_be_drawn_is_refused(attacked: mast.Run) -> None:
         attacked.plot.over_time("fpp")
     with pytest.raises(ConfigurationError, match="did you mean 'mission'"):
         attacked.plot.over_time("fp", estimate="misson")
-    with pytest.raises(RunFolderError, match="frame 99 was asked for, expected one of 0 to 59"):
+    with pytest.raises(RunFolderError, match="found frame 99, expected one of 0 to 59"):
         attacked.plot.birdseye(frame=99)
     with pytest.raises(RunFolderError, match="runs with links or faults"):
         attacked.plot.causes()

@@ -74,7 +74,7 @@ def test_what_was_called_is_in_the_record_of_the_run(baseline: mast.Run) -> None
         ("baseline", dict(mode="realtime"), "realtime needs the mesh"),
         ("baseline", dict(secure="tls"), "runtime='mesh'"),
         ("baseline", dict(runtime="cloud"), "expected inproc or mesh"),
-        ("baseline", dict(runtime="mesh", secure="tls", endpoint="tcp/127.0.0.1:1"), "router of its own"),
+        ("baseline", dict(runtime="mesh", secure="tls", endpoint="tcp/127.0.0.1:1"), "own router"),
     ],
 )
 def test_what_is_wrong_is_refused_before_anything_starts(

@@ -123,7 +123,7 @@ def test_a_run_that_goes_on_is_read_as_far_as_it_has_come(attacked: mast.Run, tm
     run = mast.open(folder)
     assert run.running
     assert 5 < max(run.truth["frame"].to_pylist()) < 55
-    with pytest.raises(RunFolderError, match="the run still goes on, and it is written at its end"):
+    with pytest.raises(RunFolderError, match="the run is still in progress, and writes it at its end"):
         _ = run.metrics
     assert "running" in repr(run)
     assert "running" in run._repr_html_()

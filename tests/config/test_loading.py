@@ -168,7 +168,7 @@ def test_the_only_node_in_a_file_needs_no_name(tmp_path: Path) -> None:
 
 def test_a_file_with_several_nodes_needs_a_type(tmp_path: Path) -> None:
     file = write(tmp_path, "two.py", NODE.format(name="One", role="link") + NODE.format(name="Two", role="link"))
-    with pytest.raises(NodeFileError, match=r"two\.py: defines 2 nodes \(One, Two\): say which by type=…"):
+    with pytest.raises(NodeFileError, match=r"two\.py: defines 2 nodes \(One, Two\): expected type=… to select one"):
         loading.node_class(file)
     assert loading.node_class(file, "Two").__name__ == "Two"
 

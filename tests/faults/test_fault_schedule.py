@@ -21,10 +21,10 @@ KINDS = {
 @settings(max_examples=200)
 @given(st.integers(0, 2**31), st.floats(2.0, 20.0), st.integers(1, 12), st.booleans())
 def test_every_schedule_can_be_carried_out_and_is_healed_in_time(
-    seed: int, duration_s: float, most: int, lockstep: bool
+    seed: int, duration_s: float, max_faults: int, lockstep: bool
 ) -> None:
-    specs = random_schedule(seed, duration_s, AGENTS, servers=SERVERS, settle_s=1.0, most=most)
-    assert 1 <= len(specs) <= most
+    specs = random_schedule(seed, duration_s, AGENTS, servers=SERVERS, settle_s=1.0, max_faults=max_faults)
+    assert 1 <= len(specs) <= max_faults
     times_ns = np.arange(round(duration_s * 10)) * 100_000_000
     faults = [("", registry.build(spec, Fault, f"faults[{i}]")) for i, spec in enumerate(specs)]
     found = plan(faults, ROLES, times_ns, seed, lockstep=lockstep)

@@ -65,7 +65,7 @@ def test_a_plan_follows_from_its_number_and_covers_every_scenario() -> None:
 def test_claims_about_a_recording_must_be_true(runs: list[Path]) -> None:
     def judged(run: Path, status: str, **said: object) -> list[str]:
         record = json.loads((run / "run.json").read_text())
-        return endings._wrongly_told({**record, **said}, status, run, runs[0])
+        return endings._recording_errors({**record, **said}, status, run, runs[0])
 
     complete, cut = {"complete": True}, {"complete": False, "from_frame": 0}
     assert judged(runs[1], "ok", recording=complete) == []

@@ -19,7 +19,7 @@ from mast_zenoh.control.interception import place_json, place_of
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
 from mast_zenoh.launch.interception.client import intercept, plan, release
 from mast_zenoh.launch.interception.server import seal, unseal
-from mast_zenoh.scenario.nodes import inform
+from mast_zenoh.scenario.nodes import add_surroundings
 
 TRACKS = "agent/infra_1/tracks"
 AGENT = dict(
@@ -65,13 +65,13 @@ def test_an_adversary_gets_the_wire_the_clock_its_agents_pose_and_a_report_key(r
     name, spec, place = plan(resolved, TRACKS, "adversary.py", settings=ATTACK)
     assert (name, spec.role, spec.on_exit) == ("adversary_1", "adversary", "continue")
     assert resolved.recording is not None
-    inform({name: spec}, resolved.recording)
+    add_surroundings({name: spec}, resolved.recording)
     surroundings = spec.config.pop("surroundings")
     assert (surroundings["victims"], next(iter(surroundings["agents"]))) == (["infra_1"], "ego"), "it knows the scene"
     assert spec.config == {"agent": "infra_1", "attack": {"type": "UncoordinatedAttack", "start_s": 0}}
     assert (place.wire, place.input, place.output) == (TRACKS, "tracks", "tracks_out")
-    assert place.hears == {"clock": "clock", "agent/infra_1/pose": "pose"}
-    assert [(wire.key, [end.node for end in wire.subscribers]) for wire in place.says] == [
+    assert place.other_inputs == {"clock": "clock", "agent/infra_1/pose": "pose"}
+    assert [(wire.key, [end.node for end in wire.subscribers]) for wire in place.published_wires] == [
         ("attack/adversary_1/report", [])
     ]
     assert place_of(json.loads(json.dumps(place_json(place)))) == place
@@ -83,7 +83,7 @@ def test_an_adversary_on_the_picture_hears_the_pose_of_its_target_agent(
     settings = ("attack.type=PassThrough", "agent=ego")
     _, _, place = plan(resolved, "cc/picture", "adversary.py", settings=settings)
     assert (place.wire, place.input, place.output) == ("cc/picture", "picture", "picture_out")
-    assert place.hears == {"clock": "clock", "agent/ego/pose": "pose"}
+    assert place.other_inputs == {"clock": "clock", "agent/ego/pose": "pose"}
 
 
 def test_a_port_must_be_named_if_several_match(resolved: Resolved, tmp_path: Path) -> None:

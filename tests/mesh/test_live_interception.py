@@ -223,7 +223,7 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(going, tmp_path: Pat
         client.intercept(run.out, TRACKS, RELAY, name="broker")
     with pytest.raises(StartError, match=r"exit code 1.*logs/stillborn_1\.log"):
         client.intercept(run.out, TRACKS, str(tmp_path / "stillborn.py"))
-    with pytest.raises(WiringError, match="no node 'mallory' sits on a wire"):
+    with pytest.raises(WiringError, match="no node 'mallory' is on a wire"):
         client.release(run.out, name="mallory")
     secret = (run.out / "control.key").read_bytes()
     (run.out / "control.key").write_bytes(b"guessed")

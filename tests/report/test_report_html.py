@@ -197,7 +197,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
 def test_existing_frame_can_be_requested(run_folder: RunFolderFixture) -> None:
     folder = run_folder("uncoordinated")
     assert "t = 0.7 s (frame 7)" in (Page(write_report(folder, frame=7)).images[0]["alt"] or "")
-    with pytest.raises(RunFolderError, match="frame 40 was asked for, expected one of 0 to 39"):
+    with pytest.raises(RunFolderError, match="found frame 40, expected one of 0 to 39"):
         write_report(folder, frame=40)
 
 

@@ -525,7 +525,7 @@ def test_a_node_that_receives_every_key_gets_bytes_and_header_immediately() -> N
     ]
     assert host.handled == {"agent/a/tracks": 1, "clock": 1}
     assert (host.frame, host.time_ns) == (2, 2 * 10**8), "it knows how far the run is"
-    assert set(host.hears) == (CLOCK | TRACKS).keys()
+    assert set(host.subscriptions) == (CLOCK | TRACKS).keys()
 
 
 def test_it_gets_malformed_messages_whose_body_raises_the_error() -> None:

@@ -314,7 +314,7 @@ def test_listeners_receive_each_wire_once_but_not_their_own_and_change_nothing_f
         if name not in ("adversary_1", "adversary_2", "guard"):
             assert after.inputs == before.inputs
     for found, known in zip(wiring.wires, plain.wires, strict=True):
-        ears = [end.node for leg in found.every_leg for end in found.hearers(leg)]
+        ears = [end.node for leg in found.every_leg for end in found.receivers(leg)]
         assert len(ears) == len(set(ears)), "once"
         assert {listener.end.node for listener in found.listeners}.isdisjoint(parties(known)), "nothing of its own"
         assert (found.legs, found.branches, found.subscribers) == (known.legs, known.branches, known.subscribers)

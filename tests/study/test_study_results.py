@@ -19,7 +19,7 @@ NAN = float("nan")
 
 
 def by_name(numbers) -> dict[tuple[str, str, str], Number]:
-    return {(each.who, each.estimator, each.metric): each for each in numbers}
+    return {(each.owner, each.estimator, each.metric): each for each in numbers}
 
 
 def test_all_numbers_of_all_estimators_are_listed() -> None:
@@ -56,7 +56,7 @@ def test_every_number_of_the_ego_has_an_increment_over_the_baseline_of_its_trial
     attacked = {"my_metric": 5.0, "seen": True}
     before = outcome("baseline", 0, 0, fp=1.0, agents={"mission": {"my_metric": 2.0, "seen": False}})
     after = outcome("attacked", 0, 0, fp=4.0, agents={"mission": attacked, "picture": {"only_here": 1.0}})
-    by_series = {(v.estimator, v.metric): v for v in results.values(after, before) if v.who == "ego"}
+    by_series = {(v.estimator, v.metric): v for v in results.values(after, before) if v.owner == "ego"}
     assert by_series["picture", "fp_iob"][3:6] == (3.0, 0.0, FRAMES), "frame by frame, in the scored frames"
     assert by_series["mission", "fp_iob"].value == 3.0
     assert by_series["local", "fp_iob"].value == 0.0

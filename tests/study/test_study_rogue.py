@@ -144,7 +144,7 @@ def test_interrupted_study_keeps_its_rows_and_status(tmp_path: Path, monkeypatch
         return [ROWS[0]]
 
     monkeypatch.setattr(comparison, "_outsider_rows", outside)
-    with pytest.raises(Interrupted, match=r"what was found is in .*study\.json"):
+    with pytest.raises(Interrupted, match=r"results so far are in .*study\.json"):
         comparison.run(definition.load("rogue"), tmp_path / "out")
     written = json.loads((tmp_path / "out" / "study.json").read_text())
     assert written["status"] == "interrupted"

@@ -263,7 +263,7 @@ def test_study_is_validated_before_the_first_trial(tmp_path: Path, ran) -> None:
 def test_used_folder_and_folder_of_another_study_are_rejected(small, whole, tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="is not empty"):
         trials.run(small, whole.out, count=1)
-    with pytest.raises(RunFolderError, match="--resume: expected --out too"):
+    with pytest.raises(RunFolderError, match="--resume: expected also --out"):
         trials.run(small, None, count=1, resume=True)
     (tmp_path / "study.json").write_text('{"name": "other"}')
     with pytest.raises(RunFolderError, match="holds the study 'other', expected 'small'"):

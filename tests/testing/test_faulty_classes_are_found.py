@@ -111,7 +111,7 @@ class Explode(Fizzle):
         (
             testing.check_tracker,
             ForgetfulTracker(),
-            "ForgetfulTracker.step .*after `reset` it is not as newly made: time_ns of a step",
+            "ForgetfulTracker.step .*after `reset` it differs from a new instance: time_ns of a step",
         ),
         (testing.check_clusterer, OneCluster(), "OneCluster.cluster with 1000 tracks: a cluster has two tracks of one"),
         (

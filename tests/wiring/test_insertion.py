@@ -116,7 +116,7 @@ def test_an_impossible_insertion_is_refused(node: str, place: Place, what: str) 
 
 def test_only_a_node_on_a_wire_can_be_removed_and_the_wire_must_have_only_one() -> None:
     both = insert(insert(PLAIN, "m", Place("clock", "in", "out")), "n", Place("clock", "in", "out"))
-    with pytest.raises(WiringError, match=r"no node 'mm' sits on a wire; did you mean 'm'\?"):
+    with pytest.raises(WiringError, match=r"no node 'mm' is on a wire; did you mean 'm'\?"):
         remove(both, "mm")
     with pytest.raises(WiringError, match="the wire 'clock': found m, n on it"):
         interposer_of(both, "clock")
@@ -137,7 +137,7 @@ def test_removing_a_publisher_removes_its_wires_and_removing_a_listener_its_inpu
     assert [found.key for found in without.wires] == ["clock", "b/out"]
     assert without.overhearers == ()
     assert all(
-        end.node not in ("a", "d") for key in without.wires for end in (*key.subscribers, *key.hearers(key.legs[-1]))
+        end.node not in ("a", "d") for key in without.wires for end in (*key.subscribers, *key.receivers(key.legs[-1]))
     )
 
 

@@ -26,7 +26,7 @@ from mast_zenoh.launch import liveness
 from mast_zenoh.launch.interception.server import SECRET_FILE, seal
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh.session import open_client
-from mast_zenoh.scenario.nodes import inform, node_spec
+from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.insertion import Place, insert
@@ -59,7 +59,7 @@ def intercept(
     record = _running(run)
     resolved = Resolved.read(run)
     node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
-    inform({node: spec}, Recording.load(run / RECORDING))
+    add_surroundings({node: spec}, Recording.load(run / RECORDING))
     fields = {
         "file": spec.file,
         "type": spec.type,

@@ -26,7 +26,7 @@ HATCH = "////"
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """An attack or fault from `start` to `end` (inf: last frame), in units of the time axis."""
+    """An attack or fault between two times on the axis; end: inf for the last frame."""
 
     label: str
     attack: bool
@@ -41,7 +41,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class PlacedBand:
-    """A band in a lane (0 is the lowest), and the position x and alignment of its label."""
+    """A band with its lane (0 is the lowest) and the x and alignment of its label."""
 
     band: Band
     lane: int
@@ -50,7 +50,7 @@ class PlacedBand:
 
 
 def bands(runs: Iterable[RunFolder], *, timed: bool) -> list[Band]:
-    """The distinct bands of runs' timelines, sorted by start; empty if there is no fault.
+    """Distinct bands of the timelines of runs, sorted by start; empty without faults.
 
     timed: in s of scene time; else in frames
     """
@@ -80,7 +80,9 @@ def _absences(run: RunFolder) -> list[tuple[str, float, float]]:
 
 
 def place_bands(bands: Sequence[Band], low: float, high: float, width: float) -> tuple[list[PlacedBand], int]:
-    """Place bands in the lowest free lanes; returns them and the number without a lane.
+    """Place bands in the lowest free lanes.
+
+    Returns the placed bands and the number of bands that found no lane.
 
     low, high: limits of the time axis, which is `width` inches wide
     """

@@ -41,7 +41,10 @@ _HALO = [patheffects.withStroke(linewidth=2.5, foreground=GROUND)]
 
 
 def draw_birdseye(axes: Axes, view: FrameView, estimator: str, window: tuple[float, float, float]) -> None:
-    """Draw one estimator's boxes (one of `view.PANELS`) of a frame; `window` as from `view.window`, m."""
+    """Draw the boxes of one estimator in a frame.
+
+    estimator: one of `view.PANELS`; window: as from `view.window`, m
+    """
     x, y, half = window
     dark_axes(axes)
     axes.set_xlim(x - half, x + half)
@@ -120,7 +123,7 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
             axes.add_patch(wedge)
         marker, face = ("^", colour) if agent.kind == "static" else ("o", "none")
         axes.plot(position[0], position[1], marker, ms=9, mfc=face, mec=colour, mew=1.5, zorder=5)
-        # The name goes behind the agent, where its wedge and the traffic that it watches are not.
+        # The name goes behind the agent, away from its wedge and the observed traffic.
         behind = -np.array([np.cos(turn), np.sin(turn)])
         inside = np.abs(position[:2] + behind * 0.25 * half - [x, y]) < half
         side = _free_side(occupied, position, len(agent.name), half, np.where(inside, behind, -behind) > 0)
@@ -142,7 +145,9 @@ def _draw_agents(axes: Axes, view: FrameView, window: tuple[float, float, float]
 def _free_side(
     occupied: list[tuple[float, float, float, float]], at: Floats, letters: int, half: float, preferred: Bools
 ) -> tuple[bool, bool]:
-    """(right, above): the side of a position for a label without overlap, `preferred` if free.
+    """(right, above): the side of a position where a label does not overlap others.
+
+    preferred: used if free
 
     occupied: boxes of earlier labels (left, right, bottom, top), m; the new one is appended
     """
@@ -159,7 +164,7 @@ def _free_side(
 
 
 def key(views: Sequence[FrameView], *, agents: bool = True) -> list[Artist]:
-    """Legend handles for `views`: all outcomes, and agents and attacks if there are any."""
+    """Legend handles for `views`: all outcomes, and agents and attacks if present."""
     handles: list[Artist] = []
     for outcome in ("truth matched", "track matched", "truth missed", "track false", "unevaluated"):
         if outcome == "unevaluated" and not any(len(of[outcome]) for v in views for of in v.boxes.values()):

@@ -21,7 +21,7 @@ _NEAR = 0.5
 _SELF = 2.5
 _SKY, _ROAD, _LINE = "#1a2230", GROUND, "#242d39"
 
-#: Edges of a box between the corners that `geometry.box_corners` gives.
+#: Edges of a box between the corners of `geometry.box_corners`.
 _EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 #: The strip of the image that is shown, as fractions of its height: without sky and bonnet.
 STRIP = (0.28, 0.72)
@@ -29,7 +29,10 @@ STRIP = (0.28, 0.72)
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """A camera at an agent's pose: position (3,) m and rotation (3, 3), active, of the agent in the world frame."""
+    """A camera at an agent's pose.
+
+    position: (3,) m, rotation: (3, 3) active; of the agent in the world frame
+    """
 
     camera: Camera
     position: Floats
@@ -51,7 +54,7 @@ class Eye:
         return self.pixels(clipped.reshape(-1, 3))[0].reshape(-1, 2, 2)
 
     def face(self, corners: Floats) -> Floats | None:
-        """(k, 2) px: the part of a convex face (n, 3) m in front of the camera; None: none."""
+        """(k, 2) px: part of a convex face (n, 3) m beyond the near plane; None: none."""
         depth = self.pixels(corners)[1]
         visible = []
         for here, there in zip(range(len(corners)), [*range(1, len(corners)), 0], strict=True):
@@ -64,7 +67,7 @@ class Eye:
 
 
 def ego_eye(view: FrameView) -> Eye | None:
-    """The ego's camera in a frame; None: the scene is absent, or without the ego, or shorter."""
+    """The ego's camera in a frame; None: not in the recorded scene."""
     recording, ego = view.run.recording, view.run.ego
     if recording is None or ego not in recording.agent_names or view.frame >= len(recording):
         return None
@@ -74,7 +77,10 @@ def ego_eye(view: FrameView) -> Eye | None:
 
 
 def draw_camera(axes: Axes, view: FrameView, estimator: str, eye: Eye) -> None:
-    """Draw one estimator's boxes (one of `view.PANELS`) of a frame as the ego's camera would see them."""
+    """Draw the boxes of one estimator in a frame, as seen by the ego's camera.
+
+    estimator: one of `view.PANELS`
+    """
     camera = eye.camera
     dark_axes(axes)
     axes.set_xlim(0, camera.width)

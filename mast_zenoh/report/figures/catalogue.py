@@ -133,7 +133,10 @@ def study_figures(
 
 
 def frame_choice(run: RunFolder, estimate: str, reference: str = "") -> str:
-    """How a frame was chosen, in a sentence; reference: name of the run whose errors were subtracted."""
+    """A sentence that explains how a frame was chosen.
+
+    reference: name of the run whose errors were subtracted
+    """
     if not run.attack_frames and not reference:
         return f"{_CHOICE_CLEAN}."
     beyond = f" beyond those of {reference} in the same frame" if reference else ""

@@ -28,7 +28,7 @@ _LABELS = {
     "ospa_m": "OSPA (m)",
     "gospa_m": "GOSPA (m)",
 }
-#: Those that the report shows.
+#: Columns that the report shows.
 REPORT_COLUMNS = ("fn", "fp", "rmse_m")
 _WHOLE = ("fn", "fp", "tp", "id_switches")
 _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)), "-", (0, (6, 1.5)))
@@ -43,10 +43,10 @@ def counts_over_time(
     estimate: str = "picture",
     columns: Sequence[str] = REPORT_COLUMNS,
 ) -> Figure | None:
-    """Columns of the ego's counts by time, one chart below the other; None: no run left counts.
+    """Columns of the ego's counts over time, in stacked charts; None: no counts.
 
-    Of one run, every estimate that has a column in the table; of several, the ego alone in the first, and `estimate` of
-    each. Bold lines are means over the last SMOOTH frames, pale ones the values of single frames.
+    For one run: every estimate that has a column in the table. For several: the ego alone in the first run, and
+    `estimate` of each run. Bold lines are means over the last SMOOTH frames, pale lines the values of single frames.
     """
     runs_with_counts = {label: run for label, run in runs.items() if run.counts_of("picture") is not None}
     if not runs_with_counts:
@@ -138,7 +138,7 @@ def _line(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], look: _Lin
 
 
 def means(table: ScoreTable, estimate: str = "picture") -> Figure:
-    """Bars of means per frame: the ego alone in the first run, and an estimate of each run.
+    """Bars of means per frame: the ego alone in the first run, `estimate` of each.
 
     Whiskers are one standard deviation over frames.
     """

@@ -50,7 +50,7 @@ def draw_wiring(run: RunFolder) -> Figure | None:
 
 
 def _route(run: RunFolder, plan: Layout, source: Spot, target: Spot) -> Curve:
-    """The path of a line: bent at the end where many lines meet, and level past interposers."""
+    """The path of a line: bent where many lines meet, and straight past interposers."""
     (ax, ay), (bx, by) = plan.places[source], plan.places[target]
     if _is_above_flow(run, plan, source) or _is_above_flow(run, plan, target):  # to and from a node above the flow
         offset = 0.3 if ay < by else -0.3

@@ -69,7 +69,10 @@ def picture(name: str, figure: Figure, alt: str, caption: str, *, vector: bool =
 
 
 def _dark_figure(views: Sequence[FrameView], width: float, height: float, *, agents: bool = True) -> Figure:
-    """An empty dark figure of `height` inches with the key of `views` below, for which it grows."""
+    """An empty dark figure with the legend of `views` below.
+
+    height: inches, without the legend
+    """
     handles = key(views, agents=agents)
     lines = 1 if len(handles) <= 6 else 2
     figure = Figure(figsize=(width, height + 0.24 + 0.22 * lines), facecolor=GROUND)
@@ -94,7 +97,7 @@ def _panel(figure: Figure, left: float, top: float, width: float, height: float)
 
 
 def birdseye_figure(view: FrameView) -> Figure:
-    """The ego's own tracks, the picture and both together, from above, on the same axes."""
+    """Bird's-eye views of the ego's own tracks, the picture, and both together."""
     shared_window = window([view])
     view = clipped(view, shared_window)
     width = 14.4
@@ -117,7 +120,7 @@ def _title(axes: Axes, title: str, view: FrameView, size: float = 12.5, *, when:
 
 
 def camera_figure(view: FrameView) -> Figure | None:
-    """The ego alone above what it acts on, in its camera; None: the ego is not in the scene."""
+    """Camera views of the ego alone and of what it acts on; None: ego not in scene."""
     eye = ego_eye(view)
     if eye is None:
         return None
@@ -136,7 +139,7 @@ def camera_figure(view: FrameView) -> Figure | None:
 
 
 def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estimate: str = "picture") -> Figure:
-    """One estimate of several runs in the same frame, three in a row, with their numbers."""
+    """One estimate of several runs in the same frame with scores, three runs per row."""
     columns = min(len(views), 3)
     shared_window = window(list(views.values()))
     views = {label: clipped(view, shared_window) for label, view in views.items()}
@@ -158,8 +161,9 @@ def side_by_side_figure(views: Mapping[str, FrameView], table: ScoreTable, estim
 
 
 def _numbers(figure: Figure, selection: tuple[ScoreTable, str, str], left: float, top: float, width: float) -> None:
-    """Write scores under a panel, in the colours of the key; inches from the upper left.
+    """Write scores under a panel in the legend's colours.
 
+    left, top, width: inches from the upper left
     selection: the table, the run and the estimate
     """
     table, run, estimate = selection

@@ -80,9 +80,9 @@ def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str
 def _success(rows: Sequence[StudyRow]) -> tuple[Axis, ...]:
     """Success rates of all adversaries together, at most three."""
     series = dict.fromkeys(series for row in rows for series, each in row.estimates.items() if each.rate)
-    overall = [each for each in series if each.who == "all"][:3]
+    overall = [each for each in series if each.owner == "all"][:3]
     return tuple(
-        Axis(each.metric.replace("_", " "), "success rate (%)", Column("", each.metric, each.estimator, each.who))
+        Axis(each.metric.replace("_", " "), "success rate (%)", Column("", each.metric, each.estimator, each.owner))
         for each in overall
     )
 
@@ -132,7 +132,10 @@ def _picture(name: str, figure: Figure, rows: Sequence[StudyRow], axes: Sequence
 
 
 def _draw(all_panels: Sequence[Panel], columns: Sequence[Axis], footer: str) -> Figure:
-    """A row of axes for each panel, one for each of `columns`; heat maps of a column share their colours."""
+    """A row of axes per panel, one for each of `columns`.
+
+    Heat maps of a column share their colour scale.
+    """
     width = 11.25
     heights = [3.5 + 0.25 * (_legend_lines(panel, width) + bool(panel.title)) for panel in all_panels]
     figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained", facecolor="white")
@@ -227,7 +230,7 @@ def _curves(axes: Axes, panel: Panel, column: Column) -> None:
 
 
 def _heat_map(axes: Axes, panel: Panel, column: Column, scale: float) -> None:
-    """The means as colours and numbers; in brackets if the interval contains 0 or there is none."""
+    """Means as colours and numbers, in brackets if the interval contains 0 or is none."""
     means = np.full((len(panel.curves), len(panel.ticks)), np.nan)
     for y, curve in enumerate(panel.curves):
         for row in curve.rows:

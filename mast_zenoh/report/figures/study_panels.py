@@ -15,7 +15,7 @@ _UNITS = {"_s": "s", "_ms": "ms", "_m": "m", "_mps": "m/s", "_hz": "Hz", "_deg":
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """The configurations of one line, in the order of x; label: "" where there is only one line."""
+    """The configurations of one line, in the order of x; label: empty if it is alone."""
 
     label: str
     rows: tuple[StudyRow, ...]

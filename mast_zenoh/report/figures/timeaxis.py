@@ -14,8 +14,9 @@ from mast_zenoh.report.figures.style import Figure
 def rows_over_time(
     count: int, height: float, marked: Sequence[Band], low: float, high: float
 ) -> tuple[Figure, Sequence[Axes]]:
-    """A figure of `count` stacked charts of `height` inches, with `marked` bands above.
+    """A figure of `count` stacked charts of `height` inches, with bands above.
 
+    marked: the bands
     low, high: the first and the last frame's time
     """
     left, width = 0.75, 10.58

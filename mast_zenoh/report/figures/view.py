@@ -25,7 +25,10 @@ _MAX_DISTANCE_M = 105.0
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """n upright boxes, world frame: position (n, 3) m of the centre, size (n, 3) m l w h, yaw (n,) rad."""
+    """n upright boxes in the world frame.
+
+    position: (n, 3) m, of the centre; size: (n, 3) m, length, width, height; yaw: (n,) rad
+    """
 
     position: Floats
     size: Floats
@@ -157,7 +160,7 @@ def ego_position(run: RunFolder, frame: int) -> Floats | None:
 
 
 def window(views: Sequence[FrameView]) -> tuple[float, float, float]:
-    """(x, y, half the width) in m of a square that shows the surroundings of the ego in all `views`."""
+    """(x, y, half the width) in m of a square with the ego's surroundings."""
     positions = [
         boxes.position[:, :2]
         for view in views
@@ -186,12 +189,15 @@ def clipped(view: FrameView, window: tuple[float, float, float]) -> FrameView:
 
 
 def settled(run: RunFolder, frames: Ints) -> Bools:
-    """(n,) bool: frames that may be shown: scored, and with settled effects of interposers."""
+    """(n,) bool: scored frames in which the effects of interposers are settled."""
     return scored(run, frames) & ~np.isin(frames, list(run.unsettled_frames))
 
 
 def _weighted_errors(run: RunFolder, estimate: str) -> tuple[Ints, Floats] | None:
-    """Frames (n,) and the ego's errors of all kinds in each of them (n,), weighed as `changes` does."""
+    """(frames (n,), weighted sum of all the ego's errors in each (n,)).
+
+    Weights are those of `changes`.
+    """
     counts = run.counts_of(estimate)
     if counts is None:
         return None
@@ -228,7 +234,7 @@ def choose_frame(run: RunFolder, reference: RunFolder | None = None, estimate: s
 
 
 def choose_common_frame(runs: Sequence[RunFolder], baseline: RunFolder, estimate: str = "picture") -> int | None:
-    """The frame to show for several runs: that of the run that differs most from `baseline`."""
+    """Choose the frame of several runs: that of the largest difference to `baseline`."""
     best: tuple[float, int] | None = None
     baseline_errors = _weighted_errors(baseline, estimate)
     for run in runs:
@@ -247,5 +253,5 @@ def check_frame(run: RunFolder, frame: int) -> int:
     counts = run.counts_of("picture")
     known = counts["frame"] if counts is not None else (run.objects["frame"] if run.objects is not None else None)
     if known is not None and frame not in known:
-        raise RunFolderError(f"{run.path}: frame {frame} was asked for, expected one of {known.min()} to {known.max()}")
+        raise RunFolderError(f"{run.path}: found frame {frame}, expected one of {known.min()} to {known.max()}")
     return frame

@@ -14,7 +14,7 @@ from mast_zenoh.report.tables.interposers import interposers
 
 
 def attack_sentences(run: RunFolder, change: Change | None) -> list[str]:
-    """When adversaries changed messages, the scores in that period, and needless braking.
+    """When adversaries changed messages, the scores in that period, needless braking.
 
     change: the headline's change; its kind and estimate select the scores
     """
@@ -40,7 +40,7 @@ def attack_sentences(run: RunFolder, change: Change | None) -> list[str]:
 
 
 def _attacked_frames(run: RunFolder) -> tuple[int, int]:
-    """Number of scored frames with a change by an adversary, and of all scored frames; 0: not known."""
+    """Numbers of scored frames with an adversary's change, and of all; 0: not known."""
     if run.attacks is None or run.scored_frames is None:
         return 0, 0
     frames = np.unique(run.attacks["frame"])
@@ -48,7 +48,7 @@ def _attacked_frames(run: RunFolder) -> tuple[int, int]:
 
 
 def _scores(run: RunFolder, change: Change | None) -> str:
-    """The ego's score during the attack, of the change's kind, by default false objects."""
+    """The ego's score during the attack, of the change's kind or else false objects."""
     is_ego = change is not None and change.agent == run.ego
     kind, estimate = (change.kind, change.estimate) if change is not None and is_ego else (FALSE, "picture")
     counts = (
@@ -88,7 +88,10 @@ def while_attacked(
 
 
 def _counts_during_attack(run: RunFolder, estimate: str, attacked: RunFolder) -> Table | None:
-    """Counts of a run in the scored frames from the first to the last change in `attacked`; None: none."""
+    """Counts of a run in the scored frames of an attack; None: no such frames.
+
+    attacked: the run whose first and last change define the attack
+    """
     counts = run.counts_of(estimate) or run.counts_of(run.original(estimate))
     if counts is None or attacked.attack_frames is None:
         return None

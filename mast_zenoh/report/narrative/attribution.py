@@ -27,7 +27,7 @@ def due_to_causes(run: RunFolder, changes: Sequence[Change]) -> str:
 
 
 def cause_clause(run: RunFolder, change: Change, reference: RunFolder) -> str:
-    """`, due to adversary_1`: the cause of a change over a reference run, or why none is named."""
+    """`, due to adversary_1`: the cause of a change, or why none is named."""
     others = other_differences(run, reference)
     if others:
         also = "also " if attacking_nodes(run) - attacking_nodes(reference) else ""
@@ -39,7 +39,9 @@ def cause_clause(run: RunFolder, change: Change, reference: RunFolder) -> str:
 
 
 def causes(run: RunFolder, change: Change, reference: RunFolder | None = None) -> list[str]:
-    """The adversaries, links and faults that cause a change; may be empty with a reference.
+    """Adversaries, links and faults that cause a change.
+
+    May be empty with a reference.
 
     reference: the run that the change is over; None: the change is from the run's own measurements
     """
@@ -56,7 +58,7 @@ def causes(run: RunFolder, change: Change, reference: RunFolder | None = None) -
 
 
 def culprit_names(run: RunFolder, change: Change, reference: RunFolder | None = None) -> list[str]:
-    """The adversaries that cause a change, those with the most rows first; may be empty.
+    """Adversaries that cause a change, those with the most rows first; may be empty.
 
     For a change over a run that differs in adversaries alone, these are all adversaries whose changes can reach the
     estimate, unless measurements of single objects narrow them down.

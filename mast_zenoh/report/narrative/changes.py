@@ -66,7 +66,7 @@ class Change:
 
 
 def against(run: RunFolder, reference: RunFolder, agents: Iterable[str] | None = None) -> list[Change]:
-    """Changes of a run's scores over a reference run of the same scene; by default of the ego."""
+    """Changes of scores over a reference run of the same scene; by default the ego's."""
     changes = []
     for agent in agents or [run.ego or ""]:
         for estimate in ESTIMATES:
@@ -95,7 +95,7 @@ def between(
 
 
 def attributed(run: RunFolder, agents: Iterable[str] | None = None) -> list[Change]:
-    """Errors of a run that are due to attacks, links and faults, by its own measurements."""
+    """Errors of a run due to attacks, links and faults, by its own measurements."""
     changes = []
     for agent in agents or [run.ego or ""]:
         for estimate in ESTIMATES:
@@ -114,7 +114,9 @@ def attributed(run: RunFolder, agents: Iterable[str] | None = None) -> list[Chan
 
 
 def largest(changes: Iterable[Change]) -> Change | None:
-    """The largest change of any kind, in the first estimate that shows nearly all of it; None: no change.
+    """The largest change, in the first estimate that shows nearly all of it.
+
+    None: no change.
 
     A change of the picture in transit is replaced by the largest change of the command centre's picture and of what
     the agent acts on, if that is at least MIN_TRANSFERRED_SHARE of it.
@@ -188,7 +190,9 @@ def scored(run: RunFolder, frames: np.ndarray) -> np.ndarray:
 
 
 def _displacement(run: RunFolder, estimate: str) -> tuple[float | None, float]:
-    """The part of an RMSE due to moved and altered objects, m, and its weight; None: not known.
+    """The part of an RMSE due to moved and altered objects: (m, weight).
+
+    None: not known.
 
     A track beyond the gate is false and not part of the RMSE. Only the error of moved objects in excess of that of
     other objects counts.
@@ -226,7 +230,7 @@ def _frames(run: RunFolder) -> int:
 
 
 def _part(summary: Summary, kind: str, group: str, reference: Summary | None = None) -> float | None:
-    """The part of a score due to attacks or faults, minus that in the reference; None: not measured."""
+    """The part of a score due to attacks or faults over a reference; None: unknown."""
     here = (summary.get(f"{KEYS[kind]}_split") or {}).get(group)
     if reference is None or here is None:
         return here

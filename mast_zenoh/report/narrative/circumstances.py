@@ -10,7 +10,10 @@ from mast_zenoh.report.tables.interposers import failures_of, frames_of, interpo
 
 
 def compromised(run: RunFolder) -> str:
-    """Where adversaries sit: `two of four roadside sensors`, `the picture's way to ego`; empty: nowhere."""
+    """Positions of adversaries in words; empty: none.
+
+    `two of four roadside sensors`, `the picture's way to ego`
+    """
     hostile = [each for each in interposers(run) if not each.is_link]
     kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
     compromised_agents = {agent for each in hostile for agent in each.agents}
@@ -42,14 +45,14 @@ def status(run: RunFolder) -> str:
         return capital(partial)
     text = f"The run did not end well ({state}): read the numbers with that in mind"
     if state == "killed":
-        text = "The run was cut off: its launcher did not live to write down how it ended"
+        text = "The run was cut off: its launcher ended before it could record the outcome"
     elif state == "running":
-        text = "The run goes on, or was cut off: nothing here says how it ended"
+        text = "The run is still in progress, or was cut off: its outcome is not known"
     return f"{text}; {partial}" if partial else text
 
 
 def _partly_recorded(run: RunFolder) -> str:
-    """A note if the numbers come from a recording that is shorter than the run; else empty."""
+    """A note if the numbers come from an incomplete recording; else empty."""
     recording = run.metrics.get("recording")
     if not recording:
         return ""

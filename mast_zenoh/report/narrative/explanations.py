@@ -22,7 +22,9 @@ _MIN_POINTS = 5
 
 
 def explanations(run: RunFolder, reference: RunFolder | None = None) -> dict[str, tuple[str, ...]]:
-    """Reasons for limited effects on the picture or the ego, by interposer; links have none.
+    """Reasons for limited effects on the picture or the ego, by interposer.
+
+    Links have none.
 
     A reason begins with the kind of manipulation, unless it applies to everything that the interposer did. The cause
     of the largest change, which the headline names, has none.
@@ -105,7 +107,7 @@ def _idle(run: RunFolder, interposer: Interposer) -> str:
 
 
 def late_start_s(run: RunFolder, interposer: Interposer) -> float | None:
-    """s, start of an attack that was planned for after the end of the run; None: not so.
+    """s, start of an attack planned for after the end of the run; None: otherwise.
 
     Older runs list such attacks in the timeline; for others, the start is in the attack's settings.
     """
@@ -145,7 +147,7 @@ def _inserted(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> li
 
 
 def _removed(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
-    """Reasons why objects removed from messages, or in dropped messages, were not missed."""
+    """Reasons why objects in removed rows or dropped messages were not missed."""
     dropped = np.zeros(len(targets["frame"]), bool)
     if run.attacks is not None:
         drops = (run.attacks["interposer"] == targets["adversary"][0]) & (run.attacks["effect"] == "dropped")
@@ -193,9 +195,9 @@ def _how_often(share: float) -> str:
 
 
 def _moved(run: RunFolder, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
-    """Reasons why moved and altered objects were not displaced. Identity switches count as effects."""
+    """Reasons for missing displacement of objects; identity switches count as effects."""
     effects = "moved_share", "altered_share", "id_switches"
-    if any(achieved.get(f"{effect}_{who}") for effect in effects for who in ("centre", "ego")):
+    if any(achieved.get(f"{effect}_{viewer}") for effect in effects for viewer in ("centre", "ego")):
         return []
     present = [kind for kind in ("moved", "altered") if np.any(targets["kind"] == kind)]
     manipulated = " or ".join(present)
@@ -222,7 +224,9 @@ def _judged(targets: Table) -> Bools:
 
 
 def _seen_by_others(run: RunFolder, targets: Table) -> Bools:
-    """(n,) bool: targets seen by an agent whose report of them no adversary changes in that frame.
+    """(n,) bool: targets seen by an agent whose report of them is unchanged.
+
+    No adversary changes the agent's report of the target in that frame.
 
     `seen_by_others` excludes the agents of one adversary only; this also excludes those of other adversaries that
     change the same object. Without the scene, an object changed by several adversaries counts as not seen.
@@ -265,7 +269,7 @@ def _sees(run: RunFolder, number: int, frame: int, excluded: set[str]) -> bool:
 
 
 def _on_real_objects(run: RunFolder, targets: Table) -> Bools | None:
-    """(n,) bool: targets within the gate of a truth object of the same frame; None: no truth."""
+    """(n,) bool: targets within the gate of a true object; None: no truth."""
     if run.objects is None:
         return None
     truth = rows(run.objects, (run.objects["kind"] == "truth") & (run.objects["estimator"] == "picture"))

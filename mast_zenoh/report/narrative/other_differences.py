@@ -19,7 +19,9 @@ _MAX_NAMED = 3
 
 
 def other_differences(run: RunFolder, reference: RunFolder) -> tuple[str, ...]:
-    """Settings, nodes, wires and failures in which two runs differ, from scenario.json and wiring.json.
+    """Settings, nodes, wires and failures in which two runs differ.
+
+    From scenario.json and wiring.json.
 
     Adversaries and coordinators that only `run` has, and their wires, are ignored. Empty: no other difference.
     A setting is named by its node and path: `command_center.pipeline.clustering.assign_radius`.
@@ -91,7 +93,7 @@ def _differing_keys(here: Mapping[str, Any], there: Mapping[str, Any]) -> list[s
 
 
 def _versions(run: RunFolder, reference: RunFolder) -> list[str]:
-    """Packages of different versions, and algorithm files of equal name but different path."""
+    """Packages with different versions, and algorithm files with different paths."""
     versions = [each.run.get("versions") or {} for each in (run, reference)]
     files = [{Path(path).name: path for path in each.scenario.get("modules", ())} for each in (run, reference)]
     known = [name for name in _differing_keys(*versions) if all(name in each for each in versions)]

@@ -99,7 +99,7 @@ def plural(number: int, noun: str) -> str:
 
 
 def effects(interposer: Interposer) -> str:
-    """`478 rows of 6 objects inserted, 8 messages dropped`: measured effects of an interposer."""
+    """Measured effects: `478 rows of 6 objects inserted, 8 messages dropped`."""
     counts = interposer.effects or {}
     ordered = [name for name in (*EFFECTS, *counts) if name in counts and name != "unsettled"]
     return ", ".join(_effect(interposer, name, counts[name]) for name in dict.fromkeys(ordered)) or "nothing"

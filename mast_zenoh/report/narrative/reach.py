@@ -11,7 +11,9 @@ from mast_zenoh.wiring.model import Passage
 
 
 def reaches(run: RunFolder, node: str, estimate: str, agent: str | None = None) -> bool:
-    """Whether a node's messages can affect an estimate of an agent, by default the ego.
+    """Whether a node's messages can affect an estimate of an agent.
+
+    agent: by default the ego
 
     True if its wires are not known.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.faulted import check_rows
+from mast_zenoh.report.fault_tables import check_rows
 from mast_zenoh.report.narrative import changes, phrases
 from mast_zenoh.report.narrative.attack_period import attack_sentences, while_attacked
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
@@ -20,7 +20,7 @@ from mast_zenoh.report.tables.scores import ScoreTable
 
 
 def headline(run: RunFolder, reference: Reference | None = None) -> str:
-    """One sentence without a full stop on a run: its failure, or else its largest change.
+    """A sentence without a full stop on a run's failure or else its largest change.
 
     reference: the run that it is compared with; None: uses its own measurements
     """
@@ -28,7 +28,7 @@ def headline(run: RunFolder, reference: Reference | None = None) -> str:
 
 
 def result(run: RunFolder, reference: Reference | None = None) -> str:
-    """The largest change of any kind, and its cause, in one sentence without a full stop.
+    """The largest change and its cause, in a sentence without a full stop.
 
     It begins with the reference if that failed.
     """
@@ -41,7 +41,7 @@ def _result(run: RunFolder, reference: Reference | None) -> str:
     if not picture:
         if run.metrics_damaged:
             return "No scores: metrics.json is damaged"
-        if run.metrics:  # of an evaluator of the user's own
+        if run.metrics:  # from a user-defined evaluator
             return "No scores: metrics.json holds none of the common picture"
         return "No scores: this run did not get as far as its evaluation"
     places, change = compromised(run), _largest(run, reference)
@@ -56,7 +56,7 @@ def _result(run: RunFolder, reference: Reference | None) -> str:
 
 
 def _limits(run: RunFolder, reference: Reference | None, change: Change) -> str:
-    """The effect of a change of the picture in transit on its use; empty for other changes."""
+    """The effect of a change of the picture in transit on its use; empty for others."""
     if change.estimate not in changes.IN_TRANSIT or change.agent != run.ego:
         return ""
     all_changes = changes.attributed(run) if reference is None else changes.against(run, reference.run)
@@ -87,7 +87,7 @@ def _unchanged(run: RunFolder, places: str, reference: Reference | None) -> str:
     if active:
         did = "; ".join(f"{each.name}: {phrases.effects(each)}" for each in active)
         if reference is None:  # the effects may still matter through timing or other nodes
-            return f"Interposers changed messages ({did}); no error can be put down to them without --against twin"
+            return f"Interposers changed messages ({did}); no error can be attributed to them without --against twin"
         return f"Interposers changed messages ({did}), but {_same_scores(run, reference.run, reference.name)}"
     if places:
         unmeasured = any(each.effects is None for each in interposers(run))
@@ -163,7 +163,7 @@ def _other_changes(run: RunFolder, reference: Reference | None) -> list[str]:
         ]
         return [f"{capital(text)} {why}." for text, why in clauses]
     sentences = []
-    for cause, group in by_cause.items():  # the headline says why a cause is not named
+    for cause, group in by_cause.items():  # the headline explains missing causes
         text = join_names([more_or_less(each, run.ego) for each in group])
         sentences.append(f"{capital(text)} than {reference.name}{f', due to {join_names(cause)}' if cause else ''}.")
     return sentences
@@ -215,7 +215,7 @@ def _blame(run: RunFolder) -> list[str]:
 
 
 def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
-    """One sentence without a full stop on several runs: the largest change over the reference."""
+    """A sentence without a full stop on the largest change over the reference."""
     failed = [label for label, run in runs.items() if status(run)]
     if failed:
         return capital(f"{join_names(failed)} did not end well: the numbers may be wrong")
@@ -229,7 +229,7 @@ def study_headline(runs: Mapping[str, RunFolder], table: ScoreTable) -> str:
 
 
 def _changes(runs: Mapping[str, RunFolder], table: ScoreTable) -> dict[str, Change]:
-    """The largest change of each run over the reference; runs without changes are omitted."""
+    """The largest change of each run over the reference, without unchanged runs."""
     if table.reference is None:
         return {}
     others = {label: run for label, run in runs.items() if label != table.reference}

@@ -43,9 +43,9 @@ def titled(rows: Sequence[StudyRow], facts: StudyFacts) -> tuple[list[StudyRow],
 
 
 def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
-    """The largest change in one sentence, of false or missed objects if any, else of other metrics.
+    """The largest change in a sentence, after one for each attack that never began.
 
-    It is preceded by the attacks that never began.
+    Of false or missed objects if any, else of other metrics.
     """
     idle = [_never_began(each) for each in facts.idle]
     attacked = _attacked(rows, facts)
@@ -55,7 +55,7 @@ def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons
 
 
 def _never_began(idle: IdleAttack) -> str:
-    """`The attack of uncoordinated never began: it begins at 4 s, and the trials end after 3.8 s.`"""
+    """States that an attack never began, when it begins and when the trials end."""
     where = f" in {', '.join(idle.scenes)}" if idle.scenes else ""
     when = f"it begins at {idle.begins_s:g} s, and the trials end after {idle.ends_s:g} s"
     return f"The attack of {idle.configuration} never began{where}: {when}."
@@ -85,7 +85,7 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
 
 
 def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
-    """The largest change of each kind that `result` does not name, and the kinds that show none."""
+    """The largest change of each kind not in `result`, and the kinds without change."""
     attacked = _attacked(rows, facts)
     if not attacked:
         return []
@@ -113,7 +113,7 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
 
 
 def _compared(change: _Change) -> str:
-    """The group of changes of which this one is the largest; other estimates are not compared."""
+    """The group of changes of which this one is the largest."""
     metrics = next(metrics for metrics, _ in _HEADLINES if change[1].metric in metrics)
     names = " or ".join(_CHANGES[metric][0] for metric in metrics).replace(" objects or ", " or ")
     return f"{names} in {_SCORES_OF[change[1].estimator]}"
@@ -135,7 +135,10 @@ def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | N
 
 
 def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comparisons | None) -> _Change | None:
-    """The largest change in the first estimate with any; only significant ones with `comparisons`."""
+    """The largest change in the first estimate that has any.
+
+    comparisons: if given, only significant changes
+    """
     for estimator in _WHERE:
         changes = [(row, Column("", metric, estimator)) for row in rows for metric in metrics]
         known = [(row, column) for row, column in changes if not math.isnan(column.of(row).trial_mean)]
@@ -147,7 +150,7 @@ def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comp
 
 
 def _sentence(change: _Change) -> str:
-    """`in uncoordinated-3 the picture has 6.10 more false objects a frame [5.20, 7.00] than the baseline`."""
+    """`in attacked-3 the picture has 6.10 more false objects a frame [5.20, 7.00] …`."""
     row, column = change
     estimate = column.of(row)
     sign = 1.0 if estimate.trial_mean >= 0.0 else -1.0
@@ -162,7 +165,7 @@ def _sentence(change: _Change) -> str:
 
 
 def comparisons_made(comparisons: Comparisons) -> str:
-    """Number of comparisons, its consequence for each interval, and the meaning of the mark."""
+    """Number of comparisons, its effect on each interval, and the meaning of the mark."""
     if not comparisons.count:
         return "No comparison with the baseline has an interval."
     count = comparisons.count
@@ -176,7 +179,7 @@ def comparisons_made(comparisons: Comparisons) -> str:
 
 
 def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
-    """Caveats: numbers that are not due to attacks alone, and numbers based on fewer seeds."""
+    """Caveats: differences not due to attacks alone, and numbers based on fewer seeds."""
     sentences = []
     if facts.other_scenes:
         sentences.append(

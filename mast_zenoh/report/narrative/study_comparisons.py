@@ -34,7 +34,7 @@ class Comparisons:
 
     def remains(self, row: StudyRow, column: Column) -> bool:
         """Whether the difference is distinguishable from 0 after Holm's procedure."""
-        series = Series(column.who or row.ego, column.estimator, column.metric)
+        series = Series(column.owner or row.ego, column.estimator, column.metric)
         return self.adjusted.get((row.label, series), 1.0) <= LEVEL
 
     def remaining(self) -> int:
@@ -51,12 +51,12 @@ def compare(rows: Sequence[StudyRow], baseline: str) -> Comparisons:
         for series, estimate in row.estimates.items()
         if not math.isnan(estimate.p)
     }
-    table_series = {(column.who, column.estimator, column.metric) for column in columns_of(ADDED + PAPER)}
+    table_series = {(column.owner, column.estimator, column.metric) for column in columns_of(ADDED + PAPER)}
     ego = {row.label: row.ego for row in rows}
     counted = {
         (label, series): p
         for (label, series), p in tested.items()
-        if table_series & {(None if series.who == ego[label] else series.who, series.estimator, series.metric)}
+        if table_series & {(None if series.owner == ego[label] else series.owner, series.estimator, series.metric)}
     }
     return Comparisons(dict(zip(counted, holm(list(counted.values())), strict=True)), len(tested) - len(counted))
 

@@ -15,7 +15,9 @@ ALL = "all"
 
 
 class AchievedRow(NamedTuple):
-    """One adversary; texts for the picture ("centre") and for the ego with the picture, in this order.
+    """What one adversary achieved, as text.
+
+    Pairs are for the picture ("centre") and for the ego with the picture, in this order.
 
     inserted, hidden, moved: number of objects manipulated in this way
     accepted: share of the inserted objects followed by a track;  believed_s: s, mean duration of that
@@ -40,7 +42,7 @@ class AchievedRow(NamedTuple):
 
 
 def achieved_rows(run: RunFolder, reference: RunFolder | None = None) -> list[AchievedRow]:
-    """A row per interposer other than links, and one for all together if there are several.
+    """A row per interposer other than links, and a total if there are several.
 
     reference: the run that this one is compared with, see `explanations`
     """

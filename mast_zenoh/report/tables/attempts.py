@@ -10,7 +10,7 @@ from typing import NamedTuple
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-#: The row of messages that no attempt explains; their number should be 0.
+#: The row of messages that belong to no attempt; their number should be 0.
 STRAY = "(anything else)"
 
 

@@ -57,8 +57,9 @@ class DrivingRow(NamedTuple):
 
 
 def driving_rows(run: RunFolder, reference: RunFolder | None = None, name: str = "") -> list[DrivingRow]:
-    """Rows for the truth, the ego alone and the ego with the picture; none if the ego is not a vehicle.
+    """Rows for the truth, the ego alone and the ego with the picture.
 
+    Empty if the ego is not a vehicle.
     reference: the run that this one is compared with, labelled `name`; it gets a row per estimate as well
     """
     own, references = _summaries(run), _summaries(reference)
@@ -72,7 +73,7 @@ def driving_rows(run: RunFolder, reference: RunFolder | None = None, name: str =
 
 
 def driving_differs(run: RunFolder, reference: RunFolder) -> bool:
-    """Whether the consequences for driving of any of the ego's estimates differ between two runs."""
+    """Whether the ego's driving metrics differ between two runs."""
     own, references = _summaries(run), _summaries(reference)
     return bool(own and references) and own != references
 
@@ -86,7 +87,7 @@ def _summaries(run: RunFolder | None) -> dict[str, dict[str, Any]]:
 
 
 def _unattributed(each: dict[str, Any], other: dict[str, Any], key: str) -> float:
-    """Increase of a share of frames over another run that attacks do not explain; 0: none, or not known."""
+    """Unattributed increase of a share of frames over another run; 0: none."""
     share, reference_share = each.get(key), other.get(key)
     if share is None or reference_share is None:
         return 0.0
@@ -128,13 +129,13 @@ def _row(name: str, run: str, each: dict[str, Any], other: dict[str, Any], refer
 
 
 def braking_by_attack(run: RunFolder) -> str:
-    """Wrong braking of the ego with the picture because of attacks, in words; empty: none."""
+    """Wrong braking of the ego with picture by attacks, in words; empty: none."""
     mission = _summaries(run).get("mission", {})
     return _braking({words: mission.get(f"{key}_attack") for key, words in _WRONG_BRAKING.items()})
 
 
 def unattributed_braking(run: RunFolder, reference: RunFolder, name: str) -> str:
-    """Increase of wrong braking over the run `name` that attacks do not explain; may be empty."""
+    """Unattributed increase of wrong braking over a run, in words; empty: none."""
     own, other = (_summaries(each).get("mission", {}) for each in (run, reference))
     braking = _braking({words: _unattributed(own, other, key) for key, words in _WRONG_BRAKING.items()})
     return f"{braking} more than {name}, not attributed" if braking else ""
@@ -146,7 +147,7 @@ def _braking(shares: dict[str, float | None]) -> str:
 
 
 def driving_over_time(run: RunFolder, frame: int | None) -> Figure | None:
-    """Time to collision, wrong objects and braking over time; None: the ego is not a vehicle."""
+    """Time to collision, wrong objects and braking over time; None: not a vehicle."""
     if run.driving is None or not np.any(run.driving["agent"] == run.ego):
         return None
     ego_rows = rows(run.driving, run.driving["agent"] == run.ego)
@@ -253,7 +254,10 @@ def _annotate(axis: Axes, message: str) -> None:
 
 
 def _spans(times: np.ndarray, mask: np.ndarray, step: float) -> list[tuple[float, float]]:
-    """Start and length of each run of frames in the mask; a frame lasts a step and is centred on its time."""
+    """(start, length) of each run of frames in a mask.
+
+    A frame lasts one step and is centred on its time.
+    """
     edges = np.diff(mask.astype(np.int64), prepend=0, append=0)
     first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
     return [(float(times[a]) - step / 2, float(times[b] - times[a]) + step) for a, b in zip(first, last, strict=True)]

@@ -56,7 +56,7 @@ class Interposer:
 
     @property
     def is_link(self) -> bool:
-        """Whether it models the network; all other interposers count as adversaries, whatever their role."""
+        """Whether it models the network; all other interposers count as adversaries."""
         return self.role == "link"
 
     @property
@@ -171,7 +171,7 @@ def frames_of(failures: Sequence[Mapping[str, Any]]) -> int:
 
 
 def _crash(run: RunFolder, node: str) -> str:
-    """How a node's handlers or process failed, in words; empty: not, or ended on purpose."""
+    """How a node's handlers or process failed, in words; empty: as expected."""
     record = run.run.get("nodes", {}).get(node, {})
     failures = failures_of(record)
     if failures:
@@ -183,7 +183,7 @@ def _crash(run: RunFolder, node: str) -> str:
 
 
 def exit_expected(node: Mapping[str, Any]) -> bool:
-    """Whether the scenario or a request ended a node of run.json; False if it crashed after a restart."""
+    """Whether a node ended by scenario or request, without a crash after restart."""
     parts = str(node.get("ended")).split("; ")
     endings = parts if parts[-1] == "ok" else parts[-2:]
     return any(words in part for part in endings for words in ("by the scenario", "released", "told to leave"))

@@ -32,7 +32,10 @@ ALWAYS = (LOCAL, PICTURE, MISSION)
 
 
 class Measure(NamedTuple):
-    """A metric as a row: its key in metrics.json, its name, and whether the terminal shows it."""
+    """A metric as a row.
+
+    key: in metrics.json; brief: whether the terminal shows it
+    """
 
     key: str
     name: str
@@ -54,7 +57,7 @@ MEASURES = (
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """Mean and standard deviation over frames, or a value of the whole run; None: not known."""
+    """Mean and standard deviation over frames, or a run's value; None: unknown."""
 
     mean: float | None = None
     std: float | None = None
@@ -76,7 +79,10 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ScoreRow:
-    """One metric of one run: a cell per estimate, and the picture's increment over the ego alone (IoE)."""
+    """One metric of one run, with a cell per estimate.
+
+    over_alone: the picture's increment over the ego alone (IoE)
+    """
 
     measure: Measure
     run: str
@@ -161,7 +167,7 @@ def measures(scores: Iterable[Mapping[str, Mapping[str, Any]]]) -> list[Measure]
 
 
 def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[str, ...]:
-    """Estimates that have a column: those in ALWAYS, and those that differ from all others in some run."""
+    """Estimates with a column: those in ALWAYS, and those that differ from all others."""
     names = set(ALWAYS)
     for summary in metrics:
         same = summary.get("same_as", {}).get(agent, {})
@@ -197,7 +203,7 @@ def _difference(
     estimates: tuple[str, str],
     measure: Measure,
 ) -> Value:
-    """`value` minus `other`, with the standard deviation over common frames if counts are given."""
+    """`value` minus `other`, with the deviation over common frames if known."""
     if other is None or value.mean is None or other.mean is None:
         return Value()
     own_counts, other_counts = (of_run.get(name) for of_run, name in zip(series, estimates, strict=True))
@@ -232,7 +238,7 @@ NOTE = "FN, FP, TP: objects per frame, mean over the scored frames"
 
 
 def as_rich(table: ScoreTable) -> Group:
-    """Main metrics for a terminal of 80 columns, with changes over the reference if any."""
+    """Main metrics for a terminal of 80 columns, with changes over a reference if any."""
     if len(table.runs) < 2:
         return Group(_terminal_table(table, table.estimates, NOTE))
     others = [name for name in table.estimates if name not in ALWAYS]

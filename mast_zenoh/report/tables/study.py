@@ -20,7 +20,7 @@ _WIDTH = 80
 
 
 def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
-    """For a terminal of 80 columns: failures first, then the result in words, then tables."""
+    """Failures, the result in words, and tables for a terminal of 80 columns."""
     comparisons = compare(rows, facts.baseline)
     parts: list[Text | Table] = [Text("")]
     if facts.failures:
@@ -35,7 +35,7 @@ def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
 
 
 def _labels(rows: Sequence[StudyRow]) -> list[str]:
-    """Explains the numbers in the labels of terminal tables, which have no room for parameter names."""
+    """Explains the numbers in the labels of terminal tables."""
     names = dict.fromkeys((row.run, *row.point) for row in rows if row.point)
     return [f"Labels in tables: {'-'.join(parts)}." for parts in names]
 

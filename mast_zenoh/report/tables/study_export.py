@@ -51,7 +51,7 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
 
 
 def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
-    """A tabular without package requirements: increments per configuration, with intervals below."""
+    """A LaTeX tabular of increments with intervals below; requires no package."""
     rows, facts = titled(rows, facts)
     columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
     groups = " & ".join(rf"\multicolumn{{{len(columns_of_group)}}}{{c}}{{{name}}}" for name, columns_of_group in PAPER)

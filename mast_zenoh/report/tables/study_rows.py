@@ -18,9 +18,9 @@ NEGLIGIBLE = 1e-9
 
 
 class Series(NamedTuple):
-    """Identifies a number by the columns of results.parquet."""
+    """Identifies a number in results.parquet; `owner` is the column `who`."""
 
-    who: str
+    owner: str
     estimator: str
     metric: str
 
@@ -58,7 +58,7 @@ class Estimate:
 
     @property
     def certain(self) -> bool:
-        """Whether an increment is equal in every seed and not 0; without spread there is no interval."""
+        """Whether an increment is equal in every seed and not 0, so without interval."""
         return self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE and math.isnan(self.low)
 
 
@@ -78,29 +78,29 @@ class StudyRow:
 
     @property
     def title(self) -> str:
-        """The label with the name of each parameter: `attacked false_positives=2.0`; without a grid the label."""
+        """The label with parameter names: `attacked false_positives=2.0`."""
         return (
             " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
             if self.point
             else self.label
         )
 
-    def get(self, metric: str, estimator: str = "picture", who: str | None = None) -> Estimate:
+    def get(self, metric: str, estimator: str = "picture", owner: str | None = None) -> Estimate:
         """The estimate of a series, by default of the ego; all NaN if there is none."""
-        return self.estimates.get(Series(who or self.ego, estimator, metric), Estimate())
+        return self.estimates.get(Series(owner or self.ego, estimator, metric), Estimate())
 
 
 class Column(NamedTuple):
-    """One column of a table: its heading, and the series it shows; who None: the ego."""
+    """One column of a table: heading and series; owner: None for the ego."""
 
     heading: str
     metric: str
     estimator: str = "picture"
-    who: str | None = None
+    owner: str | None = None
 
     def of(self, row: StudyRow) -> Estimate:
         """The estimate that belongs in this column of a row."""
-        return row.get(self.metric, self.estimator, self.who)
+        return row.get(self.metric, self.estimator, self.owner)
 
 
 #: Columns in groups with a name.
@@ -160,7 +160,10 @@ def over_frames(estimate: Estimate) -> str:
 
 
 def over_trials(estimate: Estimate) -> str:
-    """`3.42 [3.10, 3.80]`; without an interval the mean and why: `3.42 (n < 5)`. Success rates in per cent."""
+    """Mean and interval: `3.42 [3.10, 3.80]`, or the reason for none: `3.42 (n < 5)`.
+
+    Success rates are in per cent.
+    """
     return f"{value(estimate)} {bounds(estimate)}".strip()
 
 
@@ -171,7 +174,7 @@ def value(estimate: Estimate) -> str:
 
 
 def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
-    """`[3.10, 3.80]`, or why there is no interval; `scenes`: that to other scenes, "" without."""
+    """`[3.10, 3.80]`, or why there is no interval; scenes: that to other scenes."""
     low, high = (estimate.scenes_low, estimate.scenes_high) if scenes else (estimate.low, estimate.high)
     if not math.isnan(low):
         digits = _digits(estimate)
@@ -197,7 +200,10 @@ def number(value: float, digits: int = 2) -> str:
 
 
 def shares(row: StudyRow, outcome: str, estimator: str = "picture") -> dict[str, float]:
-    """Shares (0 to 1) of the causes of an estimate's false ("fp") or missed ("fn") objects; {} if none."""
+    """Shares (0 to 1) of the causes of an estimate's errors; {} if there are none.
+
+    outcome: "fp" (false objects) or "fn" (missed objects)
+    """
     counts = {cause: row.get(f"{outcome} {cause}", estimator).mean for cause in CAUSES}
     counts = {cause: mean for cause, mean in counts.items() if mean > 0.0}
     total = sum(counts.values())

@@ -37,7 +37,10 @@ _PAIRED = "Difference from the baseline of the same scene and seed; mean and 95 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A number as text, the text below it, and whether it is marked as distinguishable from 0."""
+    """A number as text.
+
+    below: the text below it; marked: whether it is distinguishable from 0
+    """
 
     text: str = DASH
     below: str = ""
@@ -97,7 +100,7 @@ def _paper(rows: Sequence[StudyRow], comparisons: Comparisons) -> Section:
 
 
 def _added(rows: Sequence[StudyRow], comparisons: Comparisons) -> list[Section]:
-    """A table per estimate that an attack changes; the terminal shows those of the ego."""
+    """A table per estimate that an attack changes; the terminal shows the ego's."""
     tables = []
     for estimator, group in zip(ESTIMATORS, ADDED, strict=True):
         section = _table(
@@ -139,8 +142,8 @@ def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
     """Achievements of all adversaries together, and of each one."""
     series = list(dict.fromkeys(each for row in rows for each in row.estimates if each.estimator == _ACHIEVED))
     names = list(dict.fromkeys(each.metric for each in series))
-    all_adversaries = [each.who for each in series if each.who == _ALL][:1]
-    single_adversaries = list(dict.fromkeys(each.who for each in series if each.who != _ALL))
+    all_adversaries = [each.owner for each in series if each.owner == _ALL][:1]
+    single_adversaries = list(dict.fromkeys(each.owner for each in series if each.owner != _ALL))
     caption = "Mean over trials, of yes and no the success rate; 95 % interval over seeds of these scenes."
     headings = (("", tuple(name.replace("_", " ") for name in names)),)
     tables = []
@@ -149,11 +152,11 @@ def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
         ("What each adversary achieved", single_adversaries),
     ):
         cells = {
-            row.label if who == _ALL else f"{row.label}: {who}": tuple(
-                _over_trials(row.get(name, _ACHIEVED, who)) for name in names
+            row.label if owner == _ALL else f"{row.label}: {owner}": tuple(
+                _over_trials(row.get(name, _ACHIEVED, owner)) for name in names
             )
             for row in rows
-            for who in group
+            for owner in group
         }
         lines = [(label, line) for label, line in cells.items() if any(cell != Cell() for cell in line)]
         tables.append(
@@ -163,12 +166,12 @@ def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
 
 
 def _others(rows: Sequence[StudyRow]) -> Section:
-    """Numbers of the ego that have no other table, such as user-defined metrics: a line each."""
+    """Other numbers of the ego, such as user-defined metrics, a line each."""
     table_series = {(column.estimator, column.metric) for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
     series = [
         each
         for each in dict.fromkeys(each for row in rows for each in row.estimates)
-        if each.who == rows[0].ego and (each.estimator, each.metric) not in table_series and " " not in each.metric
+        if each.owner == rows[0].ego and (each.estimator, each.metric) not in table_series and " " not in each.metric
     ]
 
     def cells(each: Series) -> tuple[Cell, ...]:

@@ -82,7 +82,7 @@ def _before(wire: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 
 
 def all_wires(run: RunFolder) -> list[dict[str, Any]]:
-    """The wires of wiring.json (the final state), plus interposers that were removed before the end."""
+    """The final wires of wiring.json, with interposers that were removed earlier."""
     wires = {wire["key"]: wire for wire in run.wiring.get("wires", [])}
     for each in interposers(run):
         for key in each.wires if each.live is not None else ():
@@ -93,7 +93,7 @@ def all_wires(run: RunFolder) -> list[dict[str, Any]]:
 
 
 def _with_interposer(wire: dict[str, Any], node: str) -> dict[str, Any]:
-    """A wire with one more interposer at the end of its trunk; the key that it subscribed to is not known."""
+    """A wire with another interposer at the end of its trunk; its key is not known."""
     legs = list(wire.get("legs", ()))
     index = next((i for i, leg in enumerate(legs) if leg["key"] == wire["key"]), None)
     if index is not None:
@@ -123,7 +123,10 @@ class Spot(NamedTuple):
 
 @dataclass(slots=True)
 class Line:
-    """A line between two nodes: message types, and whether a wire is intercepted or has a link."""
+    """A line between two nodes.
+
+    messages: types; intercepted: by an adversary; linked: with a link on the wire
+    """
 
     messages: list[str] = field(default_factory=list)
     intercepted: bool = False
@@ -145,8 +148,9 @@ class Layout:
 
 
 def layout(run: RunFolder) -> Layout | None:
-    """Place the nodes of a run in columns along the flow of a frame; None: nothing to draw.
+    """Place the nodes of a run in columns along the flow of a frame.
 
+    None: there is nothing to draw.
     Interposers are placed between the ends of their wire, half a row above its agent. Nodes outside the flow (a
     coordinator) are placed above their neighbours.
     """
@@ -194,7 +198,7 @@ def layout(run: RunFolder) -> Layout | None:
 
 
 def _orders(wire: Mapping[str, Any]) -> dict[str, tuple[int, str]]:
-    """(number of interposers before it, its only subscriber or "") of each interposer of a wire."""
+    """(number of interposers before it, its only subscriber or "") by interposer."""
     legs = wire.get("legs", ())
     if not any(leg.get("before") for leg in legs):
         return {node: (order, "") for order, node in enumerate(wire.get("interposers", ()))}

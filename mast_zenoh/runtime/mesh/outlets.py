@@ -88,7 +88,7 @@ class Outlets(dict[str, Outlet]):
             self[leg.key].publisher
             for wire, leg in wiring.legs()
             if leg.publisher.node == name
-            and {end.node for end in (*wire.hearers(leg), *wiring.overhearers)} - set(without)
+            and {end.node for end in (*wire.receivers(leg), *wiring.overhearers)} - set(without)
         ]
 
     def counted(self, sent: Mapping[str, int]) -> dict[str, int]:

@@ -86,7 +86,7 @@ class WiringFollower:
         """Subscribe to new keys, and declare publishers for keys that change."""
         ports = wiring.ports(self._name)
         for key, port_input in ports.inputs.items():
-            if key not in self._host.hears:
+            if key not in self._host.subscriptions:
                 self._host.add_input(key, port_input)
                 self._subscribe(key)
         types = {leg.key: wire.message for wire, leg in wiring.legs()}

@@ -32,7 +32,7 @@ from mast_zenoh.security.levels import client_settings, endpoint
 from mast_zenoh.study.rogue.detour import Detour
 from mast_zenoh.wiring.model import Wiring
 
-#: Credentials that an outsider may present besides those of a node: `shows` of an attempt.
+#: Values of an attempt's `shows`, besides names of nodes: the credentials that an outsider presents.
 NOTHING, FOREIGN, EXPIRED = "nothing", "foreign", "expired"
 
 OUTSIDER = "outsider"
@@ -44,7 +44,9 @@ _POLL_S = 0.02
 
 
 class AttackedRun:
-    """A context manager: on entry the run has played its first frames, on exit it has ended.
+    """A context manager for a run with attackers.
+
+    On entry the run has played its first frames; on exit it has ended.
 
     resolved: the run; level: security level of its mesh; folder: its run folder
     detoured: nodes whose connection to the router passes through the outsider
@@ -102,7 +104,10 @@ class AttackedRun:
 
     @property
     def endpoint(self) -> str:
-        """The router's endpoint. Addresses, the authority's certificate and the run's id are public."""
+        """The router's endpoint.
+
+        Addresses, the authority's certificate and the run's id are public.
+        """
         return str(self._joined.record["endpoint"])
 
     @property
@@ -111,7 +116,7 @@ class AttackedRun:
         return prefix(self._joined.run_id)
 
     def credentials(self, shows: str) -> Credentials | None:
-        """The credentials that an outsider presents; None on an open mesh, which asks for none.
+        """The credentials that an outsider presents; None on an open mesh.
 
         shows: NOTHING, FOREIGN (issued by the outsider's own authority), EXPIRED, or a node whose files it has stolen
         """
@@ -133,13 +138,13 @@ class AttackedRun:
 
     @property
     def foreign(self) -> Authority:
-        """The outsider's own authority, which issues certificates with the same contents as the real one."""
+        """The outsider's own authority, for certificates that imitate the real ones."""
         if self._foreign is None:
             self._foreign = Authority(self._joined.run_id)
         return self._foreign
 
     def join(self, shows: str, zid: str | None = None) -> zenoh.Session:
-        """Open a session on the run's mesh; raises zenoh.ZError if refused. zid: Zenoh id of the session."""
+        """Open a session, with a Zenoh id if given; raises zenoh.ZError if refused."""
         credentials = self.credentials(shows)
         settings = {
             "mode": "client",
@@ -151,7 +156,7 @@ class AttackedRun:
         return open_session(settings)
 
     def zid(self, node: str) -> str:
-        """The Zenoh id of a node's session, asked of the router; on an open mesh any client may ask."""
+        """The Zenoh id of a node's session, which any client of an open mesh can query."""
         session = self._mesh.session
         key = f"@/{session.info.zid()}/router/token/{self.prefix}/alive/{self.require_node(node)}"
         for reply in session.get(key, timeout=5.0):
@@ -175,7 +180,7 @@ class AttackedRun:
     def subscriber_count(self, key: str) -> int:
         """The number of nodes that receive messages on this key."""
         wire, leg = self._leg(key)
-        return len(wire.hearers(leg)) + len(self.wiring.overhearers)
+        return len(wire.receivers(leg)) + len(self.wiring.overhearers)
 
     def require_node(self, node: str) -> str:
         """The name of a node of the run; raises ConfigurationError."""
@@ -219,7 +224,7 @@ class AttackedRun:
         return True
 
     def wait_until_ended(self, seconds: float) -> run.Run | None:
-        """Wait for the run to end by itself; its outcome, or None after a timeout of `seconds`."""
+        """Wait for the run to end by itself; its outcome, or None after `seconds`."""
         self._thread.join(seconds)
         return self._ended
 
@@ -231,7 +236,10 @@ class AttackedRun:
         return self._ended
 
     def foreign_messages(self) -> dict[str, dict[str, int]]:
-        """Stop the run; by node and key, messages from outside the run that reached the node's host."""
+        """Stop the run; returns counts of foreign messages by node and key.
+
+        Foreign messages come from outside the run and reached the node's host.
+        """
         finished = self.stop()
         if finished is None or (finished.error is not None and not isinstance(finished.error, Interrupted)):
             raise RunError(
@@ -262,7 +270,7 @@ class AttackedRun:
 
 @contextmanager
 def attacker_errors(name: str, call: Callable[..., Any]) -> Iterator[None]:
-    """Turn an error in an attacker's code into HandlerFailed with file and line; `call` is that code."""
+    """Turn errors in `call`, an attacker's code, into HandlerFailed with the line."""
     try:
         yield
     except (MastError, zenoh.ZError):

@@ -60,7 +60,7 @@ class Attempt(ABC):
 
     #: the node whose connection to the router must pass through the outsider
     detour_node: str | None = None
-    #: whether the outcome depends on the credentials, on meshes that ask for them
+    #: whether the outcome depends on the credentials, on meshes that require them
     by_certificate: ClassVar[bool] = True
 
     def __init__(self, name: str, shows: str = NOTHING) -> None:
@@ -69,12 +69,12 @@ class Attempt(ABC):
 
     @property
     def key(self) -> str:
-        """The key of its forged messages, by which they are counted, so unique among attempts; or ""."""
+        """The key of its forged messages, unique among attempts to count them; or ""."""
         return ""
 
     @abstractmethod
     def make(self, attacked_run: AttackedRun) -> Outcome:
-        """Carry out the attempt and return its immediate effects; `reached` is counted after the run."""
+        """Carry out the attempt; returns its effects except `reached`, counted later."""
 
 
 class Inject(Attempt):
@@ -162,7 +162,7 @@ class AskRouter(Attempt):
 
 
 class RogueRouter(Attempt):
-    """Redirect a node's connection to a rogue router, which is a client of the real one.
+    """Redirect a node's connection to a rogue router, itself a client of the real one.
 
     node: the redirected node; wire: key of messages forged for it; shows: credentials of the rogue router
     """
@@ -205,7 +205,7 @@ class RogueRouter(Attempt):
         return outcome
 
     def _settings(self, attacked_run: AttackedRun) -> dict[str, Any]:
-        """Settings of a router that forwards to the real one, with the outsider's best certificate."""
+        """Settings of a router that forwards to the real one, with the best certificate."""
         upstream = {
             "connect/endpoints": [attacked_run.endpoint],
             "connect/exit_on_failure": False,

@@ -31,7 +31,10 @@ _INSIDER_FRAMES = 60
 
 @dataclass(frozen=True)
 class RogueResult:
-    """A finished study: its folder, a row per attempt or insider and level, and its files."""
+    """A finished study.
+
+    rows: one per attempt or insider, and level; files: all written tables
+    """
 
     out: Path
     rows: list[AttemptRow]
@@ -56,7 +59,7 @@ def run(
     frames: int | None = None,
     console: Console | None = None,
 ) -> RogueResult:
-    """Play every run of the study at every level, with the attackers that its scenario file lists.
+    """Play each run at each security level, with the attackers from its scenario file.
 
     The outsider makes all its attempts in one real-time run. Each insider has its own lock-step run, which is compared
     with an undisturbed twin. All runs are resolved and validated before the first one starts. study.json exists from
@@ -79,7 +82,7 @@ def run(
             for each in prepared:
                 rows.extend(_attack_rows(each, study.security, folder, console))
         except KeyboardInterrupt as caught:
-            raise ending.with_hint(caught, f"what was found is in {folder / 'study.json'}") from None
+            raise ending.with_hint(caught, f"results so far are in {folder / 'study.json'}") from None
     files = []
     for name, write in (("attempts.md", attempts_table.as_markdown), ("attempts.csv", attempts_table.as_csv)):
         (folder / name).write_text(write(rows), encoding="utf-8")
@@ -117,7 +120,7 @@ def load_insiders(name: str) -> list[Insider]:
 
 
 def _load_attackers(name: str, function_name: str, base: Any) -> list[Any]:
-    """Build the attackers that a function of a scenario file lists; [] if there is no such function."""
+    """Build the attackers listed by a scenario file's function; [] without it."""
     path, _ = loading.function("scenarios", name, "scenario")
     function = getattr(loading.module(path), function_name, None)
     content = function() if callable(function) else []
@@ -159,7 +162,7 @@ def run_outsider(
 
 
 def _prepare(study: Study, configuration: Configuration, seed: int | None, frames: int | None) -> _PreparedRun:
-    """Resolve a run; raises ConfigurationError if it is invalid or its file lists no attackers."""
+    """Resolve a run; raises ConfigurationError if invalid or without attackers."""
     file, loaded = scenario.load(configuration.scenario, (*study.scenes[0].settings, *configuration.settings))
     attempts, insiders = load(configuration.scenario), load_insiders(configuration.scenario)
     if not attempts and not insiders:
@@ -179,7 +182,7 @@ def _prepare(study: Study, configuration: Configuration, seed: int | None, frame
 
 
 def _outsider_rows(each: _PreparedRun, level: str, folder: Path) -> list[AttemptRow]:
-    """A row for each attempt of the outsider at one level, and one for unexplained messages."""
+    """A row for each attempt of the outsider at a level, and one for stray messages."""
     outcomes, stray = run_outsider(each.realtime, folder / f"{each.label}-{level}", level, each.attempts)
     rows = [_row(each.label, level, attempt, outcomes[attempt.name]) for attempt in each.attempts]
     return [*rows, AttemptRow(each.label, level, attempts_table.STRAY, reached=stray, succeeded=stray > 0)]

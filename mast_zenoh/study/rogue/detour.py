@@ -12,8 +12,9 @@ _CONNECT_S = 2.0
 
 
 class Detour:
-    """Relays connections byte for byte to the port that `target` returns, until it is redirected.
+    """Relays connections byte for byte to the port that `target` returns.
 
+    It can be redirected.
     It stands for redirection in a real network (a forged ARP or DNS reply, a NAT rule), and needs no privileges.
 
     target: returns the local port to connect to; called for each connection
@@ -30,7 +31,7 @@ class Detour:
         self._threads[0].start()
 
     def redirect(self, port: int | None) -> None:
-        """Close all connections, and relay new ones to this port; None: to the original target."""
+        """Close all connections, and relay new ones to a port; None: the original target."""
         self._override_port = port
         self._disconnect()
 

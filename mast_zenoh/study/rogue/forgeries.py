@@ -69,7 +69,7 @@ def forgeries(control: str, position: Position, count: int, seed: int = 0) -> li
 
 
 def keys(control: str, position: Position) -> list[str]:
-    """The keys of a kind below @control/; for kinds with a key per node, the node's own first."""
+    """The keys of a kind below @control/, the node's own first."""
     if CONTROLS[control].own or control in ("leave", "drain"):
         return [f"{control}/{name}" for name in (position.node, *position.others)]
     return [control]

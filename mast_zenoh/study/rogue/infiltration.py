@@ -69,7 +69,7 @@ class Finding:
 
     @property
     def succeeded(self) -> bool:
-        """Whether the insider did something that a compromised node must not be able to do."""
+        """Whether the insider did something that no compromised node must be able to do."""
         return self.verdict.startswith("succeeds")
 
 
@@ -115,7 +115,7 @@ def _assess(
 
 
 def _files_outside(folder: Path) -> set[Path]:
-    """Files in the folders that a forged path could lead to, other than the run folder."""
+    """Files in folders that a forged path could lead to, except the run folder."""
     places = {folder.parent, Path.cwd(), Path.home(), Path(tempfile.gettempdir()), Path("/tmp")}
     return {path for place in places if place.is_dir() for path in place.iterdir()} - {folder}
 

@@ -18,7 +18,9 @@ from mast_zenoh.study.rogue.sending import send
 
 
 class Insider(ABC):
-    """Base class of insiders: a second session with a node's credentials; the node itself is unchanged.
+    """Base class of insiders: a second session with the credentials of a node.
+
+    The node itself is unchanged.
 
     name: its name in the table
     node: the node whose certificate and key it has

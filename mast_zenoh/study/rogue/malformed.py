@@ -47,7 +47,7 @@ def malformed(value: Any, random: Random) -> bytes:
 
 
 def heavy(value: Any, control: str) -> Iterator[bytes]:
-    """Rejected payloads that would exhaust the memory of a receiver that unpacks them unchecked."""
+    """Payloads that exhaust the memory of receivers that unpack them unchecked."""
     max_bytes = CONTROLS[control].max_bytes
     if max_bytes < HEAVY_BYTES:
         yield pack(value) + bytes(max_bytes)
@@ -61,7 +61,7 @@ def heavy(value: Any, control: str) -> Iterator[bytes]:
 
 
 def flipped(value: Any, random: Random) -> bytes:
-    """The bytes of a valid message with some bits or bytes changed; the result may still be valid."""
+    """A valid message with some bits or bytes changed; it may still be valid."""
     payload = bytearray(pack(value))
     for _ in range(int(random.integers(1, 4))):
         index = int(random.integers(len(payload)))
@@ -73,7 +73,7 @@ def flipped(value: Any, random: Random) -> bytes:
 
 
 def _lists(size: int) -> bytes:
-    """About `size` bytes of empty lists, in lists that are each short enough to be accepted."""
+    """About `size` bytes of empty lists, nested in lists of accepted length."""
     length = 1 << 15
     inner = b"\xdc" + length.to_bytes(2, "big") + b"\x90" * length
     count = max(1, size // len(inner))
@@ -134,7 +134,7 @@ def _missing(value: Any, random: Random) -> bytes:
 
 
 def _number(value: Any, random: Random) -> bytes:
-    """Replace a number by a non-number or an out-of-range one; without numbers, give a part a wrong type."""
+    """Replace a number by an invalid one; without numbers, use a wrong type."""
     numbers = list(_numbers(value))
     if not numbers:
         return _wrong_type(value, random)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from mast_zenoh.report import terminal
-from mast_zenoh.report.faulted import cause_rows, check_lines, check_rows, late_rows, latency_rows
+from mast_zenoh.report.fault_tables import cause_rows, check_lines, check_rows, late_rows, latency_rows
 from mast_zenoh.report.figures.bands import Band, bands, lanes, place_bands
 from mast_zenoh.report.figures.causes import causes_over_time
 from mast_zenoh.report.figures.charts import counts_over_time

@@ -34,8 +34,9 @@ class CheckRow(NamedTuple):
 
 
 class LatencyRow(NamedTuple):
-    """Latency of a wire in ms, from the simulator's frame to the frame's message; over `n` frames.
+    """Latency of a wire in ms, from the simulator's frame to the frame's message.
 
+    n: frames
     main: whether the wire is between the agents and the picture
     """
 
@@ -96,7 +97,9 @@ def late_rows(metrics: Mapping[str, Any]) -> list[tuple[str, int]]:
 
 
 def cause_table(metrics: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
-    """Terminal table of the causes of an agent's errors, a row per run; None: not known.
+    """Terminal table of the causes of an agent's errors; None: not known.
+
+    A row per run.
 
     metrics: by the run's label
     """
