@@ -17,7 +17,7 @@ if kernels.USED == "numpy":  # now, and not in the middle of a frame
     import scipy.sparse.csgraph  # noqa: F401
 
 
-def alone(row: Ints, column: Ints) -> Bools:
+def uncontested(row: Ints, column: Ints) -> Bools:
     """(p,) pairs both of whose ends are in no other pair; row, column: (p,) int64 >= 0."""
     if len(row) == 0:
         return np.zeros(0, bool)
@@ -25,12 +25,12 @@ def alone(row: Ints, column: Ints) -> Bools:
     return single
 
 
-def greedy(row: Ints, column: Ints, cost: Floats) -> Bools:
+def greedy_matching(row: Ints, column: Ints, cost: Floats) -> Bools:
     """(p,) bool: the cheapest pair first, then the cheapest of what remains; ties by row and column.
 
     row, column: (p,) int64 >= 0, no pair twice; cost: (p,)
     """
-    chosen = alone(row, column)
+    chosen = uncontested(row, column)
     contested = (~chosen).nonzero()[0]
     order = contested[np.lexsort((column[contested], row[contested], cost[contested]))]
     rows: set[int] = set()
@@ -44,7 +44,7 @@ def greedy(row: Ints, column: Ints, cost: Floats) -> Bools:
 
 
 @kernel
-def cheapest(row: Ints, column: Ints, cost: Floats) -> Bools:
+def min_cost_matching(row: Ints, column: Ints, cost: Floats) -> Bools:
     """(p,) bool: the pairs of the one-to-one choice of least total cost.
 
     row, column: (p,) int64 >= 0, no pair twice
@@ -60,7 +60,7 @@ def cheapest(row: Ints, column: Ints, cost: Floats) -> Bools:
 
     if not np.isfinite(cost).all():
         raise ValueError("cost: found one that is not finite")
-    chosen = alone(row, column)
+    chosen = uncontested(row, column)
     contested = (~chosen).nonzero()[0]
     if len(contested) == 0:
         return chosen

@@ -23,11 +23,11 @@ def neighbours(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Floats,
     """
     if len(a) * len(b) > TABLE:
         return _nearest(a[:, :2], b[:, :2], reach)
-    return pairs_in_reach(a, b, reach)
+    return pairs_within_radius(a, b, reach)
 
 
 @kernel
-def pairs_in_reach(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+def pairs_within_radius(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Floats, Floats]:
     """See `neighbours`."""
     m = len(b)
     dx = b[:, 0] - a[:, 0, None]

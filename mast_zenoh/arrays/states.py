@@ -184,12 +184,12 @@ def propagate(states: ObjectStates, dt: float) -> ObjectStates:
     """Objects moved `dt` seconds along their velocity (constant velocity, covariance without process noise)."""
     if len(states) == 0 or dt == 0.0:
         return states
-    position, covariance = moved(states.position, states.velocity, states.covariance, dt)
+    position, covariance = constant_velocity(states.position, states.velocity, states.covariance, dt)
     return states.with_(position=position, covariance=covariance)
 
 
 @kernel
-def moved(position: Floats, velocity: Floats, covariance: Floats, dt: float) -> tuple[Floats, Floats]:
+def constant_velocity(position: Floats, velocity: Floats, covariance: Floats, dt: float) -> tuple[Floats, Floats]:
     """(n, 3) positions and (n, 9, 9) covariances, see `propagate`."""
     transition = np.eye(9)
     transition[0:3, 6:9] = np.eye(3) * dt

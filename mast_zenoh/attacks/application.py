@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mast_zenoh.arrays.geometry import within_range
-from mast_zenoh.arrays.matching import greedy
+from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
@@ -55,7 +55,7 @@ def apply(
     seen = objects.select(order)
     target_positions = np.concatenate([targets.remove.position, targets.move.position])
     i, j, dx, dy = neighbours(target_positions, seen.position, np.full(len(target_positions), assign_radius_m))
-    matches = greedy(i, j, dx * dx + dy * dy)
+    matches = greedy_matching(i, j, dx * dx + dy * dy)
     row = np.full(len(target_positions), -1, np.int64)
     row[i[matches]] = j[matches]
     inserted = targets.add.select(within_range(targets.add.position, agent_position, max_range_m))

@@ -12,7 +12,7 @@ from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.tracking.duplicates import overlap
 from mast_zenoh.tracking.view import SensorView
 
-#: Visible fraction from which a box is in view, see `SensorView.expects`.
+#: Visible fraction from which a box is in view, see `SensorView.visible_fraction`.
 IN_VIEW = 0.5
 #: m; road users whose centres are farther apart do not overlap.
 TOUCH_M = 20.0
@@ -38,7 +38,7 @@ class Coverage:
 
     def visible(self, view: SensorView, boxes: Floats, screens: Floats = _NO_SCREENS) -> Bools:
         """(k,) whether boxes (k, 6) x y z l w h are in a view and not occluded by walls or objects (n, 6)."""
-        visible = view.expects(boxes, screens) >= IN_VIEW
+        visible = view.visible_fraction(boxes, screens) >= IN_VIEW
         if visible.any():
             rows = visible.nonzero()[0]
             visible[rows] = ~self.surroundings.behind_walls(view.position, boxes[rows, :3])

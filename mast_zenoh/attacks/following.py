@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import greedy
+from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.neighbours import TABLE, neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.attacks.targets import Targets
@@ -26,7 +26,7 @@ COLUMNS = columns.FOLLOWED_COLUMNS
 
 
 class Limits(NamedTuple):
-    """How far and how long an object is followed.
+    """How far and how long an object is track_observations.
 
     gate_m, gate_growth_mps: m, gate of an object whose velocity is known; m per s without being seen, by which it grows
     fastest_mps: m/s, the fastest road user: the gate of an object seen once grows with it
@@ -75,7 +75,7 @@ class Follower:
         elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         self._time_ns, self._objects, self._messages = time_ns, objects, self._messages + 1
         small = len(self._tracks) * len(objects) <= TABLE
-        follow = followed if small else REFERENCES["followed"]  # which compares fewer pairs
+        follow = track_observations if small else REFERENCES["track_observations"]  # which compares fewer pairs
         self._tracks = follow(
             self._tracks, objects.position, objects.velocity, objects.id, elapsed_s, self._radius_m, LIMITS
         )
@@ -156,13 +156,13 @@ class Follower:
         cost = dx * dx + dy * dy
         allowed = (~known[i] | new | (cost < SAME_PLACE_M**2)).nonzero()[0]
         i, j, cost = i[allowed], j[allowed], cost[allowed]
-        chosen = greedy(i, j, cost)
+        chosen = greedy_matching(i, j, cost)
         track[unattached[i[chosen]]] = free[j[chosen]]
         self._tracks[free[j[chosen]], TARGET] = targets.id[unattached[i[chosen]]]
 
 
 @kernel
-def followed(
+def track_observations(
     tracks: Floats,
     position: Floats,
     velocity: Floats,
@@ -195,7 +195,7 @@ def followed(
     free, rows = (t[:, ROW] < 0).nonzero()[0], (~taken).nonzero()[0]
     gate = np.where(t[:, HITS] > 1, gate_m + growth * t[:, UNSEEN], max_speed * t[:, UNSEEN])
     i, j, dx, dy = neighbours(t[free, PLACE], position[rows], np.minimum(gate, radius_m)[free])
-    chosen = greedy(i, j, dx * dx + dy * dy)
+    chosen = greedy_matching(i, j, dx * dx + dy * dy)
     t[free[i[chosen]], ROW] = rows[j[chosen]]
     taken[rows[j[chosen]]] = True
 

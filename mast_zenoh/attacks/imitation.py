@@ -146,7 +146,7 @@ class VictimLike(Imitation):
         position, covariance, score, has_velocity = real.position, real.covariance, real.score, real.velocity.any()
         if len(real) == 0:
             position, covariance, score = view.position[None], np.diag(DEFAULT_STD**2)[None], np.array([DEFAULT_SCORE])
-        columns = victim_like(
+        columns = imitate_rows(
             (false.position, false.velocity, false.size, false.yaw),
             errors if self._noise else np.concatenate([np.zeros((len(false), 10)), errors[:, 10:]], axis=1),
             range_m,
@@ -159,7 +159,7 @@ class VictimLike(Imitation):
 
 
 @kernel
-def victim_like(
+def imitate_rows(
     false: tuple[Floats, Floats, Floats, Floats],
     errors: Floats,
     range_m: Floats,

@@ -135,15 +135,15 @@ class Surroundings:
 
     def inside_buildings(self, positions: Floats) -> Bools:
         """(n,) whether positions (n, >= 2) m are inside a building in the bird's-eye view."""
-        return built_over(positions, self.walls.start, self.walls.end, self._first_wall)
+        return inside_outlines(positions, self.walls.start, self.walls.end, self._first_wall)
 
     def behind_walls(self, origin: Floats, positions: Floats) -> Bools:
         """(n,) whether a wall is between `origin` (3,) m and positions (n, >= 3) m."""
-        return walled_off(origin, positions, self.walls.start, self.walls.end, self.walls.top)
+        return occluded_by_walls(origin, positions, self.walls.start, self.walls.end, self.walls.top)
 
 
 @kernel
-def built_over(positions: Floats, start: Floats, end: Floats, first: Ints) -> Bools:
+def inside_outlines(positions: Floats, start: Floats, end: Floats, first: Ints) -> Bools:
     """(n,) whether positions (n, >= 2) are in one of o outlines with the sides `start`, `end` (w, 2), all in m.
 
     first: (o,) first side of each outline
@@ -159,7 +159,7 @@ def built_over(positions: Floats, start: Floats, end: Floats, first: Ints) -> Bo
 
 
 @kernel
-def walled_off(origin: Floats, positions: Floats, start: Floats, end: Floats, top: Floats) -> Bools:
+def occluded_by_walls(origin: Floats, positions: Floats, start: Floats, end: Floats, top: Floats) -> Bools:
     """(n,) whether a wall is between `origin` (3,) and positions (n, >= 3).
 
     start, end: (w, 2) m, of walls; top: (w,) m, z of their upper edges

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.matching import greedy
+from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects.message_effects import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
@@ -110,7 +110,7 @@ def _match_attacks(
     distance = np.linalg.norm(claimed.places.position[i] - measured.places.position[j], axis=1)
     near = distance <= SAME_PLACE_M
     i, j, distance = i[near], j[near], distance[near]
-    matches = greedy(i, j, distance)
+    matches = greedy_matching(i, j, distance)
     i, j = i[matches], j[matches]
     label[rows[measured.row[j]]] = reported_rows["target"][claimed.row[i]]
     reported[rows] |= _complete(measured, j, len(rows))

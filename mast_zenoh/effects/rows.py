@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.matching import cheapest
+from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.messages.schemas import SCHEMAS, Body
 from mast_zenoh.metrics.lookup import find
@@ -257,7 +257,7 @@ def _least_distance(i: Ints, j: Ints, distance: Floats) -> Bools:
     if not len(i):
         return np.zeros(0, bool)
     offset = float(distance.max()) * (len(np.unique(i)) + 1) + 1.0
-    return cheapest(np.ascontiguousarray(i), np.ascontiguousarray(j), distance - offset)
+    return min_cost_matching(np.ascontiguousarray(i), np.ascontiguousarray(j), distance - offset)
 
 
 def _effects(a: Rows, b: Rows, p: Ints, q: Ints, names: tuple[str, ...]) -> tuple[Ints, Ints]:

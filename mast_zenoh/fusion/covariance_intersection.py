@@ -38,11 +38,13 @@ class CovarianceIntersectionFusion(Fusion):
         if self._optimised:
             members = members.weighted(members.weight * least_trace_weights(members))
         vectors = state_vectors(members.states)
-        return members.fused(*intersection(members.states.covariance, vectors, members.weight, members.start))
+        return members.fused(
+            *covariance_intersection(members.states.covariance, vectors, members.weight, members.start)
+        )
 
 
 @kernel
-def intersection(covariance: Floats, state: Floats, weight: Floats, start: Ints) -> tuple[Floats, Floats]:
+def covariance_intersection(covariance: Floats, state: Floats, weight: Floats, start: Ints) -> tuple[Floats, Floats]:
     """(c, 9) means and (c, 9, 9) covariances of the intersections of n members of c clusters, see `Members`.
 
     covariance: (n, 9, 9), positive definite; state: (n, 9)

@@ -64,7 +64,7 @@ class Members:
         Existence: that of the surest member, as members may share the evidence.
         """
         s = self.states
-        yaw, class_id, score = agreement(s.yaw, s.class_id, s.score, self.weight, self.start)
+        yaw, class_id, score = fused_attributes(s.yaw, s.class_id, s.score, self.weight, self.start)
         return ObjectStates(
             id=self.label,
             position=mean[:, 0:3],
@@ -78,7 +78,7 @@ class Members:
 
 
 @kernel
-def agreement(
+def fused_attributes(
     yaw: Floats, class_id: NDArray[np.uint8], score: Floats, weight: Floats, start: Ints
 ) -> tuple[Floats, NDArray[np.uint8], Floats]:
     """(c,) headings, classes and scores of clusters out of (n,) those of their members, as `Members.fused` says."""

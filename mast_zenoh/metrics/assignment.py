@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import cheapest, greedy
+from mast_zenoh.arrays.matching import greedy_matching, min_cost_matching
 from mast_zenoh.arrays.states import Ints
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
 from mast_zenoh.metrics.overlap import iou_3d
@@ -54,7 +54,7 @@ class CenterDistanceAssigner(Assigner):
         i, j, distance = i.take(near), j.take(near), distance.take(near)
         # The bonus of a pair exceeds any possible difference in distance, so that more pairs always win.
         max_pairs = min(np.bincount(boxes.group).max() for boxes in (truth, tracks))
-        chosen = cheapest(i, j, distance - (self.gate_m * (max_pairs + 1) + 1.0))
+        chosen = min_cost_matching(i, j, distance - (self.gate_m * (max_pairs + 1) + 1.0))
         return i[chosen], j[chosen]
 
 
@@ -77,5 +77,5 @@ class IoU3DGreedyAssigner(Assigner):
         iou = iou_3d(truth.select(i), tracks.select(j))
         overlapping = iou >= self.threshold
         i, j = i[overlapping], j[overlapping]
-        chosen = greedy(i, j, -iou[overlapping])
+        chosen = greedy_matching(i, j, -iou[overlapping])
         return i[chosen], j[chosen]

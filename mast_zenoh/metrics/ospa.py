@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import cheapest
+from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
 
@@ -65,5 +65,5 @@ class SetDistance:
         near = (distance < self.c).nonzero()[0]
         i, j = i.take(near), j.take(near)
         saving = self.c**self.p - distance.take(near) ** self.p
-        chosen = cheapest(i, j, -saving)
+        chosen = min_cost_matching(i, j, -saving)
         return np.bincount(truth.group[i[chosen]], saving[chosen], minlength=n_groups).astype(np.float64)

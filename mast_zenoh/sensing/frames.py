@@ -22,14 +22,14 @@ def to_world(detections: Detections, sensor_position: Floats, sensor_rotation: F
     The yaw of a detection is about the world's vertical in both frames (`states.Detections`), so only the sensor's
     heading is added, even if the sensor is pitched.
     """
-    position, yaw, covariance = turned(
+    position, yaw, covariance = rigid_transform(
         detections.position, detections.yaw, detections.covariance, sensor_position, sensor_rotation
     )
     return Detections(position, detections.size, yaw, detections.score, detections.class_id, covariance)
 
 
 @kernel
-def turned(
+def rigid_transform(
     position: Floats, yaw: Floats, covariance: Floats, origin: Floats, rotation: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Transform positions (n, 3), yaws (n,) and covariances (n, 3, 3) from a frame at `origin`, `rotation` (3, 3)."""

@@ -12,8 +12,8 @@ from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, duplicates, overlap
-from mast_zenoh.tracking.gating import Match, gains, near_pairs
-from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, settle_sense
+from mast_zenoh.tracking.gating import Match, near_pairs, pair_gains
+from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, resolve_heading_direction
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
@@ -144,7 +144,7 @@ class KalmanBoxTracker3D(Tracker):
             self.filter.correct(hit, measured, R)
             constrain_lateral_speed(self.filter, hit, innovation)
             t[match.track] = hit
-        existence.miss(t, detected, self._missed_fraction(view), self._birth_odds)
+        existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
         new_tracks = self._create_tracks(new_rows, measurements)
         if len(new_rows):
@@ -172,9 +172,9 @@ class KalmanBoxTracker3D(Tracker):
             hit[:, COVARIANCE] /= weight
             R /= 1.0 - weight[:, None]
             self.filter.correct(hit, measurements.state.take(match.measurement, 0), R)
-            settle_sense(hit, FORWARD, TURN_LIMIT)
+            resolve_heading_direction(hit, FORWARD, TURN_LIMIT)
             t[match.track] = hit
-        existence.miss(t, detected, self._missed_fraction(None), self._birth_odds)
+        existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
         new_tracks = self._create_tracks(new_rows, measurements)
         if len(new_rows):
@@ -203,7 +203,7 @@ class KalmanBoxTracker3D(Tracker):
             self.filter.predict(t, dt, self._process_noise[1])
             t[:, YAW_VARIANCE] += YAW_DRIFT**2 * dt
             t[:, tracks.AGE] += dt
-            existence.survive(t, dt, self._lifetime_s, self._memory_s)
+            existence.predict_existence(t, dt, self._lifetime_s, self._memory_s)
 
     def _associate(self, measurements: Measured, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
@@ -213,7 +213,7 @@ class KalmanBoxTracker3D(Tracker):
             t, measurements.state, measurements.noise, self._jump_variance.take(class_id), self._jump_probability
         )
         i, j = pairs.track, pairs.measurement
-        ratio, gain = gains(
+        ratio, gain = pair_gains(
             t, detected, measurements.class_id, classes.CONFUSION, i, j, pairs.log_density, self._log_clutter
         )
         chosen = self._assignment.match(i, j, -gain)
@@ -227,8 +227,8 @@ class KalmanBoxTracker3D(Tracker):
             hit[:, XX] += match.jump
             hit[:, YY] += match.jump
         correct_heading(hit, measurements.yaw.take(used), self._yaw_noise)
-        tracks.vote(hit, measurements.class_id.take(used))
-        existence.hit(hit, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
+        tracks.update_class(hit, measurements.class_id.take(used))
+        existence.update_detected(hit, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
         hit[:, tracks.AGE], hit[:, ROW] = 0.0, measurements.row.take(used)
         return hit
 
@@ -240,7 +240,7 @@ class KalmanBoxTracker3D(Tracker):
         rows = coasts.nonzero()[0]
         if view is not None and len(rows):
             screens = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)).nonzero()[0]
-            missed[rows] = view.expects(t.take(rows, 0), t.take(screens, 0))
+            missed[rows] = view.visible_fraction(t.take(rows, 0), t.take(screens, 0))
         return missed
 
     def _new_objects(self, match: Match, measurements: Measured) -> Ints:
@@ -270,13 +270,13 @@ class KalmanBoxTracker3D(Tracker):
                 1.0,
             )
             new_tracks[:, tracks.HITS], new_tracks[:, ROW] = 1.0, measurements.row[rows]
-            tracks.vote(new_tracks, measurements.class_id[rows])
+            tracks.update_class(new_tracks, measurements.class_id[rows])
         return new_tracks
 
     def _finish(self, match: Match, new_tracks: Floats) -> ObjectStates:
         """Drop tracks, add the new ones and report."""
         t = self._tracks
-        keep, report = existence.kept(
+        keep, report = existence.track_status(
             t,
             self._confirm_odds,
             self._report_odds,

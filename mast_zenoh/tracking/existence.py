@@ -19,7 +19,7 @@ MAX_ODDS = 1e12
 
 
 @kernel
-def survive(tracks: Floats, dt: float, lifetime_s: float, memory_s: float) -> None:
+def predict_existence(tracks: Floats, dt: float, lifetime_s: float, memory_s: float) -> None:
     """Predict by `dt` s: objects live `lifetime_s` s on average; counts decay with the time constant `memory_s` s."""
     # p' = s p, in odds o = p / (1 - p): o' = s o / (1 + (1 - s) o), which bounds the odds by s / (1 - s).
     growth = math.exp(dt / lifetime_s)
@@ -39,7 +39,7 @@ def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats
 
 
 @kernel
-def hit(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> None:
+def update_detected(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> None:
     """Update measured tracks; `log_ratio` (n,): ln of the density of the measurement over that of clutter.
 
     most: upper limit of the odds
@@ -49,7 +49,7 @@ def hit(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> Non
 
 
 @kernel
-def miss(tracks: Floats, detected: Floats, expected: Floats, birth: float) -> None:
+def update_missed(tracks: Floats, detected: Floats, expected: Floats, birth: float) -> None:
     """Update tracks that were `expected` (n,), 0 to 1, but not measured; 0 for invisible or measured tracks.
 
     The odds of a confirmed track stay at least at `birth`, those of a new object, so that it can be recovered.
@@ -60,7 +60,7 @@ def miss(tracks: Floats, detected: Floats, expected: Floats, birth: float) -> No
 
 
 @kernel
-def kept(
+def track_status(
     tracks: Floats,
     confirm: float,
     report: float,

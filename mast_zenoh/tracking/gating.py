@@ -65,12 +65,12 @@ def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Float
     """
     if len(tracks) == 0 or len(position) == 0:
         return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
-    near = neighbours(tracks, position, reach(tracks, covariance, jump, GATE.steady))
-    return Pairs(*gated(tracks, position, covariance, jump, near, GATE, math.log(jump_probability)))
+    near = neighbours(tracks, position, gate_radius(tracks, covariance, jump, GATE.steady))
+    return Pairs(*gated_pairs(tracks, position, covariance, jump, near, GATE, math.log(jump_probability)))
 
 
 @kernel
-def reach(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floats:
+def gate_radius(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floats:
     """(n,) m beyond which no measurement can be within the gate of a track."""
     # The trace bounds the largest eigenvalue, which gives a cheap circle around both ellipses for all pairs.
     widest = (covariance[:, 0, 0] + covariance[:, 1, 1]).max()
@@ -78,7 +78,7 @@ def reach(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floa
 
 
 @kernel
-def gated(
+def gated_pairs(
     tracks: Floats,
     position: Floats,
     covariance: Floats,
@@ -116,7 +116,7 @@ def gated(
 
 
 @kernel
-def gains(
+def pair_gains(
     tracks: Floats,
     detected: Floats,
     class_id: Ints,

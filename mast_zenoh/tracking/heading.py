@@ -33,7 +33,7 @@ def correct_heading(tracks: Floats, yaw: Floats, variance: float) -> None:
 
 
 @kernel
-def settle_sense(tracks: Floats, forward: float, limit: float) -> None:
+def resolve_heading_direction(tracks: Floats, forward: float, limit: float) -> None:
     """Vote on the front end by the speed along the heading, if above `forward` m/s; turn outvoted tracks round.
 
     limit: limit on the accumulated votes

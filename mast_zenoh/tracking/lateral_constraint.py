@@ -7,7 +7,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.classes import ROLLS
-from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, settle_sense
+from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, resolve_heading_direction
 from mast_zenoh.tracking.kalman import BoxFilter
 from mast_zenoh.tracking.tracks import LATERAL_RESIDUAL, YAW, YAW_VARIANCE, classes_of, planar
 
@@ -26,12 +26,14 @@ def constrain_lateral_speed(box_filter: BoxFilter, tracks: Floats, innovation: F
 
     innovation: (n, 2) m, measured minus predicted position. A persistent lateral bias indicates a wrong heading.
     """
-    box_filter.correct_speed(tracks, *across(tracks, innovation, _UNCONSTRAINED, SLIP, RESIDUAL_WEIGHT, RESIDUAL_S))
-    settle_sense(tracks, FORWARD, TURN_LIMIT)
+    box_filter.correct_speed(
+        tracks, *lateral_constraint(tracks, innovation, _UNCONSTRAINED, SLIP, RESIDUAL_WEIGHT, RESIDUAL_S)
+    )
+    resolve_heading_direction(tracks, FORWARD, TURN_LIMIT)
 
 
 @kernel
-def across(
+def lateral_constraint(
     tracks: Floats, innovation: Floats, free: Floats, slip: float, share: float, aside_s: float
 ) -> tuple[Floats, Floats]:
     """(n, 2) lateral unit vectors, and (n,) (m/s)^2 variances of the speed along them about zero.

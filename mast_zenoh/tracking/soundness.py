@@ -18,7 +18,7 @@ def sound(covariance: Floats) -> Floats:
     If all are already valid, they are returned symmetrised; otherwise their eigenvalues are limited to between
     MIN_VARIANCE and MAX_VARIANCE.
     """
-    symmetric, valid = symmetrised(covariance, MIN_VARIANCE, MAX_VARIANCE)
+    symmetric, valid = symmetrise(covariance, MIN_VARIANCE, MAX_VARIANCE)
     if valid:
         return symmetric
     values, vectors = np.linalg.eigh(np.clip(symmetric, -MAX_VARIANCE, MAX_VARIANCE))
@@ -27,7 +27,7 @@ def sound(covariance: Floats) -> Floats:
 
 
 @kernel
-def symmetrised(covariance: Floats, least: float, most: float) -> tuple[Floats, bool]:
+def symmetrise(covariance: Floats, least: float, most: float) -> tuple[Floats, bool]:
     """Symmetric parts (n, k, k), k up to 9; and whether all of them are valid."""
     symmetric = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     n, k = covariance.shape[:2]

@@ -78,7 +78,7 @@ def known_class(class_id: NDArray[np.uint8]) -> Ints:
 
 
 @kernel
-def vote(tracks: Floats, class_id: Ints) -> None:
+def update_class(tracks: Floats, class_id: Ints) -> None:
     """Count a vote for a class (n,) of each track; the majority is its class, the lower index in a tie."""
     votes = tracks[:, VOTES]
     votes += _ONE_VOTE.take(class_id, 0)

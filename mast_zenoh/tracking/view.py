@@ -36,18 +36,18 @@ class SensorView:
     elevation_max: float
     max_range: float
 
-    def expects(self, boxes: Floats, screens: Floats) -> Floats:
+    def visible_fraction(self, boxes: Floats, screens: Floats) -> Floats:
         """(k,) in [0, 1]: visible fraction of k boxes (k, >= 6), in the field of view and not occluded.
 
         screens: (n, >= 6) possible occluders, which may include the boxes. Both begin with x y z l w h in m, in the
         world frame. A box at the edge of the field of view has the fraction 0.5.
         """
-        return expected(boxes, screens, self, EDGE_M, NEAREST_M)
+        return visible_fraction(boxes, screens, self, EDGE_M, NEAREST_M)
 
 
 @kernel
-def expected(boxes: Floats, screens: Floats, view: SensorView, edge_m: float, nearest_m: float) -> Floats:
-    """(k,) visible fractions, see `SensorView.expects`.
+def visible_fraction(boxes: Floats, screens: Floats, view: SensorView, edge_m: float, nearest_m: float) -> Floats:
+    """(k,) visible fractions, see `SensorView.visible_fraction`.
 
     edge_m, nearest_m: m, EDGE_M, NEAREST_M
     """
