@@ -1,7 +1,6 @@
-"""One-to-one choices among pairs of rows and columns: which measurement is of which track, which track of which object.
+"""One-to-one matching of rows and columns, such as measurements and tracks.
 
-SciPy is the reference, and does it where no kernels were compiled. It takes as long to load as all else that a node
-needs, so nodes that have compiled kernels do without.
+SciPy is the reference. With compiled kernels it is not imported, as that takes as long as all other imports of a node.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.clustering import merged, pairs_near
+from mast_zenoh.arrays.clustering import merge_pairs, pairs_near
 from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Ints, ObjectStates
 
@@ -21,7 +21,7 @@ def cluster_centres(objects: ObjectStates, source: Ints, radius_m: float) -> Obj
     position, source = objects.position.take(order, 0)[:, :2], source.take(order)
     i, j, squared = pairs_near(position, radius_m)
     pairs = (source.take(i) != source.take(j)).nonzero()[0]
-    label = merged(position, source, i.take(pairs), j.take(pairs), squared.take(pairs), np.inf)
+    label = merge_pairs(position, source, i.take(pairs), j.take(pairs), squared.take(pairs), np.inf)
     by_member = label.argsort(kind="stable")
     rows, size = order.take(by_member), np.bincount(label)
     start = size.cumsum() - size

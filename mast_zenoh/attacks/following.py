@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.matching import greedy_matching
-from mast_zenoh.arrays.neighbours import TABLE, neighbours
+from mast_zenoh.arrays.neighbours import MAX_TABLE, neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.kernels import REFERENCES, kernel
@@ -74,7 +74,7 @@ class Follower:
         """Update by the objects of one message, in canonical order; ids below 0 are no identities."""
         elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         self._time_ns, self._objects, self._messages = time_ns, objects, self._messages + 1
-        small = len(self._tracks) * len(objects) <= TABLE
+        small = len(self._tracks) * len(objects) <= MAX_TABLE
         follow = track_observations if small else REFERENCES["track_observations"]  # which compares fewer pairs
         self._tracks = follow(
             self._tracks, objects.position, objects.velocity, objects.id, elapsed_s, self._radius_m, LIMITS

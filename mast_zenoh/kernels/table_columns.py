@@ -1,6 +1,6 @@
-"""Columns of the tables that NumPy and the kernels both read and write: the build hands them to the C compiler.
+"""Columns of the tables that NumPy and the kernels share.
 
-Imports nothing, as the build loads this file alone.
+The build passes them to the C compiler. Imports nothing, as the build loads this file alone.
 """
 
 #: Classes of objects, each with a column of votes.

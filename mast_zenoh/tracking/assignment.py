@@ -39,9 +39,9 @@ class Assignment(ABC):
 
 @kernel
 def useful_pairs(row: Ints, column: Ints, cost: Floats) -> tuple[Ints, Bools]:
-    """(k,) int64, ascending: pairs with negative cost; (k,) bool: which of them share neither row nor column.
+    """Pairs (k,) with negative cost, and which of them (k,) are uncontested.
 
-    Uncontested pairs, the majority in most frames, are always chosen.
+    The indices are ascending. Uncontested pairs share no row or column; most pairs are, and they are always chosen.
     """
     useful: Ints = (cost < 0.0).nonzero()[0]
     return useful, uncontested(row[useful], column[useful])

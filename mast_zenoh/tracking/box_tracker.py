@@ -1,4 +1,4 @@
-"""The box tracker: batched Kalman filter, gating, assignment and existence probabilities."""
+"""The box tracker: Kalman filter, gating, assignment, existence probabilities."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ _BIPARTITE = BipartiteAssignment()
 
 
 class KalmanBoxTracker3D(Tracker):
-    """Tracks boxes in the plane of the road; see docs/tracking.md for the model and the sources of the numbers.
+    """Tracks boxes in the plane of the road with a Kalman filter.
+
+    See docs/tracking.md for the model and the sources of the numbers.
 
     position_std_m, vertical_std_m: of a detection's horizontal position per axis, and of its height, unless it has
         its own covariance
@@ -138,12 +140,12 @@ class KalmanBoxTracker3D(Tracker):
         detected = existence.detection_probability(t, self._detection_probability, PRIOR_FRAMES)
         match = self._associate(measurements, detected)
         if len(match.track):
-            hit = self._matched_tracks(match, measurements, detected)
+            matched = self._matched_tracks(match, measurements, detected)
             measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
-            innovation = measured[:, :2] - hit[:, :2]
-            self.filter.correct(hit, measured, R)
-            constrain_lateral_speed(self.filter, hit, innovation)
-            t[match.track] = hit
+            innovation = measured[:, :2] - matched[:, :2]
+            self.filter.correct(matched, measured, R)
+            constrain_lateral_speed(self.filter, matched, innovation)
+            t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
         new_tracks = self._create_tracks(new_rows, measurements)
@@ -163,17 +165,17 @@ class KalmanBoxTracker3D(Tracker):
         detected = np.full(len(t), self._report_probability)
         match = self._associate(measurements, detected)
         if len(match.track):
-            hit = self._matched_tracks(match, measurements, detected)
+            matched = self._matched_tracks(match, measurements, detected)
             R = measurements.noise.take(match.measurement, 0)
             # Successive outputs of a filter are correlated. Covariance intersection of track and measurement avoids
             # double counting; weights by the trace of the position (Niehsen, FUSION 2002).
-            track_variance, measured_variance = hit[:, XX] + hit[:, YY], R[:, 0, 0] + R[:, 1, 1]
+            track_variance, measured_variance = matched[:, XX] + matched[:, YY], R[:, 0, 0] + R[:, 1, 1]
             weight = (measured_variance / (track_variance + measured_variance))[:, None]
-            hit[:, COVARIANCE] /= weight
+            matched[:, COVARIANCE] /= weight
             R /= 1.0 - weight[:, None]
-            self.filter.correct(hit, measurements.state.take(match.measurement, 0), R)
-            resolve_heading_direction(hit, FORWARD, TURN_LIMIT)
-            t[match.track] = hit
+            self.filter.correct(matched, measurements.state.take(match.measurement, 0), R)
+            resolve_heading_direction(matched, FORWARD, TURN_LIMIT)
+            t[match.track] = matched
         existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
         new_tracks = self._create_tracks(new_rows, measurements)
@@ -222,29 +224,35 @@ class KalmanBoxTracker3D(Tracker):
     def _matched_tracks(self, match: Match, measurements: Measured, detected: Floats) -> Floats:
         """A copy of the matched tracks, updated except for mean and covariance."""
         used = match.measurement
-        hit = self._tracks.take(match.track, 0)
+        updated = self._tracks.take(match.track, 0)
         if np.count_nonzero(match.jump):
-            hit[:, XX] += match.jump
-            hit[:, YY] += match.jump
-        correct_heading(hit, measurements.yaw.take(used), self._yaw_noise)
-        tracks.update_class(hit, measurements.class_id.take(used))
-        existence.update_detected(hit, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
-        hit[:, tracks.AGE], hit[:, ROW] = 0.0, measurements.row.take(used)
-        return hit
+            updated[:, XX] += match.jump
+            updated[:, YY] += match.jump
+        correct_heading(updated, measurements.yaw.take(used), self._yaw_noise)
+        tracks.update_class(updated, measurements.class_id.take(used))
+        existence.update_detected(updated, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
+        updated[:, tracks.AGE], updated[:, ROW] = 0.0, measurements.row.take(used)
+        return updated
 
     def _missed_fraction(self, view: SensorView | None) -> Floats:
-        """(n,) fraction of each track that was visible (in view and not occluded) but not measured."""
+        """Fraction (n,) of each track that was visible but not measured.
+
+        Visible means in view and not occluded.
+        """
         t = self._tracks
         coasts = t[:, ROW] < 0.0
         missed = coasts.astype(np.float64)
         rows = coasts.nonzero()[0]
         if view is not None and len(rows):
-            screens = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)).nonzero()[0]
-            missed[rows] = view.visible_fraction(t.take(rows, 0), t.take(screens, 0))
+            occluders = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)).nonzero()[0]
+            missed[rows] = view.visible_fraction(t.take(rows, 0), t.take(occluders, 0))
         return missed
 
     def _new_objects(self, match: Match, measurements: Measured) -> Ints:
-        """Rows of the measurements that may be new objects: neither matched nor duplicates of a matched object."""
+        """Rows of the measurements that may be new objects.
+
+        Neither matched nor duplicates of a matched object.
+        """
         explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True
         if match.contested:

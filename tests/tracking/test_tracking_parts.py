@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.tracking import BipartiteAssignment, GreedyAssignment, SensorView
 from mast_zenoh.tracking.classes import first_covariance
+from mast_zenoh.tracking.covariance_repair import make_positive_definite
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 from mast_zenoh.tracking.filterpy_tracker import FilterpyFilter
 from mast_zenoh.tracking.inversion import inverse
 from mast_zenoh.tracking.kalman import BatchedFilter, process_noise
-from mast_zenoh.tracking.soundness import sound
 from mast_zenoh.tracking.tracks import CLASS, COVARIANCE, MEAN, covariances, empty
 
 # -- assignment
@@ -132,7 +132,7 @@ def test_filterpy_is_imported_only_when_used():
 @settings(max_examples=100)
 @given(st.lists(st.floats(-1e300, 1e300, allow_nan=False), min_size=9, max_size=9))
 def test_any_finite_matrix_is_repaired(values):
-    result = sound(np.array(values).reshape(1, 3, 3))
+    result = make_positive_definite(np.array(values).reshape(1, 3, 3))
     assert np.isfinite(np.linalg.inv(result)).all()
     assert np.linalg.eigvalsh(result).min() > 0
     np.testing.assert_array_equal(result, result.transpose(0, 2, 1))
@@ -141,7 +141,7 @@ def test_any_finite_matrix_is_repaired(values):
 def test_a_valid_covariance_is_unchanged():
     P = covariances(some_tracks(4)[1])
     P = 0.5 * (P + P.transpose(0, 2, 1))
-    np.testing.assert_array_equal(sound(P), P)
+    np.testing.assert_array_equal(make_positive_definite(P), P)
 
 
 # -- inverses
