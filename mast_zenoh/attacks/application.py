@@ -1,4 +1,4 @@
-"""Tampering with the objects of one message; pure, and independent of the order of the rows."""
+"""Tampering with the objects of one message, independent of their order."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def alter(
     move: Sequence[int] = (),
     offset: Floats | None = None,
 ) -> Tampering:
-    """Tampering with explicit changes: insert objects, hide rows, move rows by `offset` (k, 3) m.
+    """Tamper with explicit rows: insert, hide, or move by `offset` (k, 3) m.
 
     The changes are reported with the target numbers 0, 1, …: inserted, then hidden, then moved.
     """
@@ -45,11 +45,11 @@ def apply(
     max_range_m: float = 70.0,
     assign_radius_m: float = 6.0,
 ) -> Tampering:
-    """Insert, hide and displace objects of a victim at `agent_position` (3,) m, all in the world frame.
+    """Insert, hide and displace objects of a victim at `agent_position` (3,) m.
 
-    For attacks with targets at known positions. False objects farther than `max_range_m` from the victim (bird's-eye
-    view) are withheld. Each target to hide or displace is matched to the nearest object within `assign_radius_m`:
-    nearest pair first, no object twice. False objects get a typical covariance and score.
+    For attacks with targets at known positions; all positions are in the world frame. False objects farther than
+    `max_range_m` from the victim (bird's-eye view) are withheld. Each target to hide or displace is matched to the
+    nearest object within `assign_radius_m`, nearest pair first. False objects get a typical covariance and score.
     """
     order = canonical_order(objects)
     seen = objects.select(order)
@@ -66,8 +66,9 @@ def apply(
 def carry_out(
     targets: Targets, inserted: ObjectStates, objects: ObjectStates, order: Ints, remove_row: Ints, move_row: Ints
 ) -> Tampering:
-    """Insert false objects, and hide and displace matched objects of a victim, all in the world frame.
+    """Insert false objects, and hide and displace matched objects of a victim.
 
+    All positions are in the world frame.
     targets:    the current targets
     inserted:   false objects as they will appear; their ids are the target numbers
     objects:    the victim's n objects, in canonical order
