@@ -31,10 +31,7 @@ VEHICLE_M = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Distribution of false objects.
-
-    σ per axis about the victim (m) and of the velocity (m/s), and l, w, h (m).
-    """
+    """False objects: σ of position (m, per axis) and velocity (m/s), and l w h (m)."""
 
     position_std_m: float
     velocity_std_mps: float
@@ -43,10 +40,7 @@ class Shape:
 
 @dataclass(slots=True)
 class _Candidates:
-    """CANDIDATES poses of one false object.
-
-    position (t, 3) m, heading (t,) rad, and the desired speed, m/s.
-    """
+    """CANDIDATES poses (t, 3) m, (t,) rad of a false object, and its desired m/s."""
 
     position: Floats
     yaw: Floats
@@ -63,10 +57,9 @@ class Region(ABC):
     def place(
         self, count: int, shape: Shape, real: ObjectStates, ground: float, coverage: Coverage, rng: np.random.Generator
     ) -> tuple[Floats, Floats]:
-        """Position (k, 3) m and velocity (k, 3) m/s of k <= `count` false objects.
+        """Position (k, 3) m and velocity (k, 3) m/s of k <= `count` objects.
 
-        World frame.
-        real: the objects that the victims see, in canonical order; ground: m, z of the ground
+        All are in the world frame. real: the objects that the victims see, in canonical order; ground: m, its z
         """
 
 
@@ -130,10 +123,7 @@ class _Checked(Region):
     def _choose(
         self, candidates: _Candidates, allowed: np.ndarray, shape: Shape, coverage: Coverage
     ) -> tuple[int, float] | None:
-        """Row and speed of the first allowed pose with a free path.
-
-        The longest path if none is free; None without a pose.
-        """
+        """Row and speed of the first allowed pose with the longest free path, or None."""
         rows = allowed[:16]
         if len(rows) == 0:
             return None
@@ -267,20 +257,14 @@ class Path:
         return position, np.arctan2(step[:, 1], step[:, 0])
 
     def offset(self, position: Floats) -> Floats:
-        """Distance (n,) m from the path to positions (n, >= 2).
-
-        Sampled every metre along the path.
-        """
+        """Distance (n,) m of positions (n, >= 2) from the path, sampled every metre."""
         offset = position[:, None, :2] - self._samples
         nearest: Floats = np.sqrt((offset * offset).sum(axis=2).min(axis=1))
         return nearest
 
 
 def path_ahead(coverage: Coverage) -> Path | None:
-    """The ego's path from its current route position; None if unknown.
-
-    It continues straight beyond the end of the route.
-    """
+    """The ego's path on its route and straight on beyond its end; None if unknown."""
     ego = coverage.surroundings.ego_sensor
     if ego is None:
         return None

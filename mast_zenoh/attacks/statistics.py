@@ -30,9 +30,9 @@ MAX_CORRELATION = 0.98
 class VictimStatistics:
     """Noise and miss rates of one victim, from triples of consecutive messages.
 
-    An object present in the first and the last message was present in the middle one: the fraction of missing rows there
-    is the miss rate at that range. The noise is the difference between the middle row and the mean of the two others; for
-    independent errors of variance σ², it has the variance 1.5 σ².
+    An object present in the first and the last message was present in the middle one: the fraction of missing rows
+    there is the miss rate at that range. The noise is the difference between the middle row and the mean of the others;
+    for independent errors of variance σ², it has the variance 1.5 σ².
     """
 
     def __init__(self) -> None:

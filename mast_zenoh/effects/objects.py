@@ -18,7 +18,10 @@ _WORLD = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 class Passed(NamedTuple):
-    """A changed message: its frame, its number, the frame in which it was received, and both bodies."""
+    """A changed message.
+
+    step: the frame in which it was received; before, after: its bodies
+    """
 
     frame: int
     seq: int
@@ -59,8 +62,9 @@ class ObjectChanges(NamedTuple):
 
 
 def changed(message: str, passed: Sequence[Passed]) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
-    """Changed objects in messages of one type, and for each message the names of its other changed columns.
+    """Changed objects in messages of one type, and their other changed columns.
 
+    The latter are names for each message.
     If the frame of reference of a message was changed, all its objects count.
     """
     bodies = [item.before for item in passed], [item.after for item in passed]
@@ -105,7 +109,10 @@ def _positions(changes: Changes, rows: Ints) -> tuple[Ints, Floats, Floats, Floa
 def whole(
     message: str, frame: int, seq: int, step: int, *, received: Body | None, sent: Body | None, frames_late: int = 0
 ) -> ObjectChanges:
-    """All objects of a message that was not sent on in time (`sent` is None) or not received."""
+    """All objects of a message that was not sent on in time, or not received.
+
+    received, sent: its bodies; None: not received, or not sent in time
+    """
     body, effect = (received, REMOVED) if sent is None else (sent, INSERTED)
     assert body is not None
     n = len(body["position"]) if has_objects(message) else 0

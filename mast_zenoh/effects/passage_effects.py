@@ -94,7 +94,10 @@ class PassageEffects:
         self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
 
     def compare(self, received: Overheard, sent: Overheard) -> None:
-        """Record the differences of a message that was sent on with other bytes, possibly in a later batch."""
+        """Record the differences of a message that was sent on with other bytes.
+
+        They may be computed in a later batch.
+        """
         header, changed = received.header, sent.header
         try:
             before = received.body
@@ -134,7 +137,7 @@ class PassageEffects:
             self.spoofs.append(Spoof(passed.frame, *before, *after))
 
     def _add_whole(self, message: Overheard, *, received: bool, frames_late: int = 0) -> None:
-        """Record the effect on all objects of a message that was only received, or only sent."""
+        """Record the effect on all objects of a message only received, or only sent."""
         try:
             header, body = message.header, message.body
         except MessageError:

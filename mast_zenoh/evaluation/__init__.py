@@ -1,8 +1,8 @@
-"""Evaluates a run: computes metrics.json and the tables from the messages on its wires. Pure.
+"""Evaluates a run: computes metrics and tables from its messages. Pure.
 
-    heard         data collected from the messages
+    data         data collected from the messages
     from_effects  manipulations, from the measured effects of interposers (mast_zenoh.effects)
-    poses         manipulations of poses
+    effects     manipulations, from the measured effects of interposers (mast_zenoh.effects)
     downstream    estimates that an interposer can influence
     evaluation    the complete evaluation with mast_zenoh.metrics
     tables        attacks.parquet
@@ -11,6 +11,6 @@ See docs/metrics.md and docs/effects.md.
 """
 
 from mast_zenoh.evaluation.evaluation import Evaluation
-from mast_zenoh.evaluation.heard import Heard
+from mast_zenoh.evaluation.run_data import RunData
 
-__all__ = ["Evaluation", "Heard"]
+__all__ = ["Evaluation", "RunData"]

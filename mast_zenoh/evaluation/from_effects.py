@@ -1,4 +1,4 @@
-"""Converts the measured effects of interposers to manipulations for the metrics. Pure."""
+"""Converts measured effects of interposers to manipulations. Pure."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _lasts(passage: Passage, is_link: bool, limits: Attribution, period_s: float
 
 
 def _hidden(effects: Effects, limits: Attribution) -> tuple[Ints, Ints]:
-    """Rows of objects that were removed, moved far enough or altered, and the kind of each."""
+    """Rows and kinds of objects that were removed, moved far enough or altered."""
     rows = effects.rows("removed", "moved", "altered")
     rows = rows[np.isfinite(effects.before[rows]).all(axis=1)]
     kind = np.array([KINDS.index(name) if name in KINDS else -1 for name in EFFECTS])[effects.code[rows]]
@@ -103,7 +103,10 @@ def absent(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
 
 
 def stopped_by_links(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints) -> Bools:
-    """(f, a) bool: whether a link dropped, damaged or delayed an agent's tracks of a frame, or the whole batch."""
+    """Whether a link stopped an agent's tracks of a frame or the batch: (f, a).
+
+    To stop is to drop, damage or delay.
+    """
     result = np.zeros((len(frames), len(agents)), bool)
     rows = effects.rows("dropped", "delayed", "corrupted", "unsettled")
     for index, passage in enumerate(effects.passages):

@@ -1,4 +1,4 @@
-"""Manipulations of objects by interposers, with the estimates that they can influence. Pure."""
+"""Manipulations of objects by interposers, and the estimates that they influence."""
 
 from __future__ import annotations
 

@@ -92,7 +92,10 @@ class AV2Log(Scene):
 
 
 def _world(name: str, boxes: Boxes, ego: Floats, rotation: Floats) -> tuple[World, Floats]:
-    """The traffic including the ego, without agents; and the ego's lidar returns from each object (N,)."""
+    """The traffic including the ego, without agents; and the ego's lidar returns.
+
+    The lidar returns are (N,), one count for each object.
+    """
     frames = len(boxes.times_ns)
     frame = np.concatenate([np.arange(frames), boxes.frame])
     track = np.concatenate([np.full(frames, _EGO_ID), boxes.track])
@@ -127,8 +130,9 @@ def _world(name: str, boxes: Boxes, ego: Floats, rotation: Floats) -> tuple[Worl
 
 
 def _poles(world: World, ego: Floats, yaw: Floats, count: int) -> list[tuple[Floats, float, float]]:
-    """Position (3,) m, heading rad and ground m of poles on both sides of the ego's path, facing its middle.
+    """Position (3,) m, heading rad and ground m of poles along the ego's path.
 
+    Poles are on both sides of the path and face its middle.
     The k-th pole does not depend on the number of poles.
     """
     extension = np.stack([np.cos(yaw), np.sin(yaw)], axis=1) * _PATH_EXTENSION_M
@@ -161,7 +165,10 @@ def _van_der_corput(k: int) -> float:
 
 
 def _ground(bottoms: Floats, position: Floats) -> float:
-    """Ground height (m) at `position` (2,): the median of the bottoms of nearby boxes, else of the nearest ones."""
+    """Ground height m at `position` (2,): median of the bottoms of nearby boxes.
+
+    If there are too few, the nearest boxes are used.
+    """
     distance = np.hypot(*(bottoms[:, :2] - position).T)
     nearest = np.sort(distance)[:_MIN_GROUND_BOXES][-1]
     return float(np.median(bottoms[distance <= max(_GROUND_RADIUS_M, nearest), 2]))

@@ -33,7 +33,9 @@ _OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 class AVstackScene(Scene):
-    """A scene in the CARLA multi-agent layout, with its accompanying files (docs/scenes.md).
+    """A scene in the CARLA multi-agent layout.
+
+    With its accompanying files, see docs/scenes.md.
 
     path:             a run folder, a folder above a single run, or a tar archive of either
     n_infrastructure: number of static agents to use, the first ones; None: all
@@ -92,7 +94,7 @@ class AVstackScene(Scene):
         return recorded(world, points, *beside.read_detections(file, numbers, agents, rotation))
 
     def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
-        """Numbers of the agents: the ego, then the other mobile ones, then the static ones."""
+        """Numbers of the agents: the ego, other mobile agents, then static agents."""
         mobile = [number for number, state in actors.items() if state.size is not None]
         static = [number for number, state in actors.items() if state.size is None]
         if not mobile:
@@ -113,7 +115,10 @@ class AVstackScene(Scene):
 def _read_states(
     layout: Layout, numbers: list[int]
 ) -> tuple[Ints, list[dict[int, ObjectState]], list[dict[int, ObjectState]]]:
-    """Times (F,) ns, and for every frame the actors by number and the objects by id, including actors with a box."""
+    """Times (F,) ns, and the actors by number and objects by id of every frame.
+
+    The objects include actors with a box.
+    """
     times: list[float] = []
     all_actors: list[dict[int, ObjectState]] = []
     all_objects: list[dict[int, ObjectState]] = []
@@ -151,7 +156,10 @@ def _world(
     actors: list[dict[int, ObjectState]],
     objects: list[dict[int, ObjectState]],
 ) -> tuple[World, Floats]:
-    """The scene without visibility and detections; and the ground height (F, A) m at each agent."""
+    """The scene without visibility and detections, and the ground at each agent.
+
+    The ground height is (F, A) m.
+    """
     truth_start = np.cumsum([0, *map(len, objects)])
     rows = [(number, state) for frame in objects for number, state in frame.items()]
     position = np.array([state.centre for _, state in rows])
@@ -205,7 +213,10 @@ def _agent(
     position: Floats,
     rotation: Floats,
 ) -> SceneAgent:
-    """An agent with its first lidar and its first camera; position (F, 3) and rotation (F, 3, 3) are the agent's."""
+    """An agent with its first lidar and its first camera.
+
+    position (F, 3), rotation (F, 3, 3): of the agent
+    """
     mobile = state.size is not None
     lidars = layout.sensors("lidar", number)
     if not lidars:

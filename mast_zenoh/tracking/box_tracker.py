@@ -235,10 +235,7 @@ class KalmanBoxTracker3D(Tracker):
         return updated
 
     def _missed_fraction(self, view: SensorView | None) -> Floats:
-        """Fraction (n,) of each track that was visible but not measured.
-
-        Visible means in view and not occluded.
-        """
+        """Fraction (n,) of each track that was visible, not occluded and not measured."""
         t = self._tracks
         coasts = t[:, ROW] < 0.0
         missed = coasts.astype(np.float64)
@@ -249,10 +246,7 @@ class KalmanBoxTracker3D(Tracker):
         return missed
 
     def _new_objects(self, match: Match, measurements: Measured) -> Ints:
-        """Rows of the measurements that may be new objects.
-
-        Neither matched nor duplicates of a matched object.
-        """
+        """Rows of measurements that neither match nor duplicate a matched object."""
         explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True
         if match.contested:

@@ -10,7 +10,7 @@ from metric_oracles import cars
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
 from mast_zenoh.evaluation.from_effects import stopped_by_links
-from mast_zenoh.metrics import CutOff, Presence, Record, Scorer, Series, Severed
+from mast_zenoh.metrics import CutOff, CutOffObjects, Presence, Record, Scorer, Series
 from mast_zenoh.metrics.blame import split
 from mast_zenoh.metrics.record import Snapshot
 
@@ -50,15 +50,15 @@ def recorded(*, local, picture, truth=lambda f: some(FAR, BOTH), points=POINTS) 
 def judged(*, silent, attacks=(), unheard=None, **world):
     """The ego's table of objects of the picture, with causes."""
     record = recorded(**world)
-    table = explained(record, effects(*attacks), severed=severed(record, silent, unheard))
+    table = explained(record, effects(*attacks), cut_off_objects=severed(record, silent, unheard))
     rows = (table["agent"] == "ego") & (table["estimator"] == "picture")
     return {name: column[rows] for name, column in table.items()}
 
 
-def severed(record: Record, silent: np.ndarray, unheard: np.ndarray | None = None) -> Severed:
+def severed(record: Record, silent: np.ndarray, unheard: np.ndarray | None = None) -> CutOffObjects:
     scores = Scorer().score(record)
     unheard = np.zeros_like(silent) if unheard is None else unheard
-    return CutOff().severed(scores, record.truth(scores.frames), AGENTS, scores.frames, PERIOD_S, silent, unheard)
+    return CutOff().objects(scores, record.truth(scores.frames), AGENTS, scores.frames, PERIOD_S, silent, unheard)
 
 
 def cut(agent: str = "infra_1", when: slice = CUT) -> np.ndarray:
@@ -191,7 +191,7 @@ def test_attack_and_partition_and_nature_at_once_are_told_apart() -> None:
 def test_an_agents_own_tracks_are_never_cut_off() -> None:
     """What the ego misses by itself is not the network's fault, whatever is cut off."""
     record = recorded(local=holds, picture=without(FAR))
-    _, table, _, _ = labelled(record, effects(), severed=severed(record, cut()))
+    _, table, _, _ = labelled(record, effects(), cut_off_objects=severed(record, cut()))
     own = (table["estimator"] == "local") & (table["cause"] != "")
     assert set(table["cause"][own]) == {"occlusion or range", "lag"}
 
@@ -319,11 +319,11 @@ def test_a_link_stops_tracks_that_it_drops_damages_or_delays_and_batches_of_all_
 
 
 def test_objects_are_looked_up_by_frame_and_id() -> None:
-    severed = Severed(np.array([1, 2]), np.array([5, 5]), np.array([True, False]))
+    severed = CutOffObjects(np.array([1, 2]), np.array([5, 5]), np.array([True, False]))
     ids, frames = np.array([1, 2, 1, 3]), np.array([5, 5, 6, 5])
     assert severed.contains(ids, frames).tolist() == [True, True, False, False]
     assert severed.contains(ids, frames, tracked=np.array([True] * 4)).tolist() == [True, False, False, False]
-    assert not Severed.nothing().contains(ids, frames, tracked=np.array([True] * 4)).any()
+    assert not CutOffObjects.nothing().contains(ids, frames, tracked=np.array([True] * 4)).any()
 
 
 def test_no_frames_have_no_split() -> None:
