@@ -105,7 +105,7 @@ def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> O
 
 
 def states_to_local(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:
-    """Transform states from the world frame to a frame of reference; inverse of `states_to_world`."""
+    """Transform states from the world to a frame of reference, see `states_to_world`."""
     if _is_world(origin, rotation):
         return states
     matrix = rotation_from_quaternion(rotation)
@@ -132,7 +132,7 @@ def to_world(points: Floats, position: Floats, rotation: Floats) -> Floats:
 
 
 def to_local(points: Floats, position: Floats, rotation: Floats) -> Floats:
-    """Transform (n, 3) points from the world frame to a body frame; inverse of `to_world`."""
+    """Transform (n, 3) points from the world to a body frame; inverse of `to_world`."""
     return (points - position) @ rotation
 
 

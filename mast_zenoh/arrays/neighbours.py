@@ -38,7 +38,7 @@ def pairs_within_radius(a: Floats, b: Floats, radius: Floats) -> tuple[Ints, Int
 
 
 def _nearest(a: Floats, b: Floats, radius: Floats) -> tuple[Ints, Ints, Floats, Floats]:
-    """As `neighbours`, but of each point in `a` only the MAX_NEIGHBOURS nearest in `b`."""
+    """As `neighbours`, with at most MAX_NEIGHBOURS in `b` for each point in `a`."""
     from scipy.spatial import cKDTree  # slow to load, and few nodes ever see so many pairs
 
     count = min(MAX_NEIGHBOURS, len(b))

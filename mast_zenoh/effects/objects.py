@@ -17,7 +17,7 @@ _REFERENCES = (("origin", "rotation"), ("mount_position", "mount_rotation"))
 _WORLD = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
-class Passed(NamedTuple):
+class ChangedMessage(NamedTuple):
     """A changed message.
 
     step: the frame in which it was received; before, after: its bodies
@@ -61,7 +61,9 @@ class ObjectChanges(NamedTuple):
     frames_late: Ints
 
 
-def changed(message: str, passed: Sequence[Passed]) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
+def changed_objects(
+    message: str, passed: Sequence[ChangedMessage]
+) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
     """Changed objects in messages of one type, and their other changed columns.
 
     The latter are names for each message.
@@ -106,7 +108,7 @@ def _positions(changes: Changes, rows: Ints) -> tuple[Ints, Floats, Floats, Floa
     return ids, positions[0], positions[1], velocity
 
 
-def whole(
+def whole_message(
     message: str, frame: int, seq: int, step: int, *, received: Body | None, sent: Body | None, frames_late: int = 0
 ) -> ObjectChanges:
     """All objects of a message that was not sent on in time, or not received.

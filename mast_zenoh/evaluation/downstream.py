@@ -16,7 +16,7 @@ _FROM_DOWNLINK = (PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
 _WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
 
 
-def reached(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools) -> Bools:
+def influence(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools) -> Bools:
     """Whether messages of each of p passages can affect each of s series: (p, s).
 
     A series is (agent, estimator). An agent's own tracks depend on its sensors alone. An unknown port may affect all

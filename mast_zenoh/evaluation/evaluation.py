@@ -10,8 +10,8 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.effects import Effects, effects_of, reports
-from mast_zenoh.evaluation.from_effects import absent, manipulations, stopped_by_links
-from mast_zenoh.evaluation.poses import with_poses
+from mast_zenoh.evaluation.from_effects import effects_of_absence, manipulations, stopped_by_links
+from mast_zenoh.evaluation.poses import add_pose_manipulations
 from mast_zenoh.evaluation.run_data import RunData
 from mast_zenoh.evaluation.tables import attacks
 from mast_zenoh.links import WIRES
@@ -26,9 +26,9 @@ from mast_zenoh.metrics import (
     Scores,
     achievement,
     achievement_summary,
+    cause_names,
     causes_of,
     consequences,
-    named,
     user_metrics,
 )
 from mast_zenoh.metrics.record import TruthTable
@@ -78,7 +78,7 @@ class Evaluation:
         scores = self.scorer.score(data.record)
         truth = data.record.truth(scores.frames)
         effects = _measured(data, scores)
-        from_absence = absent(effects, data.presence.idle(scores.frames), scores.frames)
+        from_absence = effects_of_absence(effects, data.presence.idle(scores.frames), scores.frames)
         interposed = manipulations(
             effects,
             data.roles,
@@ -90,7 +90,7 @@ class Evaluation:
         )
         spoofs, agents = [meter.effects.spoofs for meter in data.meter.meters], data.record.agents
         duration = round(self.attribution.coast_s / data.period_s)
-        interposed = with_poses(
+        interposed = add_pose_manipulations(
             interposed, effects, spoofs, truth, agents, scores.frames, self.scorer.min_points, duration
         )
         cut_off_objects = self._cut_off_objects(data, scores, truth, effects)
@@ -185,7 +185,7 @@ class _Results:
             },
             "tables": {
                 "metrics": per_frame,
-                "objects": {**scores.objects(), "cause": named(labels.cause), "by": labels.by},
+                "objects": {**scores.objects(), "cause": cause_names(labels.cause), "by": labels.by},
                 "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
                 "targets": targets.table(manipulations.culprits),
                 "driving": consequences.table(drives, frames),

@@ -9,7 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.episodes import insertions
-from mast_zenoh.evaluation.downstream import reached
+from mast_zenoh.evaluation.downstream import influence
 from mast_zenoh.metrics import Attribution, Boxes, Manipulations
 from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED
 from mast_zenoh.metrics.places import Places, nearest
@@ -50,7 +50,7 @@ def manipulations(
     )
     result = Manipulations(
         culprits=culprits,
-        reach=reached(effects.passages, series, is_link),
+        reach=influence(effects.passages, series, is_link),
         passage=passage,
         culprit=culprit_row[passage] if len(rows) else passage,
         kind=np.concatenate([np.full(len(inserted), INSERTED), kind]),
@@ -85,7 +85,7 @@ def _hidden(effects: Effects, limits: Attribution) -> tuple[Ints, Ints]:
     return rows[counts], kind[counts]
 
 
-def absent(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
+def effects_of_absence(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
     """(n,) effects on messages that were lost because an interposer was absent.
 
     idle: by node, (f,) bool, whether it was absent in each of (f,) frames

@@ -21,7 +21,7 @@ from mast_zenoh.metrics.record import TruthTable
 _WITHHELD = ("dropped", "delayed", "corrupted", "unsettled")
 
 
-def with_poses(
+def add_pose_manipulations(
     manipulations: Manipulations,
     effects: Effects,
     spoofs: Sequence[Sequence[Spoof]],

@@ -1,4 +1,4 @@
-"""Clusterers of the command centre: group the tracks of different agents by object.
+"""Clusterers of the command centre, which group tracks by object.
 
 Rows are first sorted by (agent, id), so the result does not depend on the order in which they arrive.
 """

@@ -50,7 +50,7 @@ class Members:
         return cls(states, weight, first.nonzero()[0], first.cumsum() - 1, label[first]).weighted(weight)
 
     def weighted(self, weight: Floats) -> Members:
-        """The same members with other weights (n,), normalised to a sum of 1 in each cluster."""
+        """The same members with other weights (n,), normalised in each cluster."""
         return Members(self.states, weight / self.sum(weight)[self.cluster], self.start, self.cluster, self.label)
 
     def sum(self, values: Floats) -> Floats:

@@ -23,7 +23,7 @@ from mast_zenoh.metrics.causes import (
     Hidden,
     Labels,
     claimed_positions,
-    joined,
+    joined_names,
 )
 from mast_zenoh.metrics.cut_off import CutOffObjects
 from mast_zenoh.metrics.histories import Histories
@@ -128,7 +128,7 @@ class _Attributor:
         cause[self.truths.row], by[self.truths.row] = truth_cause, truth_by
         switch_cause, switch_by = self._switches(track_cause, track_by)
         names = self.manipulations.culprits
-        return Labels(cause, joined(names, by), switch_cause, joined(names, switch_by))
+        return Labels(cause, joined_names(names, by), switch_cause, joined_names(names, switch_by))
 
     def _switches(self, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the identity switches: hiding, a shown track, otherwise tracking."""

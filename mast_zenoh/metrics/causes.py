@@ -22,7 +22,7 @@ UNKNOWN = -1
 ATTACK_CAUSES, FAULT_CAUSES = KINDS, CAUSES[FAULT:]
 
 
-def named(causes: Ints) -> NDArray[np.object_]:
+def cause_names(causes: Ints) -> NDArray[np.object_]:
     """Names (n,) str of causes; empty for UNKNOWN."""
     return np.array([*CAUSES, ""], object)[causes]
 
@@ -103,7 +103,7 @@ class Hidden:
             yield code, culprit, same & reach[series]
 
 
-def joined(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
+def joined_names(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
     """The names set in each row of (n, a), joined by "+", (n,) str."""
     result = np.full(len(by), "", object)
     nonempty = np.flatnonzero(by.any(axis=1))

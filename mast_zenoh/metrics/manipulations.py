@@ -49,7 +49,7 @@ class Manipulations:
         return Manipulations(self.culprits, self.reach, *(getattr(self, name)[rows] for name in columns))
 
 
-def none(n_series: int) -> Manipulations:
+def no_manipulations(n_series: int) -> Manipulations:
     """Manipulations without rows."""
     zero, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
     return Manipulations((), np.zeros((0, n_series), bool), zero, zero, zero, zero, zero, nowhere, nowhere, zero)

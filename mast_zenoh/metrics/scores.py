@@ -29,7 +29,7 @@ MATCHED, MISSED, FALSE, UNEVALUATED = range(len(OUTCOMES))
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class EvaluatedObjects:
     """n evaluated truth objects, each in one series and frame.
 
     series, frame: (n,) rows of `Scores.series` and `Scores.frames`; id: (n,) of the object; matched: (n,) bool
@@ -127,7 +127,7 @@ class Scores:
     id_switches: Ints
     ospa_m: Floats
     gospa_m: Floats
-    seen: Seen
+    seen: EvaluatedObjects
     switches: Switches
     judged: Judged
     same_as: Mapping[tuple[str, str], tuple[str, str]]

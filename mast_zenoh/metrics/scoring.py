@@ -13,7 +13,17 @@ from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner
 from mast_zenoh.metrics.boxes import Boxes, centre_distance
 from mast_zenoh.metrics.ospa import SetDistance
 from mast_zenoh.metrics.record import Record, Series, TruthTable
-from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUATED, Judged, Scores, Seen, Switches
+from mast_zenoh.metrics.scores import (
+    FALSE,
+    MATCHED,
+    MISSED,
+    OUTCOMES,
+    UNEVALUATED,
+    EvaluatedObjects,
+    Judged,
+    Scores,
+    Switches,
+)
 
 
 class Scorer:
@@ -226,7 +236,7 @@ def _compare(
         id_switches=count(group[switched]),
         ospa_m=ospa.reshape(shape),
         gospa_m=gospa.reshape(shape),
-        seen=Seen(*np.divmod(truth.group, max(shape[1], 1)), truth.id, truth_outcome == MATCHED),
+        seen=EvaluatedObjects(*np.divmod(truth.group, max(shape[1], 1)), truth.id, truth_outcome == MATCHED),
         switches=Switches(
             *np.divmod(group[switched], max(shape[1], 1)),
             truth.id[pairs[switched, 0]],

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.causes import Labels, named
+from mast_zenoh.metrics.causes import Labels, cause_names
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table, Texts, mean_and_std
 
@@ -253,7 +253,7 @@ def _estimate(
         yaw=boxes.yaw,
         score=judged.score[rows],
         range_m=np.hypot(*(boxes.position - at)[:, :2].T),
-        cause=named(labels.cause[rows]).astype(str),
+        cause=cause_names(labels.cause[rows]).astype(str),
     )
 
 

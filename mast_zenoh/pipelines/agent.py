@@ -62,7 +62,7 @@ class OwnAndPicture(MissionEstimator):
 
 
 class PictureFirst(MissionEstimator):
-    """Takes the picture as it is, and own tracks only where the picture has nothing near.
+    """Takes the picture, and own tracks only where it has no object nearby.
 
     radius: m, in the bird's-eye view, within which an own track is left out
     """

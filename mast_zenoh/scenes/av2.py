@@ -13,7 +13,7 @@ from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.av2_files import Boxes, find_log, read_boxes, read_poses
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.observe import World, detect, recorded, see
+from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
@@ -86,9 +86,9 @@ class AV2Log(Scene):
         poles = _poles(world, ego, heading(rotation), self.n_infrastructure)
         world, ground = _with_agents(world, ego, rotation, poles)
         world = _truncate(world, count)
-        points = see(world, range(1, len(world.agents)))
+        points = lidar_visibility(world, range(1, len(world.agents)))
         points[:, 0] = returns[: len(points)]
-        return recorded(world, points, *detect(world, points, self.detector, seed, ground[:count]))
+        return make_recording(world, points, *detect(world, points, self.detector, seed, ground[:count]))
 
 
 def _world(name: str, boxes: Boxes, ego: Floats, rotation: Floats) -> tuple[World, Floats]:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import beside
+from mast_zenoh.scenes import accompanying_files
 from mast_zenoh.scenes.avstack_decode import Calibration, ObjectState, read_calibration, read_objects, read_seen
 from mast_zenoh.scenes.avstack_layout import Layout, open_layout
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.observe import World, detect, recorded, see
+from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
@@ -87,11 +87,11 @@ class AVstackScene(Scene):
         agents = self._agents(actors[0], layout.run)
         world, ground = _world(layout, self.path.name, numbers, times, agents, actors, objects)
         points = _points(layout, world, numbers, agents)
-        file = layout.beside("detections.jsonl") if self.replay else None
+        file = layout.accompanying_file("detections.jsonl") if self.replay else None
         if file is None:
-            return recorded(world, points, *detect(world, points, self.detector, seed, ground))
+            return make_recording(world, points, *detect(world, points, self.detector, seed, ground))
         rotation = world.agent_rotation @ np.stack([agent.sensor.mount_rotation for agent in world.agents])
-        return recorded(world, points, *beside.read_detections(file, numbers, agents, rotation))
+        return make_recording(world, points, *accompanying_files.read_detections(file, numbers, agents, rotation))
 
     def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
         """Numbers of the agents: the ego, other mobile agents, then static agents."""
@@ -181,8 +181,10 @@ def _world(
         if actors[0][number].size is not None:
             agent_velocity[:, column] = truth.velocity[ids == EGO_ID + number]
     agent_rotation = np.array([[frame[number].rotation for number in agents] for frame in actors])
-    file = layout.beside("buildings.json")
-    buildings = beside.read_buildings(file, layout.beside("scene.json")) if file else ((), np.zeros(0))
+    file = layout.accompanying_file("buildings.json")
+    buildings = (
+        accompanying_files.read_buildings(file, layout.accompanying_file("scene.json")) if file else ((), np.zeros(0))
+    )
     world = World(
         name=name,
         agents=tuple(
@@ -263,10 +265,10 @@ def _mount(calibration: Calibration, position: Floats, rotation: Floats) -> tupl
 def _points(layout: Layout, world: World, numbers: list[int], agents: list[int]) -> NDArray[np.int32]:
     """(N, A) lidar returns, from the best source available."""
     truth: ObjectStates = world.truth
-    file = layout.beside("visibility.jsonl")
+    file = layout.accompanying_file("visibility.jsonl")
     if file is not None:
-        return beside.read_visibility(file, numbers, agents, truth.id, world.truth_start)
-    cast_points = see(world)
+        return accompanying_files.read_visibility(file, numbers, agents, truth.id, world.truth_start)
+    cast_points = lidar_visibility(world)
     points = cast_points.copy()
     listed: set[int] = set()
     for column, number in enumerate(agents):

@@ -30,7 +30,7 @@ class Layout:
     run: Path
     search_folders: tuple[Path, ...]
 
-    def beside(self, name: str) -> Path | None:
+    def accompanying_file(self, name: str) -> Path | None:
         """The nearest accompanying file of that name; None: there is none."""
         return next((folder / name for folder in self.search_folders if (folder / name).is_file()), None)
 

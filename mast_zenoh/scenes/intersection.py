@@ -10,7 +10,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.buildings import rows_of_buildings
 from mast_zenoh.scenes.junction import ROAD, Arm, arms_of, plan
-from mast_zenoh.scenes.observe import World, detect, recorded, see
+from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.road_users import road_users
 from mast_zenoh.scenes.traffic import Motion, Movers, Network, Traffic
@@ -112,8 +112,8 @@ class Intersection(Scene):
             _poles(arms, self.n_infrastructure),
             (buildings, heights),
         )
-        points = see(world)
-        return recorded(world, points, *detect(world, points, self.detector, seed))
+        points = lidar_visibility(world)
+        return make_recording(world, points, *detect(world, points, self.detector, seed))
 
     def _count(self, name: str, default: int) -> int:
         configured: int | None = getattr(self, name)

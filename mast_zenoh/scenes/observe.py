@@ -51,7 +51,7 @@ class World:
         )
 
 
-def see(world: World, columns: Sequence[int] | None = None) -> NDArray[np.int32]:
+def lidar_visibility(world: World, columns: Sequence[int] | None = None) -> NDArray[np.int32]:
     """Lidar returns (N, A) of each truth row at each agent, by ray casting.
 
     columns: the agents to compute; None: all
@@ -105,7 +105,7 @@ def detect(
     return flat, np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
 
 
-def recorded(
+def make_recording(
     world: World, points: NDArray[np.int32], detections: Detections, detection_start: Ints, detection_truth_id: Ints
 ) -> Recording:
     """The finished, validated recording."""

@@ -28,7 +28,7 @@ def make_positive_definite(covariance: Floats) -> Floats:
 
 @kernel
 def symmetrise(covariance: Floats, min_variance: float, max_variance: float) -> tuple[Floats, bool]:
-    """Symmetric parts (n, k, k), k up to 9; and whether all of them are within the limits."""
+    """Symmetric parts (n, k, k), k up to 9; and whether all are within the limits."""
     symmetric = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     n, k = covariance.shape[:2]
     shifted = symmetric.reshape(n, k * k).copy()
