@@ -1,4 +1,4 @@
-"""Compiled kernels do what their NumPy references do, and what was not compiled is not missed."""
+"""Compiled kernels equal their NumPy references, and missing ones are replaced by them."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def test_every_kernel_is_compared_with_its_reference():
 @pytest.mark.parametrize("name", sorted(ARGUMENTS))
 @settings(max_examples=25)
 @given(st.integers(0, 2**32), st.sampled_from([0, 1, 2, 3, 9, 30]), st.sampled_from([0, 1, 2, 8, 25]))
-def test_a_compiled_kernel_is_its_reference(name, seed, n, m):
+def test_a_compiled_kernel_equals_its_numpy_reference(name, seed, n, m):
     given = ARGUMENTS[name](np.random.default_rng(seed), n, m)
     ours, theirs = copy.deepcopy(given), copy.deepcopy(given)
     with np.errstate(all="ignore"):
@@ -241,7 +241,7 @@ def test_a_compiled_kernel_is_its_reference(name, seed, n, m):
 
 
 @compiled
-def test_a_node_that_has_compiled_kernels_does_without_scipy():
+def test_a_node_with_compiled_kernels_does_not_import_scipy():
     """It takes as long to load as all else that a node needs."""
     code = "import nodes.agent, nodes.command_center, nodes.simulator, nodes.adversary, sys; print(*sys.modules)"
     root = Path(mast_zenoh.__file__).parents[1]
@@ -274,7 +274,7 @@ def played(scene: str, wanted: str, file: Path):
 
 
 @compiled
-def test_a_whole_recorded_scene_has_the_same_tracks_with_either(tmp_path):
+def test_a_recorded_scene_has_the_same_tracks_with_compiled_and_numpy_kernels(tmp_path):
     scene = "intersection"
     if (DATA / "scene_a.tar.gz").is_file():
         with tarfile.open(DATA / "scene_a.tar.gz") as archive:
@@ -299,7 +299,7 @@ def used(code: str, wanted: str) -> subprocess.CompletedProcess[str]:
 
 
 @compiled
-def test_kernels_made_from_other_sources_are_not_used(tmp_path):
+def test_kernels_compiled_from_other_sources_are_not_used(tmp_path):
     copied = tmp_path / "mast_zenoh"
     shutil.copytree(Path(mast_zenoh.__file__).parent, copied)
     here = f"import sys; sys.path.insert(0, {str(tmp_path)!r})"
@@ -312,6 +312,6 @@ def test_kernels_made_from_other_sources_are_not_used(tmp_path):
 @pytest.mark.parametrize(
     ("wanted", "message"), [("fast", "expected numpy or compiled"), ("compiled", "none were built")]
 )
-def test_kernels_that_cannot_be_had_are_refused(wanted, message):
+def test_unavailable_or_unknown_kernels_are_refused(wanted, message):
     hidden = "import sys; sys.modules['mast_zenoh.kernels.tracks'] = None"
     assert message in used(hidden, wanted).stderr

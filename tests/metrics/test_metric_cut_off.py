@@ -130,7 +130,7 @@ def test_a_restarted_agent_needs_a_second_to_track_objects() -> None:
     assert {found[frame] for frame in range(50, FRAMES)} == {"occlusion or range"}
 
 
-def test_an_agent_that_is_cut_off_but_there_knows_only_what_it_tracks() -> None:
+def test_a_running_disconnected_agent_knows_only_the_objects_it_tracks() -> None:
     def local(agent: str, frame: int) -> ObjectStates:
         return NOTHING if agent == "infra_1" else holds(agent, frame)
 
@@ -138,7 +138,7 @@ def test_an_agent_that_is_cut_off_but_there_knows_only_what_it_tracks() -> None:
     assert set(found.values()) == {"occlusion or range"}
 
 
-def test_what_comes_into_view_of_a_killed_agent_would_have_had_no_track_at_once_anyway() -> None:
+def test_an_object_new_in_the_view_of_a_killed_agent_is_at_first_missed_because_of_lag() -> None:
     def truth(frame: int) -> ObjectStates:
         return some(FAR, BOTH) if frame >= 25 else some(BOTH)
 
@@ -148,7 +148,7 @@ def test_what_comes_into_view_of_a_killed_agent_would_have_had_no_track_at_once_
     assert [missed(table, FAR)[frame] for frame in (25, 34, 35, 39)] == ["lag", "lag", "link or fault", "link or fault"]
 
 
-def test_what_the_cut_agent_tracks_already_is_not_too_new_to_be_in_the_picture() -> None:
+def test_an_object_already_tracked_by_a_disconnected_agent_is_missed_because_of_the_fault() -> None:
     def truth(frame: int) -> ObjectStates:
         return some(FAR, BOTH) if frame >= 25 else some(BOTH)
 
@@ -165,7 +165,7 @@ def test_hiding_is_attributed_to_the_adversary_even_during_a_disconnection(taken
     assert set(table["by"][rows]) <= {"eve"}
 
 
-def test_attack_and_partition_and_nature_at_once_are_told_apart() -> None:
+def test_simultaneous_attack_partition_and_natural_errors_are_distinguished() -> None:
     places = {1: (40.0, 0.0), 2: (0.0, 0.0), 3: (-40.0, 0.0), 4: (0.0, 40.0)}
     points = {1: (0, 50, 0), 2: (0, 50, 0), 3: (0, 0, 9), 4: (50, 0, 0)}
     world = cars(*places.values(), id=list(places))

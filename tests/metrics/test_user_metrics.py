@@ -98,7 +98,7 @@ def test_frames_that_are_not_scored_or_in_which_it_is_not_defined_do_not_count(r
     assert summary["told"]["mean"] == (pytest.approx(sum(known) / len(known)) if known else None)
 
 
-def test_an_estimate_is_what_was_judged_with_its_causes() -> None:
+def test_an_estimate_has_the_judged_boxes_and_their_causes() -> None:
     metric = Told(np.zeros(2))
     computed([metric], [[True, False], [False, False]], [False, True])
     (given,) = metric.given

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.evaluation.downstream import influence
 from mast_zenoh.report.runfolder import RunFolder, agent_of
 from mast_zenoh.report.tables.wiring import all_wires
 from mast_zenoh.wiring.model import Passage
