@@ -20,7 +20,7 @@ _WORLD = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 class ChangedMessage(NamedTuple):
     """A changed message.
 
-    step: the frame in which it was received; before, after: its bodies
+    seq: its number; step: the frame in which it was received; before, after: its bodies
     """
 
     frame: int
@@ -62,14 +62,14 @@ class ObjectChanges(NamedTuple):
 
 
 def changed_objects(
-    message: str, passed: Sequence[ChangedMessage]
+    message: str, messages: Sequence[ChangedMessage]
 ) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
     """Changed objects in messages of one type, and their other changed columns.
 
     The latter are names for each message.
     If the frame of reference of a message was changed, all its objects count.
     """
-    bodies = [item.before for item in passed], [item.after for item in passed]
+    bodies = [item.before for item in messages], [item.after for item in messages]
     changes = compare(message, *bodies)
     reframed = np.array([any(name in pair for name in names for pair in _REFERENCES) for names in changes.others], bool)
     message_row = changes.message
@@ -77,9 +77,9 @@ def changed_objects(
     message_row = message_row[rows]
     ids, before, after, velocity = _positions(changes, rows)
     return ObjectChanges(
-        frame=np.array([item.frame for item in passed], np.int64)[message_row],
-        seq=np.array([item.seq for item in passed], np.int64)[message_row],
-        step=np.array([item.step for item in passed], np.int64)[message_row],
+        frame=np.array([item.frame for item in messages], np.int64)[message_row],
+        seq=np.array([item.seq for item in messages], np.int64)[message_row],
+        step=np.array([item.step for item in messages], np.int64)[message_row],
         effect=changes.effect[rows],
         columns=_bit_names(changes.columns[rows], changes.names),
         id=ids,

@@ -86,11 +86,11 @@ class PassageEffects:
             return
         header = message.header
         try:
-            passed = ChangedMessage(header.frame, header.seq, message.step, rival.body, message.body)
+            change = ChangedMessage(header.frame, header.seq, message.step, rival.body, message.body)
         except MessageError:
             return
-        changes, (names,) = objects.changed_objects(self._type, [passed])
-        self._note_pose(passed, names)
+        changes, (names,) = objects.changed_objects(self._type, [change])
+        self._note_pose(change, names)
         self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
 
     def compare(self, received: Overheard, sent: Overheard) -> None:
@@ -130,11 +130,11 @@ class PassageEffects:
                 self.messages.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
         self._pending = []
 
-    def _note_pose(self, passed: ChangedMessage, names: tuple[str, ...]) -> None:
+    def _note_pose(self, change: ChangedMessage, names: tuple[str, ...]) -> None:
         """Record a changed pose of an agent."""
         if names and self._type == "pose":
-            before, after = ([body[name].copy() for name in ("position", "rotation")] for body in passed[3:])
-            self.spoofs.append(Spoof(passed.frame, *before, *after))
+            before, after = ([body[name].copy() for name in ("position", "rotation")] for body in change[3:])
+            self.spoofs.append(Spoof(change.frame, *before, *after))
 
     def _add_whole(self, message: Overheard, *, received: bool, frames_late: int = 0) -> None:
         """Record the effect on all objects of a message only received, or only sent."""

@@ -1,8 +1,8 @@
 """Evaluates a run: computes metrics and tables from its messages. Pure.
 
-    data         data collected from the messages
+    run_data      data collected from the messages
     from_effects  manipulations, from the measured effects of interposers (mast_zenoh.effects)
-    effects     manipulations, from the measured effects of interposers (mast_zenoh.effects)
+    poses         manipulations of poses
     downstream    estimates that an interposer can influence
     evaluation    the complete evaluation with mast_zenoh.metrics
     tables        attacks.parquet

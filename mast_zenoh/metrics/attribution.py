@@ -220,7 +220,7 @@ class _Attributor:
         """Causes of the false tracks that no adversary shows."""
         tracks, limits = self.tracks, self.limits
         matched = tracks.outcome == MATCHED
-        free = (false & (cause < 0)).nonzero()[0]
+        free = (false & (cause < 0)).nonzero()[0]  # rows without a cause yet
         if not len(free):
             return
         truths = self._truths_beside(tracks.row[free])

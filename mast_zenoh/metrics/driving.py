@@ -119,7 +119,7 @@ class Driving:
 def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
     """Whether each of k objects (k,) overlaps the vehicle or is centred on it.
 
-    In its own frame.
+    Objects and vehicle are compared in the frame of each object.
     """
     frame, zeros = objects.frame[row], np.zeros(len(row), np.int64)
     size = np.tile([vehicle.length, vehicle.width, 0.0], (len(row), 1))

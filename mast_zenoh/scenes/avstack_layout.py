@@ -90,8 +90,8 @@ def open_layout(path: Path, max_unpacked_mb: float) -> Iterator[Layout]:
     """Open the layout at `path`: a run folder, a folder above one, or a tar archive.
 
     A folder above must contain a single run. An archive is unpacked into a temporary folder, without the images and
-    point clouds; the folder is deleted when the
-    context ends. Raises SceneError without exactly one run, or if the files exceed `max_unpacked_mb` (10^6 bytes).
+    point clouds; the folder is deleted when the context ends. Raises SceneError without exactly one run, or if the
+    files exceed `max_unpacked_mb` (10^6 bytes).
     """
     if path.is_dir():
         yield find_layout(path)
