@@ -76,7 +76,7 @@ class MarkovPropagation(Propagation):
 class TrajectoryPropagation(Propagation):
     """A planned path: constant velocity for `duration_s`, then braking to a stop.
 
-    duration_s: of constant velocity;  braking_mps2: deceleration after it
+    duration_s: s, of constant velocity;  braking_mps2: deceleration after it
 
     Raises ValueError for a deceleration that is not positive.
     """

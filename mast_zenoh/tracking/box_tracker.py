@@ -52,20 +52,20 @@ class KalmanBoxTracker3D(Tracker):
 
     See docs/tracking.md for the model and the sources of the numbers.
 
-    position_std_m, vertical_std_m: of a detection's horizontal position per axis, and of its height, unless it has
-        its own covariance
-    size_std_m, yaw_std_rad: of a detection's sizes, and of its heading modulo half a turn
-    detection_probability: of an object in full view; a track's own hit rate can only lower it
-    report_probability: that a source of states (`step_states`) continues to report an existing object
+    position_std_m, vertical_std_m: standard deviation of a detection's horizontal position per axis, and of its height,
+        unless it has its own covariance
+    size_std_m, yaw_std_rad: standard deviation of a detection's sizes, and of its heading modulo half a turn
+    detection_probability: probability of detecting an object in full view; a track's own hit rate can only lower it
+    report_probability: probability that a source of states (`step_states`) continues to report an existing object
     clutter_per_m2: false detections per square metre and frame
     birth_odds: odds that a detection without a matching track is a new object
     lifetime_s: s, average time that an object stays in view; memory_s: s, time constant of a track's hit rate
-    confirm_probability: of existence, to confirm a track; min_probability: to report it
+    confirm_probability: of existence, above which a track is confirmed; min_probability: above which it is reported
     max_coast_s: s without a measurement after which a track is dropped (earlier if its position uncertainty exceeds
         LOST_M); until then it may be recovered under the same id
-    max_std_m: m, of the horizontal position, above which a track is not reported
-    jump_probability, jump_std_m: of a sudden displacement in a frame, and its standard deviation per axis for a
-        moving car, see `gating`
+    max_std_m: m, standard deviation of the horizontal position above which a track is not reported
+    jump_probability, jump_std_m: probability of a sudden displacement in a frame, and its standard deviation per axis
+        for a moving car, see `gating`
     acceleration_scale: factor on the accelerations in `classes`
     assignment: how detections are assigned to tracks
 
