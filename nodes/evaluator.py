@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Pose
-from mast_zenoh.evaluation import Evaluation, Heard
+from mast_zenoh.evaluation import Evaluation, RunData
 from mast_zenoh.metrics import Attribution, CutOff, Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Snapshot
 from mast_zenoh.node import Context, Node, Overheard
@@ -76,7 +76,7 @@ class Evaluator(Node):
             attribution=attribution or Attribution(),
             cut_off=cut_off or CutOff(),
         )
-        self.heard = Heard(Record(agents))
+        self.data = RunData(Record(agents))
         self.routes: dict[str, Route] = {}
         self.takes: dict[str, Callable[[Overheard, Route], None]] = {}
         self.metered: set[str] = set()
@@ -93,22 +93,22 @@ class Evaluator(Node):
 
     def joined(self, node: str, role: str, context: Context) -> None:
         """Note that a node is present from the next frame on."""
-        self.heard.roles[node] = role
-        self.heard.presence.note(node, role, context.frame + 1, True)
+        self.data.roles[node] = role
+        self.data.presence.note(node, role, context.frame + 1, True)
 
     def left(self, node: str, role: str, context: Context) -> None:
         """Note that a node has left."""
-        self.heard.presence.note(node, role, context.frame + 1, False)
+        self.data.presence.note(node, role, context.frame + 1, False)
 
     def follow(self, context: Context, first_frame: int) -> None:
         """Use the current wiring from a frame on."""
         wiring = context.wiring
-        self.heard.meter.follow(wiring, first_frame)
+        self.data.meter.follow(wiring, first_frame)
         self.routes = routes(wiring, self.agents)
         self.takes = {key: getattr(self, route.take) for key, route in self.routes.items()}
-        self.metered = set(self.heard.meter.keys())
+        self.metered = set(self.data.meter.keys())
         for route in self.routes.values():
-            self.heard.record.expect(route.series)
+            self.data.record.expect(route.series)
         context.ignore(set(wiring.keys()) - self.routes.keys() - self.metered)
 
     def on_everything(self, message: Overheard, context: Context) -> None:
@@ -118,7 +118,7 @@ class Evaluator(Node):
         """
         key = message.key
         if key in self.metered:
-            self.heard.meter.add(message)
+            self.data.meter.add(message)
         if key in self.routes:
             route = self.routes[key]
             message.check_time()
@@ -127,7 +127,7 @@ class Evaluator(Node):
     def take_clock(self, message: Overheard, route: Route) -> None:
         """Store the time of a frame."""
         message.check()
-        self.heard.times_ns[message.header.frame] = message.header.time_ns
+        self.data.times_ns[message.header.frame] = message.header.time_ns
 
     def take_truth(self, message: Overheard, route: Route) -> None:
         """Store the truth of a frame."""
@@ -135,26 +135,26 @@ class Evaluator(Node):
         objects = ObjectStates.of(
             body["position"], id=body["id"], size=body["size"], yaw=body["yaw"], velocity=body["velocity"]
         )
-        self.heard.record.add_truth(
+        self.data.record.add_truth(
             message.header.frame, objects, body["points"], body["agent_position"], body["agent_object"]
         )
 
     def take_pose(self, message: Overheard, route: Route) -> None:
         """Store an agent's pose, to which its detections are relative."""
         pose = Pose(message.body["position"].copy(), message.body["rotation"].copy())
-        self.heard.poses[message.wire.subject, message.header.frame] = pose
+        self.data.poses[message.wire.subject, message.header.frame] = pose
 
     def take_tracks(self, message: Overheard, route: Route) -> None:
         """Store an agent's own tracks, as sent, as the broker received them, or both."""
         header = message.header
         if route.series[0].estimator == LOCAL and message.step >= 0:
-            self.heard.tracks_sent.setdefault((message.wire.subject, header.frame), message.step)
+            self.data.tracks_sent.setdefault((message.wire.subject, header.frame), message.step)
         self.keep(message, route)
 
     def take_picture(self, message: Overheard, route: Route) -> None:
         """Store the common picture, as sent, as an agent received it, or both."""
         if route.series[0].estimator == PICTURE:
-            self.heard.picture_sent.setdefault(message.header.frame, message.step)
+            self.data.picture_sent.setdefault(message.header.frame, message.step)
         self.keep(message, route)
 
     def keep(self, message: Overheard, route: Route) -> None:
@@ -177,21 +177,21 @@ class Evaluator(Node):
             objects = Snapshot.of(states, views=message.encoded)
             if route.wire:
                 candidates.append((message, objects))
-        self.heard.record.add(header.frame, route.series, objects, message.step, header.time_ns)
+        self.data.record.add(header.frame, route.series, objects, message.step, header.time_ns)
 
     def take_attack_report(self, message: Overheard, route: Route) -> None:
         """Store an adversary's report of its changes."""
         header = message.header
-        self.heard.attack_reports.append((header.source, header.frame, header.seq, message.body))
+        self.data.attack_reports.append((header.source, header.frame, header.seq, message.body))
 
     def take_link_report(self, message: Overheard, route: Route) -> None:
         """Store a link's report of what it did to messages in the previous step."""
         header = message.header
-        self.heard.link_reports.append((header.source, header.frame, header.seq, message.body))
+        self.data.link_reports.append((header.source, header.frame, header.seq, message.body))
 
     def finish(self, context: Context) -> dict[str, Any]:
         """Metrics and tables of the run, without values of user metrics that failed."""
-        results = self.evaluation.of(self.heard)
+        results = self.evaluation.of(self.data)
         for name, error in results.pop("failed_metrics").items():
             context.failed(f"metric {name}", error)
         return results

@@ -1,1 +1,1 @@
-"""Geometry, states, matching and neighbourhoods: functions on arrays without knowledge of the testbed."""
+"""Geometry, object states, matching and neighbour search on plain arrays."""

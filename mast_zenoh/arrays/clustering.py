@@ -1,4 +1,4 @@
-"""Nearest-first clustering: rows of different sources that are near each other are joined, the nearest first."""
+"""Nearest-first clustering of rows from different sources."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mast_zenoh.arrays.neighbours import TABLE, neighbours
+from mast_zenoh.arrays.neighbours import MAX_TABLE, neighbours
 from mast_zenoh.arrays.states import Floats, Ints
 
 
@@ -16,44 +16,50 @@ def pairs_near(position: Floats, radius: float) -> tuple[Ints, Ints, Floats]:
     i, j, dx, dy = neighbours(position, position, np.full(n, radius))
     squared = dx * dx + dy * dy
     upper = (i < j).nonzero()[0]
-    if n * n > TABLE:
-        # Of very many places only the nearest are looked at, and one may be among the other's but not the reverse.
+    if n * n > MAX_TABLE:
+        # Above that size, neighbours are limited to the nearest, so a pair may be found from one side only.
         i, j = np.minimum(i, j), np.maximum(i, j)
         upper = np.unique(i * n + j, return_index=True)[1]
         upper = upper[i[upper] < j[upper]]
     return i[upper], j[upper], squared[upper]
 
 
-def merged(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, radius: float) -> Ints:
-    """(n,) labels, in the order of first rows, after joining the pairs by distance, then i, then j."""
-    root, rest = plain_clusters(agent, i, j)
-    if len(rest):
-        i, j = i.take(rest), j.take(rest)
-        nearest = np.lexsort((j, i, squared.take(rest)))
-        root = joined_in_turn(root, position, agent, i.take(nearest), j.take(nearest), radius)
+def merge_pairs(position: Floats, agent: Ints, i: Ints, j: Ints, squared: Floats, radius: float) -> Ints:
+    """Cluster labels after merging the pairs by distance, then i, then j.
+
+    (n,), numbered in the order of the clusters' first rows.
+    """
+    root, contested = split_simple_clusters(agent, i, j)
+    if len(contested):
+        i, j = i.take(contested), j.take(contested)
+        nearest = np.lexsort((j, i, squared.take(contested)))
+        root = merge_in_order(root, position, agent, i.take(nearest), j.take(nearest), radius)
     label = (root == np.arange(len(root))).cumsum() - 1
     return np.asarray(label[root])
 
 
-def plain_clusters(agent: Ints, i: Ints, j: Ints) -> tuple[Ints, Ints]:
-    """(n,) the first row of each row's cluster, by the pairs i < j; and which pairs are not so easily told."""
+def split_simple_clusters(agent: Ints, i: Ints, j: Ints) -> tuple[Ints, Ints]:
+    """First row (n,) of each row's cluster, for pairs i < j; and the contested pairs.
+
+    A pair is contested if the result for its cluster depends on the order of merging.
+    """
     n = len(agent)
     root = np.arange(n)
-    np.minimum.at(root, j, i)
-    # Most clusters are plain: tracks of different agents, all within the radius of each other and of nothing else.
+    # Most clusters are simple: tracks of different agents, all within the radius of each other and of nothing else.
+    # For those, the order of the pairs does not matter.
     # Those come out as one in whatever order their pairs are taken.
     size = np.bincount(root, minlength=n)
-    own = root[i]
-    plain = np.bincount(own, minlength=n) == size * (size - 1) // 2
-    odd = (own != root[j]) | (agent[i] == agent[j])
-    plain[own[odd]] = plain[root[j[odd]]] = False
-    return root, (~plain[own]).nonzero()[0]
+    cluster = root[i]
+    simple = np.bincount(cluster, minlength=n) == size * (size - 1) // 2
+    conflicting = (cluster != root[j]) | (agent[i] == agent[j])
+    simple[cluster[conflicting]] = simple[root[j[conflicting]]] = False
+    return root, (~simple[cluster]).nonzero()[0]
 
 
-def joined_in_turn(root: Ints, position: Floats, agent: Ints, i: Ints, j: Ints, radius: float) -> Ints:
-    """(n,) the first row of the cluster that each row ends up in, when the pairs i < j are joined in this order.
+def merge_in_order(root: Ints, position: Floats, agent: Ints, i: Ints, j: Ints, radius: float) -> Ints:
+    """First row (n,) of each row's cluster after merging the pairs i < j in order.
 
-    root: (n,) as for `plain_clusters`; it stays as it is for rows in none of the pairs
+    root: (n,) as for `split_simple_clusters`; unchanged for rows in none of the pairs
     """
     root = root.copy()
     rows = np.unique(np.concatenate([i, j])).tolist()

@@ -28,16 +28,19 @@ def rotation_from_yaw(yaw: float) -> Floats:
 
 
 def rotation_from_yaw_pitch(yaw: float, pitch_down: float) -> Floats:
-    """(3, 3) rotation of a body that heads to `yaw` and looks `pitch_down` rad below the horizon."""
+    """(3, 3) rotation by `yaw` rad, then by `pitch_down` rad below the horizon."""
     c, s = np.cos(pitch_down), np.sin(pitch_down)
     pitch = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     return np.asarray(rotation_from_yaw(yaw) @ pitch, np.float64)
 
 
 def rotation_from_quaternion(quaternion: Floats) -> Floats:
-    """(..., 3, 3) rotations from (..., 4) active quaternions (w, x, y, z); they are normalised first."""
+    """(..., 3, 3) rotations from (..., 4) active quaternions (w, x, y, z).
+
+    The quaternions are normalised first.
+    """
     q = np.asarray(quaternion, np.float64)
-    if q.ndim == 1:  # one, as in every message: plain numbers are quicker than arrays of one
+    if q.ndim == 1:  # a single one, as in every message: scalars are faster than arrays of one
         return _rotation(*q.tolist())
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     rows = [
@@ -63,28 +66,30 @@ def _rotation(w: float, x: float, y: float, z: float) -> Floats:
 def quaternion_from_rotation(rotation: Floats) -> Floats:
     """(..., 4) active quaternions (w, x, y, z), w >= 0, of (..., 3, 3) rotations.
 
-    Shepperd (J. Guidance and Control 1978): from the greatest component, so that nothing is divided by a small number.
+    Shepperd (J. Guidance and Control 1978): divides by the largest component, which avoids dividing by a small one.
     """
     matrix = np.asarray(rotation, np.float64)
     trace = np.trace(matrix, axis1=-2, axis2=-1)
     # Products of the components, times four: row k is the quaternion times four of its k-th component.
     products = matrix + np.swapaxes(matrix, -1, -2)
-    turned = np.stack([matrix[..., i, j] - matrix[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
+    differences = np.stack([matrix[..., i, j] - matrix[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1)
     rows = np.empty((*matrix.shape[:-2], 4, 4))
-    rows[..., 1:, 1:], rows[..., 0, 1:], rows[..., 1:, 0] = products, turned, turned
+    rows[..., 1:, 1:], rows[..., 0, 1:], rows[..., 1:, 0] = products, differences, differences
     rows[..., 0, 0] = 1.0 + trace
     for k in range(3):
         rows[..., k + 1, k + 1] = 1.0 - trace + 2.0 * matrix[..., k, k]
-    greatest = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
-    q = np.take_along_axis(rows, greatest[..., None, None], axis=-2)[..., 0, :]
+    largest = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
     q /= np.linalg.norm(q, axis=-1, keepdims=True)
     return np.where(q[..., :1] < 0.0, -q, q)
 
 
 def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:
-    """States of a frame of reference at `origin` (3,) m with active quaternion `rotation` (4,), in the world frame.
+    """Transform states from a frame of reference to the world frame.
 
-    Sizes stay as they are; yaw turns by the frame's heading.
+    origin: (3,) m; rotation: (4,) active quaternion of that frame
+
+    Sizes are unchanged; the frame's heading is added to yaw.
     """
     if _is_world(origin, rotation):
         return states
@@ -100,7 +105,7 @@ def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> O
 
 
 def states_to_local(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:
-    """States of the world frame in a frame of reference; inverse of `states_to_world`."""
+    """Transform states from the world to a frame of reference, see `states_to_world`."""
     if _is_world(origin, rotation):
         return states
     matrix = rotation_from_quaternion(rotation)
@@ -109,27 +114,33 @@ def states_to_local(states: ObjectStates, origin: Floats, rotation: Floats) -> O
 
 
 def _is_world(origin: Floats, rotation: Floats) -> bool:
-    """Whether a frame of reference is the world frame, as that of most tracks is."""
+    """Whether a frame of reference is the world frame, as for most tracks."""
     return rotation.tolist() == _NO_TURN and not any(origin.tolist())
 
 
 def heading(rotation: Floats) -> Floats:
-    """(...,) rad: the heading of the x axis of (..., 3, 3) rotations, projected to the ground."""
+    """Heading (...,) rad of (..., 3, 3) rotations: of the x axis, on the ground."""
     return np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
 
 
 def to_world(points: Floats, position: Floats, rotation: Floats) -> Floats:
-    """(n, 3) points of a body frame in the world frame; position (3,), rotation (3, 3) of the body."""
+    """Transform (n, 3) points from a body frame to the world frame.
+
+    position (3,), rotation (3, 3): of the body
+    """
     return points @ rotation.T + position
 
 
 def to_local(points: Floats, position: Floats, rotation: Floats) -> Floats:
-    """(n, 3) points of the world frame in a body frame; inverse of `to_world`."""
+    """Transform (n, 3) points from the world to a body frame; inverse of `to_world`."""
     return (points - position) @ rotation
 
 
 def box_corners(position: Floats, size: Floats, yaw: Floats) -> Floats:
-    """(n, 8, 3) m: corners of upright boxes. position (n, 3) centre, size (n, 3) l w h, yaw (n,)."""
+    """Corners (n, 8, 3) m of upright boxes.
+
+    position (n, 3): centre; size (n, 3): l w h; yaw (n,)
+    """
     signs = np.array([[sx, sy, sz] for sz in (-1, 1) for sx, sy in ((1, 1), (-1, 1), (-1, -1), (1, -1))]) / 2
     local = signs[None] * np.asarray(size)[:, None, :]
     c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
@@ -139,6 +150,6 @@ def box_corners(position: Floats, size: Floats, yaw: Floats) -> Floats:
 
 
 def within_range(position: Floats, centre: Floats, radius: float) -> Bools:
-    """(n,) whether (n, 3) positions lie within `radius` m of `centre` (3,) in the bird's-eye view."""
+    """Whether (n, 3) positions are within `radius` m of `centre` (3,) on the ground."""
     offset = position[:, :2] - centre[:2]
     return np.asarray(np.einsum("ij,ij->i", offset, offset) <= radius * radius)

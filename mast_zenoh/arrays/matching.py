@@ -1,7 +1,6 @@
-"""One-to-one choices among pairs of rows and columns: which measurement is of which track, which track of which object.
+"""One-to-one matching of rows and columns, such as measurements and tracks.
 
-SciPy is the reference, and does it where no kernels were compiled. It takes as long to load as all else that a node
-needs, so nodes that have compiled kernels do without.
+SciPy is the reference. With compiled kernels it is not imported, as that takes as long as all other imports of a node.
 """
 
 from __future__ import annotations
@@ -12,25 +11,25 @@ from mast_zenoh import kernels
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 
-if kernels.USED == "numpy":  # now, and not in the middle of a frame
+if kernels.USED == "numpy":  # imported now, not in the middle of a frame
     import scipy.optimize
     import scipy.sparse.csgraph  # noqa: F401
 
 
-def alone(row: Ints, column: Ints) -> Bools:
-    """(p,) pairs both of whose ends are in no other pair; row, column: (p,) int64 >= 0."""
+def uncontested(row: Ints, column: Ints) -> Bools:
+    """Pairs (p,) that share no row or column with another; row, column: int64 >= 0."""
     if len(row) == 0:
         return np.zeros(0, bool)
     single: Bools = (np.bincount(row)[row] == 1) & (np.bincount(column)[column] == 1)
     return single
 
 
-def greedy(row: Ints, column: Ints, cost: Floats) -> Bools:
-    """(p,) bool: the cheapest pair first, then the cheapest of what remains; ties by row and column.
+def greedy_matching(row: Ints, column: Ints, cost: Floats) -> Bools:
+    """Pairs (p,) chosen one by one, the cheapest first; ties by row and column.
 
     row, column: (p,) int64 >= 0, no pair twice; cost: (p,)
     """
-    chosen = alone(row, column)
+    chosen = uncontested(row, column)
     contested = (~chosen).nonzero()[0]
     order = contested[np.lexsort((column[contested], row[contested], cost[contested]))]
     rows: set[int] = set()
@@ -44,14 +43,14 @@ def greedy(row: Ints, column: Ints, cost: Floats) -> Bools:
 
 
 @kernel
-def cheapest(row: Ints, column: Ints, cost: Floats) -> Bools:
-    """(p,) bool: the pairs of the one-to-one choice of least total cost.
+def min_cost_matching(row: Ints, column: Ints, cost: Floats) -> Bools:
+    """Pairs (p,) of the one-to-one matching with the least total cost.
 
     row, column: (p,) int64 >= 0, no pair twice
-    cost:        (p,) below 0: what choosing the pair costs against leaving both ends out
+    cost:        (p,) below 0: cost of choosing the pair relative to leaving both unmatched
     Raises ValueError for a cost that is not finite.
 
-    Rows and columns that compete, directly or through others, form islands. Each is solved by itself with shortest
+    Each connected component of competing rows and columns is solved separately with shortest
     augmenting paths (Jonker and Volgenant, Computing 1987; in the form of Crouse, IEEE TAES 2016).
     """
     from scipy.optimize import linear_sum_assignment
@@ -60,7 +59,7 @@ def cheapest(row: Ints, column: Ints, cost: Floats) -> Bools:
 
     if not np.isfinite(cost).all():
         raise ValueError("cost: found one that is not finite")
-    chosen = alone(row, column)
+    chosen = uncontested(row, column)
     contested = (~chosen).nonzero()[0]
     if len(contested) == 0:
         return chosen
@@ -69,16 +68,16 @@ def cheapest(row: Ints, column: Ints, cost: Floats) -> Bools:
     size = len(rows) + len(columns)
     graph = coo_array((np.ones(len(contested), np.int8), (r, c + len(rows))), shape=(size, size))
     _, label = connected_components(graph, directed=False)
-    island = label[r]
-    order = np.argsort(island, kind="stable")
-    for pairs in np.split(order, np.flatnonzero(np.diff(island[order])) + 1):
-        mine_r, at_r = np.unique(r[pairs], return_inverse=True)
-        mine_c, at_c = np.unique(c[pairs], return_inverse=True)
-        # Zero is for "both left out", so that the complete choice of least cost contains the best partial one.
-        table = np.zeros((len(mine_r), len(mine_c)))
-        table[at_r, at_c] = cost[contested[pairs]]
-        solved_r, solved_c = linear_sum_assignment(table)
-        partner = np.full(len(mine_r), -1)
-        partner[solved_r] = solved_c
-        chosen[contested[pairs[partner[at_r] == at_c]]] = True
+    component = label[r]
+    order = np.argsort(component, kind="stable")
+    for pairs in np.split(order, np.flatnonzero(np.diff(component[order])) + 1):
+        component_rows, local_row = np.unique(r[pairs], return_inverse=True)
+        component_columns, local_column = np.unique(c[pairs], return_inverse=True)
+        # Zero means "both unmatched", so that the complete matching of least cost contains the best partial one.
+        table = np.zeros((len(component_rows), len(component_columns)))
+        table[local_row, local_column] = cost[contested[pairs]]
+        matched_row, matched_column = linear_sum_assignment(table)
+        partner = np.full(len(component_rows), -1)
+        partner[matched_row] = matched_column
+        chosen[contested[pairs[partner[local_row] == local_column]]] = True
     return chosen

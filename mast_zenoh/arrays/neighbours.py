@@ -1,4 +1,4 @@
-"""What lies near what."""
+"""Radius search between point sets."""
 
 from __future__ import annotations
 
@@ -7,46 +7,46 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
 
-#: Pairs up to which all are looked at.
-TABLE = 250_000
+#: Number of pairs up to which all are compared.
+MAX_TABLE = 250_000
 
-#: Neighbours of one place that are looked at beyond that. No street holds more road users within a few metres, and what
-#: a hostile source piles up in one place must not fill the memory.
-CROWD = 64
+#: Limit on the neighbours of a point above that. No street holds more road users within a few metres, and objects that
+#: a hostile source puts in one place must not fill the memory.
+MAX_NEIGHBOURS = 64
 
 
-def neighbours(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Floats, Floats]:
-    """Pairs of n places `a` and m places `b` that lie within `reach` (n,) m of each other, by rows of a, then of b.
+def neighbours(a: Floats, b: Floats, radius: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+    """Pairs of `a` (n,) and `b` (m,) at most `radius` (n,) m apart, sorted by a, b.
 
     a, b: (n, >= 2), (m, >= 2) m; only x and y count
     Returns rows of a (p,), rows of b (p,), and how far b is from a in x and in y (p,) m.
     """
-    if len(a) * len(b) > TABLE:
-        return _nearest(a[:, :2], b[:, :2], reach)
-    return pairs_in_reach(a, b, reach)
+    if len(a) * len(b) > MAX_TABLE:
+        return _nearest(a[:, :2], b[:, :2], radius)
+    return pairs_within_radius(a, b, radius)
 
 
 @kernel
-def pairs_in_reach(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+def pairs_within_radius(a: Floats, b: Floats, radius: Floats) -> tuple[Ints, Ints, Floats, Floats]:
     """See `neighbours`."""
     m = len(b)
     dx = b[:, 0] - a[:, 0, None]
     dy = b[:, 1] - a[:, 1, None]
-    pair = (dx * dx + dy * dy <= (reach * reach)[:, None]).ravel().nonzero()[0]
+    pair = (dx * dx + dy * dy <= (radius * radius)[:, None]).ravel().nonzero()[0]
     i = pair // max(m, 1)
     return i, pair - i * m, dx.take(pair), dy.take(pair)
 
 
-def _nearest(a: Floats, b: Floats, reach: Floats) -> tuple[Ints, Ints, Floats, Floats]:
-    """As `neighbours`, but of each place in `a` only the CROWD nearest in `b`."""
-    from scipy.spatial import cKDTree  # slow to load, and few nodes ever see such a crowd
+def _nearest(a: Floats, b: Floats, radius: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+    """As `neighbours`, with at most MAX_NEIGHBOURS in `b` for each point in `a`."""
+    from scipy.spatial import cKDTree  # slow to load, and few nodes ever see so many pairs
 
-    crowd = min(CROWD, len(b))
-    # A little further than the reach, so that rounding in the tree decides nothing.
-    _, other = cKDTree(b).query(a, np.arange(1, crowd + 1), distance_upper_bound=float(reach.max()) * (1.0 + 1e-9))
+    count = min(MAX_NEIGHBOURS, len(b))
+    # A little further than the radius, so that rounding in the tree has no effect.
+    _, other = cKDTree(b).query(a, np.arange(1, count + 1), distance_upper_bound=float(radius.max()) * (1.0 + 1e-9))
     other = np.sort(np.asarray(other, np.int64), axis=1).ravel()
-    found = (other < len(b)).nonzero()[0]
-    i, j = found // crowd, other[found]
+    valid = (other < len(b)).nonzero()[0]
+    i, j = valid // count, other[valid]
     dx, dy = (b[j] - a[i]).T
-    inside = dx * dx + dy * dy <= (reach * reach)[i]
+    inside = dx * dx + dy * dy <= (radius * radius)[i]
     return i[inside], j[inside], dx[inside], dy[inside]

@@ -1,4 +1,4 @@
-"""Orders of rows that do not depend on how the rows arrived."""
+"""Sort orders that do not depend on the original order of the rows."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Ints, ObjectStates
 
-#: Rows up to which sorting costs less than finding out that they are in order already.
+#: Number of rows up to which sorting is faster than checking whether they are sorted.
 _FEW = 256
 
 
 def row_order(*keys: NDArray[Any], ties: tuple[NDArray[Any], ...] = ()) -> Ints:
-    """(n,) row indices that sort by `keys` (n,), the last one first, then by `ties`, the last one first.
+    """(n,) row indices sorting by `keys` (n,), then by `ties`; the last comes first.
 
-    The same as `np.lexsort((*ties, *keys))`, but quick where the rows are in order already or no two keys are equal.
+    The same as `np.lexsort((*ties, *keys))`, but faster if the rows are sorted already or no two keys are equal.
     """
     if len(keys[0]) > _FEW:
         if ascending(*keys):
@@ -31,7 +31,7 @@ def row_order(*keys: NDArray[Any], ties: tuple[NDArray[Any], ...] = ()) -> Ints:
 
 
 def ascending(*keys: NDArray[Any]) -> bool:
-    """Whether every row of the keys (n,), the last one first, is greater than the row before it."""
+    """Whether rows are in strictly ascending order of `keys` (n,), last key first."""
     n = max(len(keys[0]) - 1, 0)
     later, equal = np.zeros(n, bool), np.ones(n, bool)
     for key in keys[::-1]:
@@ -49,9 +49,11 @@ def _any_equal(*keys: NDArray[Any]) -> bool:
 
 
 def canonical_order(objects: ObjectStates, source: Ints | None = None) -> Ints:
-    """(n,) row indices that sort objects by position, velocity, size, yaw, score, class and id, then by source.
+    """(n,) row indices that sort objects by their columns, then by source.
 
-    The id comes after everything physical because objects taken from detections only have row numbers for ids.
+    The order of the columns is position, velocity, size, yaw, score, class and id.
+
+    The id comes last because objects converted from detections only have row numbers as ids.
     source: (n,) int64, where each row came from. Draws and matches made in this order are the same for every
     permutation of the rows.
     """

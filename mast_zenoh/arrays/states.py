@@ -1,4 +1,4 @@
-"""Columnar object states: one row per object, one array per quantity; no Python object per track."""
+"""Columnar object states: one array per quantity, one row per object."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ COVARIANCE_ORDER = ("x", "y", "z", "l", "w", "h", "vx", "vy", "vz")
 
 @dataclass(frozen=True, slots=True)
 class ObjectStates:
-    """n objects in one frame of reference (the world frame unless said): right-handed, x forward/east, z up.
+    """n objects in one frame of reference, the world frame by default.
+
+    Frames are right-handed, x forward/east, z up.
 
     id:         (n,) int64, unique within one producer
     position:   (n, 3) float64, m, centre of the box
@@ -68,7 +70,7 @@ class ObjectStates:
         score: Floats | None = None,
         class_id: NDArray[np.uint8] | None = None,
     ) -> ObjectStates:
-        """States at `position` (n, 3); what is not given is zero (ids count from 0, scores are 1)."""
+        """States at `position` (n, 3); defaults: ids from 0, scores 1, all else 0."""
         n = len(position)
         return cls(
             id=np.arange(n, dtype=np.int64) if id is None else np.asarray(id, np.int64),
@@ -113,7 +115,9 @@ class ObjectStates:
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """n detections of one sensor in one frame, in the sensor frame or (after `sensing.to_world`) in the world frame.
+    """n detections of one sensor in one frame.
+
+    In the sensor frame or, after `sensing.to_world`, in the world frame.
 
     position:   (n, 3) float64, m, centre of the box
     size:       (n, 3) float64, m, length width height
@@ -173,7 +177,7 @@ _NO_DETECTIONS = Detections(
 
 
 def concatenate(parts: Sequence[ObjectStates]) -> ObjectStates:
-    """All rows of `parts`, in order; the arrays are those of the only part with rows, if there is but one."""
+    """All rows of `parts`, in order; a single non-empty part is not copied."""
     filled = [part for part in parts if len(part)]
     if len(filled) < 2:
         return filled[0] if filled else ObjectStates.empty()
@@ -181,16 +185,16 @@ def concatenate(parts: Sequence[ObjectStates]) -> ObjectStates:
 
 
 def propagate(states: ObjectStates, dt: float) -> ObjectStates:
-    """Objects moved `dt` seconds along their velocity (constant velocity, covariance without process noise)."""
+    """Move objects `dt` seconds at constant velocity, without process noise."""
     if len(states) == 0 or dt == 0.0:
         return states
-    position, covariance = moved(states.position, states.velocity, states.covariance, dt)
+    position, covariance = constant_velocity(states.position, states.velocity, states.covariance, dt)
     return states.with_(position=position, covariance=covariance)
 
 
 @kernel
-def moved(position: Floats, velocity: Floats, covariance: Floats, dt: float) -> tuple[Floats, Floats]:
-    """(n, 3) positions and (n, 9, 9) covariances, see `propagate`."""
+def constant_velocity(position: Floats, velocity: Floats, covariance: Floats, dt: float) -> tuple[Floats, Floats]:
+    """Predict (n, 3) positions and (n, 9, 9) covariances as in `propagate`."""
     transition = np.eye(9)
     transition[0:3, 6:9] = np.eye(3) * dt
     return position + velocity * dt, transition @ covariance @ transition.T

@@ -1,4 +1,4 @@
-"""Attacks on what agents perceive and report: false objects, hidden objects, displaced objects.
+"""Attacks on perception: inserted, hidden and displaced objects.
 
     surroundings  prior knowledge of the scene
     coverage      where false objects are plausible
@@ -6,14 +6,14 @@
     selection     which objects to insert, hide and move
     conflict      selection of the objects most relevant to the ego
     clusters      observations of several adversaries, one row per object
-    propagation   motion of false objects
+    clusters      clustering of the adversaries' observations
     campaign      selection and propagation over time
     following     tracking of targets
     statistics    noise and misses of the victim's rows
     imitation     false objects that resemble the victim's own
     application   tampering with one message
     adversary     the state machine of one adversary
-    coordination  the coordinator of several adversaries
+    coordination  coordinator of several adversaries
 
 Everything is in the world frame; the nodes convert. See docs/attacks.md.
 """

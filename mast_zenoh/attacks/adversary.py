@@ -1,4 +1,4 @@
-"""The state machine of an adversary: one step per intercepted message, in the world frame."""
+"""Adversaries: one step per intercepted message, in the world frame."""
 
 from __future__ import annotations
 
@@ -33,16 +33,19 @@ class Attack(ABC):
     """Base class of attacks: tampers with the messages of a victim."""
 
     def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: attacks without random numbers need no streams)
-        """Set the adversary's random streams, named by (seed, scene, name, purpose, frame)."""
+        """Set the random streams, named by (seed, scene, name, purpose, frame)."""
 
     def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
         """Set the attacker's prior knowledge of the scene; called before `bind`."""
 
     def look(self, view: SensorView, *, fused: bool) -> None:  # noqa: B027 (a hook)
-        """Set the victim's field of view for the next step; fused: the objects are those of several agents."""
+        """Set the victim's field of view for the next step.
+
+        fused: whether the objects are those of several agents
+        """
 
     def counts(self) -> dict[str, int]:
-        """Numbers of selected targets, see `Campaign.counts`; {} if the attack does not select targets."""
+        """Numbers of selected targets, see `Campaign.counts`; {} without targets."""
         return {}
 
     @abstractmethod
@@ -81,8 +84,7 @@ class PassThrough(Attack):
 
 
 class _TargetedAttack(Attack):
-    """Base of attacks with targets: tracks objects, imitates the victim's rows and tampers with messages.
-
+    """Base of attacks that follow targets and imitate the victim's rows.
     start_s:          s of scene time at which the attack begins
     max_range_m:      m, false objects farther from the victim are withheld
     assign_radius_m:  m, maximum distance of an object from the predicted position of its target, even after a long
@@ -160,7 +162,9 @@ class _TargetedAttack(Attack):
 
 
 class UncoordinatedAttack(_TargetedAttack):
-    """An independent adversary. On detections it deceives the victim's own trackers; on tracks, the broker.
+    """An independent adversary, which deceives the victim's trackers or the broker.
+
+    On detections it deceives the victim's own trackers, on tracks the broker.
 
     selection:        which objects to add, hide and move; None: UncoordinatedSelection()
     propagation:      motion of false objects; None: TrajectoryPropagation()

@@ -1,4 +1,4 @@
-"""Tampering with the objects of one message; pure, and independent of the order of the rows."""
+"""Tampering with the objects of one message, independent of their order."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mast_zenoh.arrays.geometry import within_range
-from mast_zenoh.arrays.matching import greedy
+from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.neighbours import neighbours
 from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
@@ -23,7 +23,7 @@ def alter(
     move: Sequence[int] = (),
     offset: Floats | None = None,
 ) -> Tampering:
-    """Tampering with explicit changes: insert objects, hide rows, move rows by `offset` (k, 3) m.
+    """Tamper with explicit rows: insert, hide, or move by `offset` (k, 3) m.
 
     The changes are reported with the target numbers 0, 1, …: inserted, then hidden, then moved.
     """
@@ -45,17 +45,17 @@ def apply(
     max_range_m: float = 70.0,
     assign_radius_m: float = 6.0,
 ) -> Tampering:
-    """Insert, hide and displace objects of a victim at `agent_position` (3,) m, all in the world frame.
+    """Insert, hide and displace objects of a victim at `agent_position` (3,) m.
 
-    For attacks with targets at known positions. False objects farther than `max_range_m` from the victim (bird's-eye
-    view) are withheld. Each target to hide or displace is matched to the nearest object within `assign_radius_m`:
-    nearest pair first, no object twice. False objects get a typical covariance and score.
+    For attacks with targets at known positions; all positions are in the world frame. False objects farther than
+    `max_range_m` from the victim (bird's-eye view) are withheld. Each target to hide or displace is matched to the
+    nearest object within `assign_radius_m`, nearest pair first. False objects get a typical covariance and score.
     """
     order = canonical_order(objects)
     seen = objects.select(order)
     target_positions = np.concatenate([targets.remove.position, targets.move.position])
     i, j, dx, dy = neighbours(target_positions, seen.position, np.full(len(target_positions), assign_radius_m))
-    matches = greedy(i, j, dx * dx + dy * dy)
+    matches = greedy_matching(i, j, dx * dx + dy * dy)
     row = np.full(len(target_positions), -1, np.int64)
     row[i[matches]] = j[matches]
     inserted = targets.add.select(within_range(targets.add.position, agent_position, max_range_m))
@@ -66,8 +66,9 @@ def apply(
 def carry_out(
     targets: Targets, inserted: ObjectStates, objects: ObjectStates, order: Ints, remove_row: Ints, move_row: Ints
 ) -> Tampering:
-    """Insert false objects, and hide and displace matched objects of a victim, all in the world frame.
+    """Insert false objects, and hide and displace matched objects of a victim.
 
+    All positions are in the world frame.
     targets:    the current targets
     inserted:   false objects as they will appear; their ids are the target numbers
     objects:    the victim's n objects, in canonical order

@@ -1,4 +1,4 @@
-"""Life cycle of a set of targets: selection, propagation from frame to frame, reselection."""
+"""Life cycle of a set of targets: selection, propagation, reselection."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check_start(start_s: float) -> None:
 
 
 class Campaign:
-    """Selects and propagates targets over time, for an uncoordinated adversary or a coordinator.
+    """Selects and propagates targets for an uncoordinated adversary or a coordinator.
 
     There are no targets before `start_s` seconds of scene time. New ones are selected every `reselect_every_s` seconds
     (None: never), and with `Selection.until_found` in every frame until there is one.
@@ -60,7 +60,7 @@ class Campaign:
         self._seed, self._scene, self._name = seed, scene, name
 
     def begin(self, frame: int, time_ns: int, objects: ObjectStates, coverage: Coverage) -> Targets | None:
-        """The targets at `time_ns`; None before the start. `objects` come from `Selection.view`."""
+        """The targets at `time_ns`, None before the start; objects: see `Selection.view`."""
         if time_ns < self._start_ns:
             return None
         if self.due(time_ns):
@@ -101,7 +101,10 @@ class Campaign:
 
 
 def shortfall(counts: Mapping[str, int]) -> str:
-    """A sentence on targets that an attack with these `Campaign.counts` could not find or place; "" if none."""
+    """Describe the targets that could not be found or placed; "" if none.
+
+    counts: see `Campaign.counts`
+    """
     if not counts:
         return ""
     if counts["wanted"] > counts["placed"]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.clustering import merged, pairs_near
+from mast_zenoh.arrays.clustering import merge_pairs, pairs_near
 from mast_zenoh.arrays.ordering import canonical_order
 from mast_zenoh.arrays.states import Ints, ObjectStates
 
 
 def cluster_centres(objects: ObjectStates, source: Ints, radius_m: float) -> ObjectStates:
-    """Merge observations of several adversaries: mean position and velocity, other columns of one member.
+    """Merge the observations of several adversaries into one row per object.
+
+    Position and velocity are means, other columns are those of one member.
 
     source (n,) int64: the observer of each row. The nearest two rows of different sources are merged first, if they
     are at most `radius_m` apart in the bird's-eye view and the cluster has at most one row per source.
@@ -21,7 +23,7 @@ def cluster_centres(objects: ObjectStates, source: Ints, radius_m: float) -> Obj
     position, source = objects.position.take(order, 0)[:, :2], source.take(order)
     i, j, squared = pairs_near(position, radius_m)
     pairs = (source.take(i) != source.take(j)).nonzero()[0]
-    label = merged(position, source, i.take(pairs), j.take(pairs), squared.take(pairs), np.inf)
+    label = merge_pairs(position, source, i.take(pairs), j.take(pairs), squared.take(pairs), np.inf)
     by_member = label.argsort(kind="stable")
     rows, size = order.take(by_member), np.bincount(label)
     start = size.cumsum() - size

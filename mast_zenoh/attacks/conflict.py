@@ -25,7 +25,9 @@ STEP_S = 0.25
 
 
 class ConflictSelection(Selection):
-    """Hides the objects that come nearest to the ego within `horizon_s`, at constant velocity; inserts nothing.
+    """Hides the objects that come nearest to the ego; inserts nothing.
+
+    They are predicted at constant velocity over `horizon_s`.
 
     n_objects:        number of objects to hide
     horizon_s:        s, prediction horizon
@@ -72,7 +74,10 @@ class ConflictSelection(Selection):
         return Targets(none, objects.select(np.sort(chosen)), none, np.zeros((0, 3))).numbered(0)
 
     def _cost(self, objects: ObjectStates, coverage: Coverage) -> Floats:
-        """(n,) m, distance from `near` or least distance from the ego; infinite for objects that must not be hidden."""
+        """Distance (n,) m from `near`, or least distance from the ego.
+
+        Infinite for objects that must not be hidden.
+        """
         if self.near is not None:
             distance = np.linalg.norm(objects.position[:, :2] - self.near, axis=1)
             return np.where(distance <= NEAR_M, distance, np.inf)
@@ -89,7 +94,10 @@ class ConflictSelection(Selection):
     def _prefer_unseen(
         self, cost: Floats, ego: AgentSensor, objects: ObjectStates, positions: Floats, coverage: Coverage
     ) -> Floats:
-        """The cost (n,), infinite for objects that the ego sees unless no others remain; positions (n, t, 2) m."""
+        """The cost (n,), infinite for objects that the ego sees if there are others.
+
+        positions: (n, t, 2) m
+        """
         out_of_sight = self._out_of_sight(ego, objects, positions, coverage, np.isfinite(cost))
         unseen = out_of_sight[:, 0] if coverage.ego_tracks is None else ~near_any(objects, coverage.ego_tracks)
         stays_unseen = unseen & (2 * out_of_sight.sum(axis=1) > out_of_sight.shape[1]) & (cost <= CONFLICT_M)
@@ -102,10 +110,9 @@ class ConflictSelection(Selection):
     def _out_of_sight(
         ego: AgentSensor, objects: ObjectStates, positions: Floats, coverage: Coverage, occluders: Bools
     ) -> Bools:
-        """(n, s) which objects are out of the ego's sight at each second ahead; positions (n, t, 2) m.
-
+        """Objects (n, s) out of the ego's sight at each second ahead.
         Out of range or field of view, or occluded by buildings or by the predicted positions of other objects.
-        occluders: (n,) which objects can occlude others: all except the ego
+        positions: (n, t, 2) m; occluders: (n,) which objects can occlude others: all except the ego
         """
         boxes, columns = boxes_of(objects), []
         for sample in range(0, positions.shape[1], round(1.0 / STEP_S)):

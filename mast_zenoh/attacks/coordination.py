@@ -1,4 +1,4 @@
-"""The coordinator of several adversaries: common targets, so that their false reports agree."""
+"""The coordinator of several adversaries, which directs them to common targets."""
 
 from __future__ import annotations
 
@@ -29,13 +29,16 @@ class Coordination(ABC):
     """Base class of coordinators: directs adversaries, in every frame for the next."""
 
     def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: without random numbers it needs no streams)
-        """Set the coordinator's random streams, named by (seed, scene, name, purpose, frame)."""
+        """Set the random streams, named by (seed, scene, name, purpose, frame)."""
 
     def inform(self, surroundings: Surroundings) -> None:  # noqa: B027 (a hook)
         """Set the attackers' prior knowledge of the scene; called before `bind`."""
 
     def look(self, views: tuple[SensorView, ...]) -> None:  # noqa: B027 (a hook)
-        """Set the victims' fields of view for the next step, in the order of its `agent_positions`."""
+        """Set the victims' fields of view for the next step.
+
+        In the order of `agent_positions` of `step`.
+        """
 
     def counts(self) -> dict[str, int]:
         """Numbers of selected targets, see `Campaign.counts`; {} if unknown."""
@@ -119,7 +122,7 @@ class Coordinator(Coordination):
 
 
 def ego_among(agent_positions: Floats, surroundings: Surroundings, time_s: float) -> int | None:
-    """Row of the victim (a, 3) m at the ego's route position at a time; None if there is none."""
+    """Row of the victim (a, 3) m at the ego's route position; None if there is none."""
     ego = surroundings.ego_sensor
     if ego is None or len(agent_positions) == 0:
         return None

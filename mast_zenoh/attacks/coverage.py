@@ -1,4 +1,4 @@
-"""Where false objects are plausible: in the victims' view, outside buildings and other objects."""
+"""Plausible positions of false objects: in view, outside buildings and objects."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings, unlimited
 from mast_zenoh.tracking.duplicates import overlap
 from mast_zenoh.tracking.view import SensorView
 
-#: Visible fraction from which a box is in view, see `SensorView.expects`.
+#: Visible fraction from which a box is in view, see `SensorView.visible_fraction`.
 IN_VIEW = 0.5
 #: m; road users whose centres are farther apart do not overlap.
 TOUCH_M = 20.0
-_NO_SCREENS = np.zeros((0, 6))
+_NO_OCCLUDERS = np.zeros((0, 6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,21 +36,24 @@ class Coverage:
     fused: bool = False
     ego_tracks: ObjectStates | None = None
 
-    def visible(self, view: SensorView, boxes: Floats, screens: Floats = _NO_SCREENS) -> Bools:
-        """(k,) whether boxes (k, 6) x y z l w h are in a view and not occluded by walls or objects (n, 6)."""
-        visible = view.expects(boxes, screens) >= IN_VIEW
+    def visible(self, view: SensorView, boxes: Floats, occluders: Floats = _NO_OCCLUDERS) -> Bools:
+        """Boxes (k, 6) x y z l w h in a view, not occluded by walls or objects (n, 6)."""
+        visible = view.visible_fraction(boxes, occluders) >= IN_VIEW
         if visible.any():
             rows = visible.nonzero()[0]
             visible[rows] = ~self.surroundings.behind_walls(view.position, boxes[rows, :3])
         return np.asarray(visible)
 
     def visible_outside_objects(self, false: ObjectStates, real: ObjectStates, view: SensorView) -> Bools:
-        """(k,) which false objects could be seen in this view: outside buildings and real objects."""
+        """False objects (k,) visible in a view: outside buildings and real objects."""
         boxes = boxes_of(false)
         return self.visible(view, boxes, boxes_of(real)) & self._free(boxes, false, real)
 
     def plausible(self, false: ObjectStates, real: ObjectStates, view: SensorView) -> Bools:
-        """(k,) which false objects are plausible for the victim: on a fused wire they need not be in its view."""
+        """False objects (k,) that are plausible for the victim.
+
+        On a fused wire they need not be in its view.
+        """
         return (
             self._free(boxes_of(false), false, real) if self.fused else self.visible_outside_objects(false, real, view)
         )
@@ -64,7 +67,7 @@ class Coverage:
 
 
 def coverage_of(position: Floats, time_s: float = 0.0) -> Coverage:
-    """The coverage of victims at (3,) or (a, 3) m with unknown sensors and surroundings."""
+    """Coverage of victims at (3,) or (a, 3) m with unknown sensors and surroundings."""
     return Coverage(UNKNOWN, tuple(map(unlimited, np.atleast_2d(position))), time_s)
 
 

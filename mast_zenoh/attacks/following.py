@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import greedy
-from mast_zenoh.arrays.neighbours import TABLE, neighbours
+from mast_zenoh.arrays.matching import greedy_matching
+from mast_zenoh.arrays.neighbours import MAX_TABLE, neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.attacks.targets import Targets
 from mast_zenoh.kernels import REFERENCES, kernel
@@ -26,7 +26,7 @@ COLUMNS = columns.FOLLOWED_COLUMNS
 
 
 class Limits(NamedTuple):
-    """How far and how long an object is followed.
+    """How far and how long an object is track_observations.
 
     gate_m, gate_growth_mps: m, gate of an object whose velocity is known; m per s without being seen, by which it grows
     fastest_mps: m/s, the fastest road user: the gate of an object seen once grows with it
@@ -71,18 +71,22 @@ class Follower:
         self._known: set[int] = set()  # targets of earlier calls
 
     def observe(self, objects: ObjectStates, time_ns: int) -> None:
-        """Update by the objects of one message, in canonical order; ids below 0 are no identities."""
+        """Update by the objects of one message in canonical order.
+
+        Ids below 0 do not identify objects.
+        """
         elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         self._time_ns, self._objects, self._messages = time_ns, objects, self._messages + 1
-        small = len(self._tracks) * len(objects) <= TABLE
-        follow = followed if small else REFERENCES["followed"]  # which compares fewer pairs
+        small = len(self._tracks) * len(objects) <= MAX_TABLE
+        follow = track_observations if small else REFERENCES["track_observations"]  # the reference compares fewer pairs
         self._tracks = follow(
             self._tracks, objects.position, objects.velocity, objects.id, elapsed_s, self._radius_m, LIMITS
         )
 
     def follow(self, targets: Targets, attach_m: float) -> tuple[Targets, Ints, Ints]:
-        """Move the targets to hide and displace to their objects; with the row of each object, -1: none.
+        """Move the targets to hide and displace to their objects.
 
+        Also returns the row of each object, -1: none.
         The objects of all other targets are released. attach_m: m, see `locate`
         """
         n = len(targets.remove)
@@ -96,7 +100,9 @@ class Follower:
         return located, row[:n], row[n:]
 
     def locate(self, targets: ObjectStates, attach_m: float) -> tuple[ObjectStates, Ints]:
-        """The targets at their objects' positions, and (k,) their rows in the newest message; -1: missing.
+        """The targets at their objects' positions, and their rows (k,); -1: missing.
+
+        The rows are those of the newest message.
 
         A target without an object takes the nearest free one within `attach_m` m: any object in the first call with
         this target, later only one that has just appeared or is at the same position.
@@ -121,7 +127,10 @@ class Follower:
         return targets.with_(position=position, velocity=velocity), row
 
     def established(self, messages: int) -> Bools:
-        """(n,) which rows of the newest message are of objects seen in that many messages, which excludes clutter."""
+        """Rows (n,) of the newest message with objects seen in `messages` messages.
+
+        This excludes clutter.
+        """
         tracks = self._tracks
         rows = tracks[(tracks[:, ROW] >= 0) & (tracks[:, HITS] >= min(messages, self._messages)), ROW]
         result = np.zeros(len(self._objects), bool)
@@ -156,13 +165,13 @@ class Follower:
         cost = dx * dx + dy * dy
         allowed = (~known[i] | new | (cost < SAME_PLACE_M**2)).nonzero()[0]
         i, j, cost = i[allowed], j[allowed], cost[allowed]
-        chosen = greedy(i, j, cost)
+        chosen = greedy_matching(i, j, cost)
         track[unattached[i[chosen]]] = free[j[chosen]]
         self._tracks[free[j[chosen]], TARGET] = targets.id[unattached[i[chosen]]]
 
 
 @kernel
-def followed(
+def track_observations(
     tracks: Floats,
     position: Floats,
     velocity: Floats,
@@ -171,7 +180,7 @@ def followed(
     radius_m: float,
     limits: Limits,
 ) -> Floats:
-    """Update the table of tracks (m, COLUMNS) by one message; the result is (m', COLUMNS).
+    """Update the table of tracks (m, COLUMNS) by one message to (m', COLUMNS).
 
     position, velocity: (n, 3) m, m/s, of the rows of the message; velocity zero: not known. id: (n,), -1: none
     elapsed_s: s since the message before; radius_m: m, the widest gate
@@ -195,7 +204,7 @@ def followed(
     free, rows = (t[:, ROW] < 0).nonzero()[0], (~taken).nonzero()[0]
     gate = np.where(t[:, HITS] > 1, gate_m + growth * t[:, UNSEEN], max_speed * t[:, UNSEEN])
     i, j, dx, dy = neighbours(t[free, PLACE], position[rows], np.minimum(gate, radius_m)[free])
-    chosen = greedy(i, j, dx * dx + dy * dy)
+    chosen = greedy_matching(i, j, dx * dx + dy * dy)
     t[free[i[chosen]], ROW] = rows[j[chosen]]
     taken[rows[j[chosen]]] = True
 
@@ -213,9 +222,9 @@ def followed(
     t[seen, ID], t[seen, UNSEEN] = id[row], 0.0
     t[seen, HITS] += 1.0
 
-    kept = (t[:, TARGET] >= 0) | (t[:, UNSEEN] <= np.where(t[:, HITS] > 1, drop_s, clutter_s))
-    fresh = (~taken).nonzero()[0]
-    new = np.zeros((len(fresh), COLUMNS))
-    new[:, PLACE], new[:, VELOCITY], new[:, HITS] = position[fresh], velocity[fresh], 1.0
-    new[:, ID], new[:, TARGET], new[:, ROW] = id[fresh], -1.0, fresh
-    return np.concatenate([t[kept], new])
+    keep = (t[:, TARGET] >= 0) | (t[:, UNSEEN] <= np.where(t[:, HITS] > 1, drop_s, clutter_s))
+    new_rows = (~taken).nonzero()[0]
+    new = np.zeros((len(new_rows), COLUMNS))
+    new[:, PLACE], new[:, VELOCITY], new[:, HITS] = position[new_rows], velocity[new_rows], 1.0
+    new[:, ID], new[:, TARGET], new[:, ROW] = id[new_rows], -1.0, new_rows
+    return np.concatenate([t[keep], new])

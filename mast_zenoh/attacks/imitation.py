@@ -1,4 +1,7 @@
-"""False objects that resemble the victim's own: noise, misses, covariance, score and identity."""
+"""False objects that resemble the victim's own.
+
+Imitated are noise, misses, covariance, score and identity.
+"""
 
 from __future__ import annotations
 
@@ -36,20 +39,25 @@ class Imitation(ABC):
         """Set the random streams, named by (seed, scene, name, "imitation", frame)."""
 
     def observe(self, real: ObjectStates, time_ns: int, victim: Floats) -> None:  # noqa: B027 (a hook)
-        """Learn from the victim's objects of one message, in canonical order; victim: (3,) m, its position."""
+        """Learn from the victim's objects of one message.
+
+        real: in canonical order; victim: (3,) m, its position
+        """
 
     @abstractmethod
     def show(
         self, frame: int, false: ObjectStates, real: ObjectStates, coverage: Coverage, view: SensorView
     ) -> ObjectStates:
-        """The false objects as they appear in the victim's rows of this frame, without missed ones.
+        """The false objects as they appear in the victim's rows, without missed ones.
 
         real: the victim's objects of this frame, in canonical order; coverage, view: the victim's coverage
         """
 
 
 class Exact(Imitation):
-    """Shows false objects without noise or misses, in every frame and at any position, as in the paper.
+    """Shows false objects without noise or misses, as in the paper.
+
+    They appear in every frame and at any position.
 
     Covariance and score are typical of the victim's objects in this frame: the covariance with the median trace (new
     tracks would inflate a mean), and the median score.
@@ -62,7 +70,10 @@ class Exact(Imitation):
 
 
 def typical(false: ObjectStates, real: ObjectStates) -> ObjectStates:
-    """False objects with the typical covariance and score of real ones in canonical order, see Exact."""
+    """False objects with typical covariance and score of real ones, see Exact.
+
+    real: in canonical order
+    """
     if len(false) == 0:
         return false
     covariance, score = np.diag(DEFAULT_STD**2), DEFAULT_SCORE
@@ -74,7 +85,7 @@ def typical(false: ObjectStates, real: ObjectStates) -> ObjectStates:
 
 
 class VictimLike(Imitation):
-    """Gives false objects the noise, misses, covariances and scores of the victim's own rows.
+    """Gives false objects the noise, misses and scores of the victim's own rows.
 
     A false object is shown only if the victim could see it: in its sensor's view, not occluded by a wall or an object,
     and outside buildings and other objects. It is missed as often as a real object at its range. Its errors have the
@@ -126,7 +137,10 @@ class VictimLike(Imitation):
         return self._block[1][frame % _BLOCK], self._block[2][frame % _BLOCK]
 
     def _next_errors(self, numbers: Ints, independent: Floats) -> Floats:
-        """(k, _COLUMNS) errors in units of σ, correlated with those of the previous frame for the same objects."""
+        """Errors (k, _COLUMNS) in units of σ.
+
+        Correlated with those of the previous frame for the same objects.
+        """
         correlation = self._statistics.correlation
         errors = independent
         if correlation > 0.0 and len(self._numbers):
@@ -146,7 +160,7 @@ class VictimLike(Imitation):
         position, covariance, score, has_velocity = real.position, real.covariance, real.score, real.velocity.any()
         if len(real) == 0:
             position, covariance, score = view.position[None], np.diag(DEFAULT_STD**2)[None], np.array([DEFAULT_SCORE])
-        columns = victim_like(
+        columns = imitate_rows(
             (false.position, false.velocity, false.size, false.yaw),
             errors if self._noise else np.concatenate([np.zeros((len(false), 10)), errors[:, 10:]], axis=1),
             range_m,
@@ -159,24 +173,26 @@ class VictimLike(Imitation):
 
 
 @kernel
-def victim_like(
+def imitate_rows(
     false: tuple[Floats, Floats, Floats, Floats],
     errors: Floats,
     range_m: Floats,
     real: tuple[Floats, Floats, Floats, Floats],
-    usual_std: tuple[float, float, float],
-    moves: bool,
+    default_std: tuple[float, float, float],
+    has_velocity: bool,
     limits: tuple[float, float],
 ) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
-    """Position, velocity, size, yaw, covariance and score of k false objects like n >= 1 rows of the victim.
+    """The columns of k false objects that resemble n >= 1 rows of the victim.
+
+    The columns are position, velocity, size, yaw, covariance and score.
 
     false:     (k, 3) m, (k, 3) m/s, (k, 3) m, (k,) rad: position, velocity, size, yaw without errors
     errors:    (k, _COLUMNS) in units of sigma, with their final correlation
     range_m:   (k,) m, of the false objects
     real:      the victim's rows: position (n, 3) m, covariance (n, 9, 9), score (n,); and its sensor's position (3,)
-    usual_std: of position for rows without covariance, of size (m), and of yaw (rad)
-    moves:     whether the rows have velocities
-    limits:    TYPICAL, MOST_SIZE_ERROR
+    default_std: of position for rows without covariance, of size (m), and of yaw (rad)
+    has_velocity: whether the rows have velocities
+    limits:    TYPICAL_FACTOR, MAX_SIZE_ERROR
 
     The covariance is that of the typical row nearest in range; the score is drawn by rank from the typical rows.
     """
@@ -190,12 +206,12 @@ def victim_like(
     quantiles = np.array([0.5 + 0.5 * erf(z / sqrt(2.0)) for z in errors[:, 10].tolist()])
     rank = np.minimum(quantiles * len(typical), len(typical) - 1).astype(np.int64)
 
-    stated = np.sqrt(np.maximum(np.einsum("nii->ni", covariance[nearest]), 0.0))
-    noisy_position = position + errors[:, :3] * np.where(stated[:, :3] > 0.0, stated[:, :3], usual_std[0])
-    noisy_velocity = velocity + errors[:, 6:9] * stated[:, 6:9] if moves else velocity.copy()
+    reported_std = np.sqrt(np.maximum(np.einsum("nii->ni", covariance[nearest]), 0.0))
+    noisy_position = position + errors[:, :3] * np.where(reported_std[:, :3] > 0.0, reported_std[:, :3], default_std[0])
+    noisy_velocity = velocity + errors[:, 6:9] * reported_std[:, 6:9] if has_velocity else velocity.copy()
     limit = limits[1] * size
-    noisy_size = size + np.minimum(np.maximum(errors[:, 3:6] * usual_std[1], -limit), limit)
-    noisy_yaw = wrap_angle(yaw + errors[:, 9] * usual_std[2])
+    noisy_size = size + np.minimum(np.maximum(errors[:, 3:6] * default_std[1], -limit), limit)
+    noisy_yaw = wrap_angle(yaw + errors[:, 9] * default_std[2])
     return noisy_position, noisy_velocity, noisy_size, noisy_yaw, covariance[nearest], np.sort(score[typical])[rank]
 
 

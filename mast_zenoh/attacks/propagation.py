@@ -1,4 +1,6 @@
-"""Motion models of false objects, which a victim's tracker confirms only if they move like traffic.
+"""Motion models of false objects.
+
+A victim's tracker confirms false objects only if they move like traffic.
 
 Every model moves an object like a road user: along its heading, with bounded acceleration and yaw rate.
 """
@@ -44,9 +46,9 @@ class StaticPropagation(Propagation):
 
 
 class MarkovPropagation(Propagation):
-    """A random walk of the velocity: v += a·dt with a ~ N(0, `sigma_mps2`) on x and y, speed at most `max_speed_mps`.
+    """A random walk of the velocity: v += a·dt, a ~ N(0, `sigma_mps2`) on x and y.
 
-    sigma_mps2: standard deviation of the acceleration on each axis;  max_speed_mps: that no object exceeds
+    sigma_mps2: standard deviation of the acceleration on each axis;  max_speed_mps: upper limit of the speed
 
     This is the originals' `v += dv·dt` with dv σ 0.5: in a step of dt seconds the velocity changes by σ = 0.5·dt m/s
     on each axis, so over T seconds by 0.5·sqrt(T·dt) m/s. Of each change, the component along the heading is
@@ -72,9 +74,9 @@ class MarkovPropagation(Propagation):
 
 
 class TrajectoryPropagation(Propagation):
-    """A planned path: constant velocity for `duration_s` seconds, then braking at `braking_mps2` to a stop.
+    """A planned path: constant velocity for `duration_s`, then braking to a stop.
 
-    duration_s: of constant velocity;  braking_mps2: deceleration after it
+    duration_s: s, of constant velocity;  braking_mps2: deceleration after it
 
     Raises ValueError for a deceleration that is not positive.
     """
@@ -98,7 +100,10 @@ class TrajectoryPropagation(Propagation):
 
 
 def _speed_and_heading(states: ObjectStates) -> tuple[Floats, Floats]:
-    """(n,) m/s over ground, and (n,) rad headings: of the velocity, or of the box for objects at rest."""
+    """Speeds (n,) m/s over ground, and headings (n,) rad.
+
+    The heading is that of the velocity, or of the box for objects at rest.
+    """
     vx, vy = states.velocity[:, 0], states.velocity[:, 1]
     speed = np.hypot(vx, vy)
     return speed, np.where(speed > 1e-6, np.arctan2(vy, vx), states.yaw)
@@ -111,7 +116,10 @@ def _unit_vectors(yaw: Floats) -> tuple[Floats, Floats]:
 
 
 def _move_along(states: ObjectStates, yaw: Floats, speed: Floats, distance: Floats) -> ObjectStates:
-    """The objects `distance` (n,) m further along headings `yaw` (n,), with speeds (n,) m/s."""
+    """Move the objects by `distance` (n,) m along headings `yaw` (n,).
+
+    speed: (n,) m/s, the new speeds
+    """
     forward = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))])
     return states.with_(
         position=states.position + forward * distance[:, None], velocity=forward * speed[:, None], yaw=yaw

@@ -31,7 +31,7 @@ VEHICLE_M = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Distribution of false objects: σ per axis about the victim (m) and of the velocity (m/s), and l, w, h (m)."""
+    """False objects: σ of position (m, per axis) and velocity (m/s), and l w h (m)."""
 
     position_std_m: float
     velocity_std_mps: float
@@ -40,7 +40,7 @@ class Shape:
 
 @dataclass(slots=True)
 class _Candidates:
-    """CANDIDATES poses of one false object: position (t, 3) m, heading (t,) rad, and the desired speed, m/s."""
+    """CANDIDATES poses (t, 3) m, (t,) rad of a false object, and its desired m/s."""
 
     position: Floats
     yaw: Floats
@@ -57,9 +57,9 @@ class Region(ABC):
     def place(
         self, count: int, shape: Shape, real: ObjectStates, ground: float, coverage: Coverage, rng: np.random.Generator
     ) -> tuple[Floats, Floats]:
-        """Position (k, 3) m and velocity (k, 3) m/s of k <= `count` false objects, world frame.
+        """Position (k, 3) m and velocity (k, 3) m/s of k <= `count` objects.
 
-        real: the objects that the victims see, in canonical order; ground: m, z of the ground
+        All are in the world frame. real: the objects that the victims see, in canonical order; ground: m, its z
         """
 
 
@@ -83,7 +83,7 @@ class Paper(Region):
 
 
 class _Checked(Region):
-    """Places each object at the first candidate pose that is allowed and has a free path."""
+    """Places each object at the first allowed candidate pose with a free path."""
 
     def place(
         self, count: int, shape: Shape, real: ObjectStates, ground: float, coverage: Coverage, rng: np.random.Generator
@@ -123,7 +123,7 @@ class _Checked(Region):
     def _choose(
         self, candidates: _Candidates, allowed: np.ndarray, shape: Shape, coverage: Coverage
     ) -> tuple[int, float] | None:
-        """Row and speed of the first allowed pose with a free path, else with the longest; None without a pose."""
+        """Row and speed of the first allowed pose with the longest free path, or None."""
         rows = allowed[:16]
         if len(rows) == 0:
             return None
@@ -141,7 +141,9 @@ class _Checked(Region):
 
 
 class InView(_Checked):
-    """In a victim's view, outside buildings and other objects, with the headings of nearby traffic.
+    """In a victim's view, with the headings of nearby traffic.
+
+    Outside buildings and other objects.
 
     The paper's distribution about the victim, restricted to its field of view.
     """
@@ -174,7 +176,7 @@ class InView(_Checked):
 
 
 class VictimOnly(InView):
-    """As InView, but outside the view of other known agents, which could contradict the victim."""
+    """As InView, but outside the view of agents that could contradict the victim."""
 
     name = "victim_only"
 
@@ -192,7 +194,7 @@ class VictimOnly(InView):
 
 
 class EgoPath(_Checked):
-    """In the ego's lane, ahead of it on its route, in a victim's view; slower than the ego.
+    """In the ego's lane, ahead of it and slower, in a victim's view.
 
     Beyond the end of the known route the path continues straight.
     """
@@ -234,7 +236,10 @@ REGIONS: dict[str, Region] = {region.name: region for region in (Paper(), InView
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A polyline from the ego's position. corners: (k, 2) m; along: (k,) m from the ego; speed: m/s, of the ego now."""
+    """A polyline from the ego's position.
+
+    corners: (k, 2) m; along: (k,) m from the ego; speed: m/s, of the ego now
+    """
 
     corners: Floats
     along: Floats
@@ -252,14 +257,14 @@ class Path:
         return position, np.arctan2(step[:, 1], step[:, 0])
 
     def offset(self, position: Floats) -> Floats:
-        """Distance (n,) m from the path to positions (n, >= 2), sampled every metre along it."""
+        """Distance (n,) m of positions (n, >= 2) from the path, sampled every metre."""
         offset = position[:, None, :2] - self._samples
         nearest: Floats = np.sqrt((offset * offset).sum(axis=2).min(axis=1))
         return nearest
 
 
 def path_ahead(coverage: Coverage) -> Path | None:
-    """The ego's path from its current route position, straight on beyond its end; None if unknown."""
+    """The ego's path on its route and straight on beyond its end; None if unknown."""
     ego = coverage.surroundings.ego_sensor
     if ego is None:
         return None
@@ -279,7 +284,10 @@ def path_ahead(coverage: Coverage) -> Path | None:
 
 
 def max_speed_within(distance: Floats) -> Floats:
-    """Highest speed (n,) m/s at which an object can drive for FREE_PATH_S and then brake within distances (n,) m."""
+    """Highest speeds (n,) m/s that allow FREE_PATH_S of driving and then braking.
+
+    distance: (n,) m, available for both
+    """
     b = MAX_ACCELERATION_MPS2
     speed: Floats = b * (np.sqrt(FREE_PATH_S**2 + 2.0 * distance / b) - FREE_PATH_S)
     return speed

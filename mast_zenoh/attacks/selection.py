@@ -1,4 +1,4 @@
-"""Selects the objects that an adversary inserts, hides and displaces (paper, section on attack designs)."""
+"""Selects the objects to insert, hide and displace (paper: attack designs)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Selection(ABC):
     until_found: ClassVar[bool] = False
 
     def view(self, objects: ObjectStates, source: Ints | None = None) -> ObjectStates:
-        """The possible targets among the objects seen; `source` (n,): the adversary that saw each.
+        """Possible targets among the objects seen; source: (n,) adversary that saw each.
 
         By default all objects; a selection may merge the observations of several adversaries.
         """
@@ -36,14 +36,16 @@ class Selection(ABC):
 
     @abstractmethod
     def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
-        """Targets among `objects` (a view, world frame), and false objects allowed by `coverage`.
+        """Targets among `objects`, and false objects allowed by `coverage`.
+
+        objects: a view, world frame
 
         The result must not depend on the order of the objects.
         """
 
 
 class UncoordinatedSelection(Selection):
-    """Selects for one adversary: false objects around its victim, a fraction of its objects hidden or moved.
+    """Selects false objects, and objects to hide and move, for one adversary.
 
     n_false_positives:        λ of the Poisson distribution of the number of false objects
     region:                   where to place them: "in_view" of the victim, in the "ego_path", "victim_only" (outside
@@ -132,13 +134,13 @@ class UncoordinatedSelection(Selection):
 
 
 class CoordinatedSelection(UncoordinatedSelection):
-    """Selects for all adversaries: false objects around any of the victims, whole clusters hidden or moved.
+    """Selects false objects, and objects to hide and move, for all adversaries.
 
     The objects of the adversaries are merged into clusters with at most one object of each, nearest first and at most
     `cluster_radius_m` apart; a target is hidden (moved) for every adversary. The other parameters are those of
     UncoordinatedSelection, counted for all adversaries together.
 
-    cluster_radius_m: within which objects seen by different adversaries are one
+    cluster_radius_m: maximum distance between rows of different adversaries for the same object
     """
 
     def __init__(
@@ -179,6 +181,9 @@ def ground_height(objects: ObjectStates) -> float:
 
 
 def _count(fraction: float, n: int) -> int:
-    """A fraction of n objects: rounded down, at least one if there are any, none for a fraction of zero."""
+    """A fraction of n objects, rounded down, but at least one.
+
+    Zero for a fraction of zero, and without objects.
+    """
     # The small term avoids rounding 0.29 of 100 down to 28.
     return max(min(1, n), int(fraction * n + 1e-9)) if fraction > 0.0 else 0

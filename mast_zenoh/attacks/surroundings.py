@@ -1,4 +1,4 @@
-"""An attacker's prior knowledge of the scene: buildings, sensors and routes of the agents.
+"""An attacker's prior knowledge: buildings, sensors and routes of the agents.
 
 None of it comes from the truth of a run: an attacker can survey buildings and sensors, and can follow the vehicles of a
 fleet on their usual routes. docs/attacks.md lists what it knows and what it does not.
@@ -43,7 +43,10 @@ class Route:
         return cls(table[:, 0], table[:, 1:4], table[:, 4:])
 
     def at(self, time_s: float) -> tuple[Floats, Floats]:
-        """Position (3,) m, linearly interpolated, and rotation (3, 3) of the last row up to `time_s`."""
+        """Position (3,) m and rotation (3, 3) at a time.
+
+        The position is interpolated linearly, the rotation is that of the last row up to `time_s`.
+        """
         row = max(0, int(np.searchsorted(self.time_s, time_s + 1e-9, side="right")) - 1)
         position = np.array([np.interp(time_s, self.time_s, self.position[:, axis]) for axis in range(3)])
         return position, rotation_from_quaternion(self.rotation[row])
@@ -86,7 +89,9 @@ class AgentSensor:
 
 
 class Surroundings:
-    """An attacker's prior knowledge of the scene; immutable, shared by every adversary and coordinator.
+    """An attacker's prior knowledge of the scene, shared by all adversaries.
+
+    Immutable.
 
     scene:           name of the scene; part of the random streams, so that two scenes with the same seed differ
     agents:          by name, {"limits_deg": [azimuth from, to, elevation from, to], "max_range_m", "mount_position",
@@ -119,7 +124,7 @@ class Surroundings:
 
     @property
     def ego_sensor(self) -> AgentSensor | None:
-        """The sensor and the route of the ego, which is the first agent; None if no agent is known."""
+        """The sensor and route of the ego, the first agent; None without agents."""
         return next(iter(self.sensors.values()), None)
 
     def view(self, agent: str, position: Floats, rotation: Floats) -> SensorView:
@@ -135,18 +140,18 @@ class Surroundings:
 
     def inside_buildings(self, positions: Floats) -> Bools:
         """(n,) whether positions (n, >= 2) m are inside a building in the bird's-eye view."""
-        return built_over(positions, self.walls.start, self.walls.end, self._first_wall)
+        return inside_outlines(positions, self.walls.start, self.walls.end, self._first_wall)
 
     def behind_walls(self, origin: Floats, positions: Floats) -> Bools:
         """(n,) whether a wall is between `origin` (3,) m and positions (n, >= 3) m."""
-        return walled_off(origin, positions, self.walls.start, self.walls.end, self.walls.top)
+        return occluded_by_walls(origin, positions, self.walls.start, self.walls.end, self.walls.top)
 
 
 @kernel
-def built_over(positions: Floats, start: Floats, end: Floats, first: Ints) -> Bools:
-    """(n,) whether positions (n, >= 2) are in one of o outlines with the sides `start`, `end` (w, 2), all in m.
+def inside_outlines(positions: Floats, start: Floats, end: Floats, first: Ints) -> Bools:
+    """Positions (n, >= 2) m inside one of o outlines.
 
-    first: (o,) first side of each outline
+    start, end: (w, 2) m, sides of the outlines; first: (o,) first side of each
     """
     if len(first) == 0:
         return np.zeros(len(positions), bool)
@@ -159,7 +164,7 @@ def built_over(positions: Floats, start: Floats, end: Floats, first: Ints) -> Bo
 
 
 @kernel
-def walled_off(origin: Floats, positions: Floats, start: Floats, end: Floats, top: Floats) -> Bools:
+def occluded_by_walls(origin: Floats, positions: Floats, start: Floats, end: Floats, top: Floats) -> Bools:
     """(n,) whether a wall is between `origin` (3,) and positions (n, >= 3).
 
     start, end: (w, 2) m, of walls; top: (w,) m, z of their upper edges

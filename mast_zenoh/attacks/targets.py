@@ -1,4 +1,4 @@
-"""An adversary's intention (targets), its effect (tampering) and its report to the evaluator (changes).
+"""Targets of an adversary, its tampering, and the changes that it reports.
 
 All positions and velocities are in the world frame.
 """
@@ -48,7 +48,7 @@ class Targets:
         return len(self.add) + len(self.remove) + len(self.move)
 
     def numbered(self, first: int) -> Targets:
-        """The same targets with the numbers `first`, `first + 1`, …: inserted, then removed, then moved ones."""
+        """The same targets numbered from `first`: inserted, removed, then moved ones."""
         numbers = np.arange(first, first + len(self), dtype=np.int64)
         add, remove, move = np.split(numbers, np.cumsum([len(self.add), len(self.remove)]))
         return replace(
@@ -64,7 +64,7 @@ class Targets:
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """One row per object changed in one frame: the columns of the message `attack_report`.
+    """One row per object changed in a frame: the columns of `attack_report`.
 
     action:          (n,) uint8, index into ACTIONS
     target:          (n,) int64, the adversary's number of the target
@@ -88,7 +88,10 @@ class Changes:
         after: ObjectStates,
         numbers: Sequence[Ints],
     ) -> Changes:
-        """The report of inserted, removed and moved (`before`, `after`) objects; `numbers` of the three in turn."""
+        """The report of inserted, removed and moved (`before`, `after`) objects.
+
+        numbers: of the three kinds in turn
+        """
         counts = (len(added), len(removed), len(after))
         return cls(
             action=np.repeat(np.array([INSERTED, REMOVED, MOVED], np.uint8), counts),
@@ -133,7 +136,7 @@ class Tampering:
         return cls(np.ones(n, bool), np.zeros(0, np.int64), no_objects, no_objects, report, targets or Targets.empty())
 
     def applied_to(self, objects: ObjectStates) -> ObjectStates:
-        """The objects that replace `objects` on the wire: kept rows in their order, then added ones."""
+        """The objects that replace `objects` on the wire: kept rows, then added ones."""
         if len(self.moved_index):
             columns = {name: column.copy() for name, column in objects.columns().items()}
             for name, column in self.moved.columns().items():

@@ -1,4 +1,4 @@
-"""Measures the effects of interposers on messages by comparing their inputs and outputs.
+"""Effects of interposers, measured by comparing their inputs and outputs.
 
 The measurement does not rely on the reports of the interposers themselves.
 

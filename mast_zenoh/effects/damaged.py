@@ -18,7 +18,9 @@ COMPARED = 32
 
 
 def find_original(waiting: Mapping[Id, Sequence[Overheard]], damaged: Overheard) -> Id | None:
-    """The original of a damaged message: the most similar of the newest unsent messages before it.
+    """The original of a damaged message.
+
+    The most similar of the newest unsent messages before it.
 
     waiting: by number, the messages that have not been sent on yet, the newest last
     """

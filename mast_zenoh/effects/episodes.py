@@ -22,7 +22,9 @@ SPAN = 4
 
 
 def insertions(effects: Effects, period_s: float) -> tuple[Ints, Ints, Floats]:
-    """(rows, episode, velocity) of the inserted objects of a run, by passage, episode and frame.
+    """Rows, episodes and velocities of the inserted objects of a run.
+
+    Sorted by passage, episode and frame.
 
     rows:     (n,) rows of `effects`
     episode:  (n,) int64, from 0: the same number for the same object over time
@@ -92,7 +94,10 @@ class _TrackedObject:
 
 
 def _by_motion(frame: Ints, position: Floats, gap: int, period_s: float) -> Ints:
-    """(n,) labels of rows in frame order: each continues the object predicted nearest, nearest pairs first."""
+    """Labels (n,) of rows in frame order, by nearest predicted object.
+
+    The nearest pairs are matched first.
+    """
     label = np.full(len(frame), -1, np.int64)
     objects: list[_TrackedObject] = []
     labels = 0

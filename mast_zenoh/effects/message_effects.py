@@ -45,7 +45,10 @@ class MessageEffect(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """The frames in which a passage is part of the wiring: from `begin`, before `end` (None: to the end of the run)."""
+    """The frames in which a passage is part of the wiring.
+
+    From `begin`, before `end` (None: to the end of the run).
+    """
 
     begin: int
     end: int | None = None
@@ -55,14 +58,17 @@ class Interval:
         return self.begin <= step and (self.end is None or step < self.end)
 
     def near_change(self, step: int) -> bool:
-        """Whether the passage was added or removed during the run about when a message was sent."""
+        """Whether the passage was added or removed when a message was sent."""
         return (self.begin > 0 and step < self.begin + CHANGE_FRAMES) or (
             self.end is not None and step >= self.end - CHANGE_FRAMES
         )
 
 
 class Spoof(NamedTuple):
-    """A pose that an interposer changed: the frame, and position (3,) m and quaternion (4,) before and after."""
+    """A pose that an interposer changed.
+
+    Position (3,) m and quaternion (4,) in a frame, before and after.
+    """
 
     frame: int
     position: Floats

@@ -24,7 +24,7 @@ class Meter:
 
     @property
     def meters(self) -> list[PassageMeter]:
-        """One meter for each passage that was ever part of the wiring, in order of appearance."""
+        """The meters of all passages ever in the wiring, in order of appearance."""
         return self._meters
 
     def keys(self) -> set[str]:

@@ -17,8 +17,11 @@ _REFERENCES = (("origin", "rotation"), ("mount_position", "mount_rotation"))
 _WORLD = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
-class Passed(NamedTuple):
-    """A changed message: its frame, its number, the frame in which it was received, and both bodies."""
+class ChangedMessage(NamedTuple):
+    """A changed message.
+
+    seq: its number; step: the frame in which it was received; before, after: its bodies
+    """
 
     frame: int
     seq: int
@@ -58,12 +61,15 @@ class ObjectChanges(NamedTuple):
     frames_late: Ints
 
 
-def changed(message: str, passed: Sequence[Passed]) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
-    """Changed objects in messages of one type, and for each message the names of its other changed columns.
+def changed_objects(
+    message: str, messages: Sequence[ChangedMessage]
+) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
+    """Changed objects in messages of one type, and their other changed columns.
 
+    The latter are names for each message.
     If the frame of reference of a message was changed, all its objects count.
     """
-    bodies = [item.before for item in passed], [item.after for item in passed]
+    bodies = [item.before for item in messages], [item.after for item in messages]
     changes = compare(message, *bodies)
     reframed = np.array([any(name in pair for name in names for pair in _REFERENCES) for names in changes.others], bool)
     message_row = changes.message
@@ -71,9 +77,9 @@ def changed(message: str, passed: Sequence[Passed]) -> tuple[ObjectChanges, tupl
     message_row = message_row[rows]
     ids, before, after, velocity = _positions(changes, rows)
     return ObjectChanges(
-        frame=np.array([item.frame for item in passed], np.int64)[message_row],
-        seq=np.array([item.seq for item in passed], np.int64)[message_row],
-        step=np.array([item.step for item in passed], np.int64)[message_row],
+        frame=np.array([item.frame for item in messages], np.int64)[message_row],
+        seq=np.array([item.seq for item in messages], np.int64)[message_row],
+        step=np.array([item.step for item in messages], np.int64)[message_row],
         effect=changes.effect[rows],
         columns=_bit_names(changes.columns[rows], changes.names),
         id=ids,
@@ -102,10 +108,13 @@ def _positions(changes: Changes, rows: Ints) -> tuple[Ints, Floats, Floats, Floa
     return ids, positions[0], positions[1], velocity
 
 
-def whole(
+def whole_message(
     message: str, frame: int, seq: int, step: int, *, received: Body | None, sent: Body | None, frames_late: int = 0
 ) -> ObjectChanges:
-    """All objects of a message that was not sent on in time (`sent` is None) or not received."""
+    """All objects of a message that was not sent on in time, or not received.
+
+    received, sent: its bodies; None: not received, or not sent in time
+    """
     body, effect = (received, REMOVED) if sent is None else (sent, INSERTED)
     assert body is not None
     n = len(body["position"]) if has_objects(message) else 0

@@ -16,7 +16,7 @@ from mast_zenoh.effects.message_effects import (
     MessageEffect,
     Spoof,
 )
-from mast_zenoh.effects.objects import ObjectChanges, Passed
+from mast_zenoh.effects.objects import ChangedMessage, ObjectChanges
 from mast_zenoh.errors import MessageError
 from mast_zenoh.wiring.received import Overheard
 
@@ -43,7 +43,7 @@ class PassageEffects:
         self.objects: list[ObjectChanges] = []
         self.spoofs: list[Spoof] = []
         self._type = message
-        self._pending: list[Passed] = []  # changed messages that have not been compared yet
+        self._pending: list[ChangedMessage] = []  # changed messages that have not been compared yet
 
     def note(self, effect: str, message: Overheard, *, frames_late: int = 0, time_ns: int = 0) -> None:
         """Record an effect on a message but not on its objects."""
@@ -86,15 +86,18 @@ class PassageEffects:
             return
         header = message.header
         try:
-            passed = Passed(header.frame, header.seq, message.step, rival.body, message.body)
+            change = ChangedMessage(header.frame, header.seq, message.step, rival.body, message.body)
         except MessageError:
             return
-        changes, (names,) = objects.changed(self._type, [passed])
-        self._note_pose(passed, names)
+        changes, (names,) = objects.changed_objects(self._type, [change])
+        self._note_pose(change, names)
         self.objects.append(changes._replace(whole=np.ones(len(changes.frame), bool)))
 
     def compare(self, received: Overheard, sent: Overheard) -> None:
-        """Record the differences of a message that was sent on with other bytes, possibly in a later batch."""
+        """Record the differences of a message that was sent on with other bytes.
+
+        They may be computed in a later batch.
+        """
         header, changed = received.header, sent.header
         try:
             before = received.body
@@ -111,7 +114,7 @@ class PassageEffects:
             self.note(RESTAMPED, received, time_ns=shift_ns)
             if abs(shift_ns) > RESTAMPED_NS and self._type in TIMED:
                 self._add_whole(received, received=True)
-        self._pending.append(Passed(header.frame, header.seq, received.step, before, after))
+        self._pending.append(ChangedMessage(header.frame, header.seq, received.step, before, after))
         if len(self._pending) >= BATCH:
             self.settle()
 
@@ -119,7 +122,7 @@ class PassageEffects:
         """Compare the bodies of the pending changed messages."""
         if not self._pending:
             return
-        changes, others = objects.changed(self._type, self._pending)
+        changes, others = objects.changed_objects(self._type, self._pending)
         self.objects.append(changes)
         for each, names in zip(self._pending, others, strict=True):
             self._note_pose(each, names)
@@ -127,18 +130,20 @@ class PassageEffects:
                 self.messages.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
         self._pending = []
 
-    def _note_pose(self, passed: Passed, names: tuple[str, ...]) -> None:
+    def _note_pose(self, change: ChangedMessage, names: tuple[str, ...]) -> None:
         """Record a changed pose of an agent."""
         if names and self._type == "pose":
-            before, after = ([body[name].copy() for name in ("position", "rotation")] for body in passed[3:])
-            self.spoofs.append(Spoof(passed.frame, *before, *after))
+            before, after = ([body[name].copy() for name in ("position", "rotation")] for body in change[3:])
+            self.spoofs.append(Spoof(change.frame, *before, *after))
 
     def _add_whole(self, message: Overheard, *, received: bool, frames_late: int = 0) -> None:
-        """Record the effect on all objects of a message that was only received, or only sent."""
+        """Record the effect on all objects of a message only received, or only sent."""
         try:
             header, body = message.header, message.body
         except MessageError:
             return
         bodies = {"received": body if received else None, "sent": None if received else body}
-        whole = objects.whole(self._type, header.frame, header.seq, message.step, frames_late=frames_late, **bodies)
+        whole = objects.whole_message(
+            self._type, header.frame, header.seq, message.step, frames_late=frames_late, **bodies
+        )
         self.objects.append(whole)

@@ -33,8 +33,9 @@ MAX_NUMBERS = 65_536
 
 
 class PassageMeter:
-    """Compares the sent and received messages of one interposer on a wire, in any order of arrival.
+    """Compares the sent and received messages of one interposer on a wire.
 
+    The order of arrival does not matter.
     effects: the measured effects; received: number of received messages
     """
 
@@ -183,15 +184,18 @@ class PassageMeter:
             if received_step is not None:
                 self.effects.note_repeated(id_, received_step, message)
             elif known is not None or not self._match_renumbered(message):
-                forestalls = self._first_sent.get(message.header.frame) == id_
-                self.effects.note_forged(message, self._rivals.get(message.header.frame) if forestalls else None)
+                preempts = self._first_sent.get(message.header.frame) == id_
+                self.effects.note_forged(message, self._rivals.get(message.header.frame) if preempts else None)
 
     def _bypassed(self, message: Overheard) -> bool:
         """Whether a message may have bypassed the passage while it was added or removed."""
         return self.interval.near_change(message.step) and abs(message.header.frame - message.step) <= CHANGE_FRAMES
 
     def _pair_unreadable(self) -> None:
-        """Match unreadable sent messages: relayed unreadable ones, damaged copies, or forgeries."""
+        """Match unreadable sent messages.
+
+        They are relayed unreadable messages, damaged copies, or forgeries.
+        """
         received, sent = self._unreadable
         unmatched = [(message.payload, message.step) for message in received]
         known = {payload for payload, _ in unmatched}

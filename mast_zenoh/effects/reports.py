@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.matching import greedy
+from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects.message_effects import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
@@ -75,7 +75,10 @@ _LINK_COLUMNS = ("port", "frame", "seq", "fate", "rule")
 
 
 def _concatenate(reports: Reports, columns: tuple[str, ...], nodes: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """All rows of reports: their columns, `node` (n,) row of `nodes`, and `of_frame` (n,) frame of the report."""
+    """All rows of reports, with reporting node and frame.
+
+    `node` (n,) is a row of `nodes`, `of_frame` (n,) the frame of the report.
+    """
     ordered = sorted(reports, key=lambda report: report[:3])
     rows = [len(body[columns[0]]) for *_, body in ordered]
     result: dict[str, NDArray[Any]] = {
@@ -91,8 +94,9 @@ def _concatenate(reports: Reports, columns: tuple[str, ...], nodes: Sequence[str
 def _match_attacks(
     effects: Effects, node_row: Ints, reported_rows: Mapping[str, NDArray[Any]], reported: Bools, label: Ints
 ) -> Bools:
-    """Mark the effects that adversaries reported; (n,) which of n rows of reports match an effect.
+    """Mark the effects that adversaries reported.
 
+    Returns which of n rows of reports match an effect.
     Reports are matched by the positions at which objects disappear and appear. Without ids, a removed object with an
     inserted one nearby cannot be distinguished from a moved one: either report is correct.
     """
@@ -110,7 +114,7 @@ def _match_attacks(
     distance = np.linalg.norm(claimed.places.position[i] - measured.places.position[j], axis=1)
     near = distance <= SAME_PLACE_M
     i, j, distance = i[near], j[near], distance[near]
-    matches = greedy(i, j, distance)
+    matches = greedy_matching(i, j, distance)
     i, j = i[matches], j[matches]
     label[rows[measured.row[j]]] = reported_rows["target"][claimed.row[i]]
     reported[rows] |= _complete(measured, j, len(rows))
@@ -118,8 +122,9 @@ def _match_attacks(
 
 
 class _Events(NamedTuple):
-    """Appearances and disappearances of objects: positions, and row (n,) of the change that each belongs to.
+    """Appearances and disappearances of objects.
 
+    row: (n,) the change that each belongs to.
     Groups contain only events of the same kind, interposer and frame.
     """
 
@@ -155,7 +160,10 @@ def _match_links(
     reported: Bools,
     label: Ints,
 ) -> Bools:
-    """Mark the effects that links reported; (n,) which of n rows of reports match an effect."""
+    """Mark the effects that links reported.
+
+    Returns which of n rows of reports match an effect.
+    """
     kinds = list(dict.fromkeys((*wires, *(passage.message for passage in effects.passages))))
     kind = np.array([kinds.index(passage.message) for passage in effects.passages], np.int64)[effects.passage]
     founded = np.zeros(len(reported_rows["fate"]), bool)
@@ -179,7 +187,7 @@ def _match_links(
 def summary(
     effects: Effects, agreement: Agreement, roles: Mapping[str, str], last_step: int, absent: Bools
 ) -> dict[str, Any]:
-    """Summarise each interposer: role, wires, received messages, effects, and the agreement of its reports.
+    """Summarise each interposer and the agreement of its reports.
 
     The agreement is "agrees", "silent" (effects without any report), "disagrees" or "nothing to report".
     last_step: the last frame of the run; links do not report effects in it

@@ -1,4 +1,4 @@
-"""Compares the objects in messages before and after an interposer, for many messages at once."""
+"""Compares the objects in messages before and after an interposer."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.matching import cheapest
+from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.messages.schemas import SCHEMAS, Body
 from mast_zenoh.metrics.lookup import find
@@ -72,7 +72,7 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """Differences between m messages of one type before and after an interposer; k objects.
+    """Differences between m messages of one type before and after an interposer.
 
     sides:   the objects before and after
     before, after: (k,) int64, rows of each object in either side; -1: none
@@ -98,8 +98,9 @@ class Changes:
 
 
 def compare(message: str, before: Sequence[Body], after: Sequence[Body]) -> Changes:
-    """Compare m bodies `after` with m bodies `before`, all valid and of one message type.
+    """Compare m bodies before and after an interposer.
 
+    The bodies are valid and of one message type.
     Rows are the same object if they are equal; otherwise if they have the same id. Without ids, they must have the same
     appearance (size and class, preferably also score and covariance) or be at most SAME_OBJECT_M apart; among several
     matchings, the one with the least total distance is chosen. Remaining rows were removed or inserted. The order of
@@ -192,7 +193,10 @@ def _bytes(rows: Rows, names: tuple[str, ...]) -> list[tuple[int, bytes]]:
 
 
 def _changed(a: Rows, b: Rows, left: Ints, right: Ints, names: tuple[str, ...]) -> tuple[Ints, Ints]:
-    """Pairs of differing rows of the same object, among rows `left` of `a` and `right` of `b`."""
+    """Pairs of differing rows of the same object.
+
+    left, right: candidate rows of `a` and of `b`
+    """
     if not len(left) or not len(right):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     if "id" not in names:
@@ -218,7 +222,10 @@ def _changed(a: Rows, b: Rows, left: Ints, right: Ints, names: tuple[str, ...]) 
 
 
 def _by_appearance(a: Rows, b: Rows, left: Ints, right: Ints, names: tuple[str, ...]) -> tuple[Ints, Ints]:
-    """Match rows by appearance, then by distance, with the least total distance each time."""
+    """Match rows by appearance, then by distance.
+
+    Each time with the least total distance.
+    """
     i, j = _pairs(a.message[left], b.message[right])
     i, j = left[i], right[j]
     offset = a.columns["position"][i] - b.columns["position"][j]
@@ -253,11 +260,14 @@ def _pairs(a: Ints, b: Ints) -> tuple[Ints, Ints]:
 
 
 def _least_distance(i: Ints, j: Ints, distance: Floats) -> Bools:
-    """(k,) bool: the matching with the most pairs and, among these, the least total distance."""
+    """The matching with the most pairs and, among these, the least total distance.
+
+    (k,) bool
+    """
     if not len(i):
         return np.zeros(0, bool)
     offset = float(distance.max()) * (len(np.unique(i)) + 1) + 1.0
-    return cheapest(np.ascontiguousarray(i), np.ascontiguousarray(j), distance - offset)
+    return min_cost_matching(np.ascontiguousarray(i), np.ascontiguousarray(j), distance - offset)
 
 
 def _effects(a: Rows, b: Rows, p: Ints, q: Ints, names: tuple[str, ...]) -> tuple[Ints, Ints]:

@@ -1,4 +1,7 @@
-"""The table of measured effects of all interposers of a run, in the world frame (attacks.parquet)."""
+"""The table of measured effects of all interposers (attacks.parquet).
+
+World frame.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ MIN_MOVE_M = 1e-6
 
 
 class Pose(NamedTuple):
-    """An agent's pose: position (3,) m and active quaternion (4,) w x y z, agent to world."""
+    """Pose of an agent.
+
+    position (3,) m; rotation (4,): active quaternion w x y z, agent to world
+    """
 
     position: Floats
     rotation: Floats
@@ -39,8 +45,9 @@ Poses = Mapping[tuple[str, int], Pose]
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """n effects, sorted by passage, frame, sequence number and effect; missing values are NaN, -1 or "".
+    """n effects, sorted by passage, frame, sequence number and effect.
 
+    Missing values are NaN, -1 or "".
     passages: the passages of the run, and for each the number of messages that it received
     passage:  (n,) row of `passages`
     code:     (n,) index into EFFECTS
@@ -74,7 +81,10 @@ class Effects:
         return len(self.code)
 
     def rows(self, *effects: str, whole: bool | None = None) -> Ints:
-        """The rows with these effects; whole: None, or the required value of the column `whole`."""
+        """The rows with these effects.
+
+        whole: None, or the required value of the column `whole`
+        """
         chosen = np.isin(self.code, [CODE[name] for name in effects])
         return (chosen if whole is None else chosen & (self.whole == whole)).nonzero()[0]
 
@@ -140,7 +150,10 @@ def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndar
 
 
 def _frames(references: Floats, of_agent: bool, frame: Ints, poses: Poses, agent: str) -> tuple[Floats, Floats]:
-    """Origins (k, 3) and rotations (k, 3, 3), to the world frame, of k frames of reference (k, 7)."""
+    """Origins (k, 3) and rotations (k, 3, 3) to the world frame of k references.
+
+    references: (k, 7) origin m and quaternion
+    """
     origin, rotation = references[:, :3], rotation_from_quaternion(references[:, 3:])
     if of_agent:
         agent_poses = [poses.get((agent, frame_number), _UNKNOWN_POSE) for frame_number in frame.tolist()]

@@ -1,6 +1,6 @@
-"""Evaluates a run: computes metrics.json and the tables from the messages on its wires. Pure.
+"""Evaluates a run: computes metrics and tables from its messages. Pure.
 
-    heard         data collected from the messages
+    run_data      data collected from the messages
     from_effects  manipulations, from the measured effects of interposers (mast_zenoh.effects)
     poses         manipulations of poses
     downstream    estimates that an interposer can influence
@@ -11,6 +11,6 @@ See docs/metrics.md and docs/effects.md.
 """
 
 from mast_zenoh.evaluation.evaluation import Evaluation
-from mast_zenoh.evaluation.heard import Heard
+from mast_zenoh.evaluation.run_data import RunData
 
-__all__ = ["Evaluation", "Heard"]
+__all__ = ["Evaluation", "RunData"]

@@ -1,4 +1,4 @@
-"""Estimates that an interposer on a wire can influence: those computed from its messages."""
+"""Estimates that an interposer on a wire can influence."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _FROM_DOWNLINK = (PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
 _WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
 
 
-def reached(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools) -> Bools:
-    """(p, s) bool: whether messages of each of p passages can affect each of s series (agent, estimator).
+def influence(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools) -> Bools:
+    """Whether messages of each of p passages can affect each of s series: (p, s).
 
-    An agent's own tracks depend on its sensors alone. An unknown port may affect all other estimates. Effects of links
-    on tracks affect, here, only the tracks as received: whether the picture lacks an object because of them depends on
-    the other agents that report it (`metrics.cut_off`).
+    A series is (agent, estimator). An agent's own tracks depend on its sensors alone. An unknown port may affect all
+    other estimates. Here, effects of links on tracks affect only the tracks as received: whether the picture lacks
+    an object because of them depends on the other agents that report it (`metrics.cut_off`).
     """
     result = np.zeros((len(passages), len(series)), bool)
     for row, passage in enumerate(passages):

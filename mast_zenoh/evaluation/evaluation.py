@@ -10,25 +10,25 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.effects import Effects, effects_of, reports
-from mast_zenoh.evaluation.from_effects import absent, manipulations, stopped_by_links
-from mast_zenoh.evaluation.heard import Heard
-from mast_zenoh.evaluation.poses import with_poses
+from mast_zenoh.evaluation.from_effects import effects_of_absence, manipulations, stopped_by_links
+from mast_zenoh.evaluation.poses import add_pose_manipulations
+from mast_zenoh.evaluation.run_data import RunData
 from mast_zenoh.evaluation.tables import attacks
 from mast_zenoh.links import WIRES
 from mast_zenoh.metrics import (
     Attribution,
     CutOff,
+    CutOffObjects,
     Driving,
     Manipulations,
     Metric,
     Scorer,
     Scores,
-    Severed,
     achievement,
     achievement_summary,
+    cause_names,
     causes_of,
     consequences,
-    named,
     user_metrics,
 )
 from mast_zenoh.metrics.record import TruthTable
@@ -67,35 +67,37 @@ class Evaluation:
                 raise ValueError(f"picture_age_s: found {age_s}, expected 0 or more")
         user_metrics.check(self.metrics, COLUMNS)
 
-    def of(self, heard: Heard) -> dict[str, Any]:
+    def of(self, data: RunData) -> dict[str, Any]:
         """Evaluate a run.
 
         Returns {"metrics": contents of metrics.json, "tables": columns of the tables by name, "failed_metrics": errors
         of failed user-defined metrics by name}.
         """
-        ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in heard.record.agents}
-        heard.record.hold_pictures({agent: round(age_s * 1e9) for agent, age_s in ages_s.items()}, heard.times_ns)
-        scores = self.scorer.score(heard.record)
-        truth = heard.record.truth(scores.frames)
-        effects = _measured(heard, scores)
-        away = absent(effects, heard.presence.idle(scores.frames), scores.frames)
-        done = manipulations(
+        ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in data.record.agents}
+        data.record.hold_pictures({agent: round(age_s * 1e9) for agent, age_s in ages_s.items()}, data.times_ns)
+        scores = self.scorer.score(data.record)
+        truth = data.record.truth(scores.frames)
+        effects = _measured(data, scores)
+        from_absence = effects_of_absence(effects, data.presence.idle(scores.frames), scores.frames)
+        interposed = manipulations(
             effects,
-            heard.roles,
+            data.roles,
             scores.series,
             _boxes_by_frame(truth, scores),
-            heard.period_s,
-            away,
+            data.period_s,
+            from_absence,
             self.attribution,
         )
-        spoofs, agents = [meter.effects.spoofs for meter in heard.meter.meters], heard.record.agents
-        lasts = round(self.attribution.coast_s / heard.period_s)
-        done = with_poses(done, effects, spoofs, truth, agents, scores.frames, self.scorer.min_points, lasts)
-        severed = self._severed(heard, scores, truth, effects)
-        labels = self.attribution.label(
-            scores, done, truth, heard.record.agents, heard.period_s, severed, self.scorer.min_points
+        spoofs, agents = [meter.effects.spoofs for meter in data.meter.meters], data.record.agents
+        duration = round(self.attribution.coast_s / data.period_s)
+        interposed = add_pose_manipulations(
+            interposed, effects, spoofs, truth, agents, scores.frames, self.scorer.min_points, duration
         )
-        return _Results(self, heard, scores, truth, effects, away, done, labels).results()
+        cut_off_objects = self._cut_off_objects(data, scores, truth, effects)
+        labels = self.attribution.label(
+            scores, interposed, truth, data.record.agents, data.period_s, cut_off_objects, self.scorer.min_points
+        )
+        return _Results(self, data, scores, truth, effects, from_absence, interposed, labels).results()
 
     def scored(self, frames: int) -> slice:
         """The scored ones among `frames` frames."""
@@ -103,30 +105,30 @@ class Evaluation:
         return slice(first, frames - last)
 
     def settled(self, frames: int) -> bool:
-        """Whether a run of `frames` frames is long enough to leave frames out of the summary."""
+        """Whether a run is long enough to leave frames out of the summary."""
         return self.skip_first + self.skip_last <= frames // 2
 
-    def _severed(self, heard: Heard, scores: Scores, truth: TruthTable, effects: Effects) -> Severed:
-        """Objects that could only have been reported by agents whose tracks were not delivered."""
-        agents, frames = heard.record.agents, scores.frames
-        silent = heard.presence.absent(agents, frames) | stopped_by_links(effects, heard.roles, agents, frames)
-        unheard = self._unheard(heard, frames.tolist())
+    def _cut_off_objects(self, data: RunData, scores: Scores, truth: TruthTable, effects: Effects) -> CutOffObjects:
+        """Objects known only to agents whose tracks were not delivered."""
+        agents, frames = data.record.agents, scores.frames
+        silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
+        undelivered = self._undelivered(data, frames.tolist())
         points = self.scorer.min_points
-        return self.cut_off.severed(scores, truth, agents, frames, heard.period_s, silent, unheard, points)
+        return self.cut_off.objects(scores, truth, agents, frames, data.period_s, silent, undelivered, points)
 
-    def _unheard(self, heard: Heard, frames: Sequence[int]) -> Bools:
-        """(f, a) bool: whether an agent's tracks of a frame were sent too late for the broker to use them."""
-        agents, within = heard.record.agents, self.cut_off.max_age_s / heard.period_s + 1e-6
+    def _undelivered(self, data: RunData, frames: Sequence[int]) -> Bools:
+        """Whether an agent's tracks of a frame were too late for the broker: (f, a)."""
+        agents, within = data.record.agents, self.cut_off.max_age_s / data.period_s + 1e-6
         sent = [
-            [heard.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents] for frame in frames
+            [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents] for frame in frames
         ]
         return ~np.array(sent, bool).reshape(len(frames), len(agents))
 
 
-def _measured(heard: Heard, scores: Scores) -> Effects:
+def _measured(data: RunData, scores: Scores) -> Effects:
     """The effects of interposers, after the end of the run."""
-    heard.meter.close(int(scores.frames.max(initial=-1)))
-    return effects_of(heard.meter.meters, heard.poses)
+    data.meter.close(int(scores.frames.max(initial=-1)))
+    return effects_of(data.meter.meters, data.poses)
 
 
 def _boxes_by_frame(truth: TruthTable, scores: Scores) -> Any:
@@ -138,33 +140,33 @@ class _Results:
     """The intermediate results of an evaluation, converted to its output."""
 
     settings: Evaluation
-    heard: Heard
+    data: RunData
     scores: Scores
     truth: TruthTable
     effects: Effects
-    away: Bools
+    from_absence: Bools
     manipulations: Manipulations
     labels: Any
 
     def results(self) -> dict[str, Any]:
-        heard, scores, labels, manipulations = self.heard, self.scores, self.labels, self.manipulations
-        frames, times = scores.frames, heard.times_ns
+        data, scores, labels, manipulations = self.data, self.scores, self.labels, self.manipulations
+        frames, times = scores.frames, data.times_ns
         scored = self.settings.scored(len(frames))
         last = int(frames.max(initial=-1))
-        agreement = reports.compare(self.effects, heard.attack_reports, heard.link_reports, WIRES)
+        agreement = reports.compare(self.effects, data.attack_reports, data.link_reports, WIRES)
         targets = achievement.targets(
             scores,
             labels.cause,
             labels.by,
             manipulations,
             self.truth,
-            heard.record.agents,
-            heard.ego,
+            data.record.agents,
+            data.ego,
             self._victims(),
             self.settings.scorer.range_m,
             self.settings.scorer.min_points,
         )
-        drives = consequences.drives(self.settings.driving, heard.record, scores, labels, self.truth)
+        drives = consequences.drives(self.settings.driving, data.record, scores, labels, self.truth)
         summary, per_frame, failed_metrics = self._scored(scored)
         return {
             "metrics": {
@@ -174,17 +176,17 @@ class _Results:
                 "agents": summary,
                 "same_as": _nested(scores.same_as),
                 "achieved": achievement_summary.summary(
-                    targets, manipulations.culprits, scores, labels.switch_by, heard.ego, heard.period_s, scored
+                    targets, manipulations.culprits, scores, labels.switch_by, data.ego, data.period_s, scored
                 ),
                 "driving": consequences.summary(drives, scored),
-                "interposers": reports.summary(self.effects, agreement, heard.roles, last, self.away),
-                "latency_ms": {"sim_to_picture": percentiles(heard.latencies_ns())},
+                "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
+                "latency_ms": {"sim_to_picture": percentiles(data.latencies_ns())},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
             },
             "tables": {
                 "metrics": per_frame,
-                "objects": {**scores.objects(), "cause": named(labels.cause), "by": labels.by},
-                "attacks": attacks(self.effects, agreement, heard.roles, heard.period_s),
+                "objects": {**scores.objects(), "cause": cause_names(labels.cause), "by": labels.by},
+                "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
                 "targets": targets.table(manipulations.culprits),
                 "driving": consequences.table(drives, frames),
             },
@@ -194,22 +196,25 @@ class _Results:
     def _scored(
         self, scored: slice
     ) -> tuple[dict[str, dict[str, dict[str, Any]]], dict[str, Any], dict[str, BaseException]]:
-        """The summary by agent and estimator, the table per frame, and the errors of user-defined metrics by name."""
-        heard, scores, labels = self.heard, self.scores, self.labels
+        """The summary, the table per frame, and errors of user-defined metrics by name.
+
+        The summary is by agent and estimator.
+        """
+        data, scores, labels = self.data, self.scores, self.labels
         summary, per_frame = scores.summary(scored), scores.per_frame()
         causes = causes_of(scores, labels.cause, labels.switch_cause, scores.frames[scored])
         for (agent, estimator), row in scores.every_series.items():
             summary[agent][estimator] |= causes[row]
         counts = np.zeros(len(scores.frames), bool)
         counts[scored] = True
-        agents, metrics = heard.record.agents, self.settings.metrics
-        values, failed = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, heard.period_s)
+        agents, metrics = data.record.agents, self.settings.metrics
+        values, failed = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, data.period_s)
         user_metrics.add_to(summary, per_frame, scores, values, counts)
         return summary, per_frame, failed
 
     def _victims(self) -> dict[str, set[int]]:
         """By interposer, the columns of the agents whose wires it intercepts."""
-        agents = list(self.heard.record.agents)
+        agents = list(self.data.record.agents)
         victims: dict[str, set[int]] = {}
         for passage in self.effects.passages:
             if passage.subject in agents:

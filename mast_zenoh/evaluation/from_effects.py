@@ -1,4 +1,4 @@
-"""Converts the measured effects of interposers to manipulations for the metrics. Pure."""
+"""Converts measured effects of interposers to manipulations. Pure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.episodes import insertions
-from mast_zenoh.evaluation.downstream import reached
+from mast_zenoh.evaluation.downstream import influence
 from mast_zenoh.metrics import Attribution, Boxes, Manipulations
 from mast_zenoh.metrics.manipulations import INSERTED, KINDS, MOVED
 from mast_zenoh.metrics.places import Places, nearest
@@ -50,7 +50,7 @@ def manipulations(
     )
     result = Manipulations(
         culprits=culprits,
-        reach=reached(effects.passages, series, is_link),
+        reach=influence(effects.passages, series, is_link),
         passage=passage,
         culprit=culprit_row[passage] if len(rows) else passage,
         kind=np.concatenate([np.full(len(inserted), INSERTED), kind]),
@@ -76,7 +76,7 @@ def _lasts(passage: Passage, is_link: bool, limits: Attribution, period_s: float
 
 
 def _hidden(effects: Effects, limits: Attribution) -> tuple[Ints, Ints]:
-    """Rows of objects that were removed, moved far enough or altered, and the kind of each."""
+    """Rows and kinds of objects that were removed, moved far enough or altered."""
     rows = effects.rows("removed", "moved", "altered")
     rows = rows[np.isfinite(effects.before[rows]).all(axis=1)]
     kind = np.array([KINDS.index(name) if name in KINDS else -1 for name in EFFECTS])[effects.code[rows]]
@@ -85,7 +85,7 @@ def _hidden(effects: Effects, limits: Attribution) -> tuple[Ints, Ints]:
     return rows[counts], kind[counts]
 
 
-def absent(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
+def effects_of_absence(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
     """(n,) effects on messages that were lost because an interposer was absent.
 
     idle: by node, (f,) bool, whether it was absent in each of (f,) frames
@@ -103,7 +103,10 @@ def absent(effects: Effects, idle: Mapping[str, Bools], frames: Ints) -> Bools:
 
 
 def stopped_by_links(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints) -> Bools:
-    """(f, a) bool: whether a link dropped, damaged or delayed an agent's tracks of a frame, or the whole batch."""
+    """Whether a link stopped an agent's tracks of a frame or the batch: (f, a).
+
+    To stop is to drop, damage or delay.
+    """
     result = np.zeros((len(frames), len(agents)), bool)
     rows = effects.rows("dropped", "delayed", "corrupted", "unsettled")
     for index, passage in enumerate(effects.passages):

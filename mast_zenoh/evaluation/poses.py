@@ -1,4 +1,7 @@
-"""Manipulated poses: an agent with a false pose reports all objects at wrong positions. Pure."""
+"""Manipulations of poses: their effects on the objects that an agent reports.
+
+An agent with a false pose reports all objects at wrong positions. Pure.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from mast_zenoh.metrics.record import TruthTable
 _WITHHELD = ("dropped", "delayed", "corrupted", "unsettled")
 
 
-def with_poses(
+def add_pose_manipulations(
     manipulations: Manipulations,
     effects: Effects,
     spoofs: Sequence[Sequence[Spoof]],
@@ -28,7 +31,7 @@ def with_poses(
     min_points: int,
     lasts: int,
 ) -> Manipulations:
-    """Add manipulations of objects that an agent misplaces or omits because of a manipulated pose.
+    """Add the objects that an agent misplaces or omits because of a false pose.
 
     spoofs: by passage of `effects`;  truth: of (f,) frames, of which `agents` are the columns
     min_points: lidar points from which an agent sees an object;  lasts: frames for which it counts after its own

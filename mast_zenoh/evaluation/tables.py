@@ -12,8 +12,9 @@ from mast_zenoh.metrics import Table
 
 
 def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], period_s: float) -> Table:
-    """The effects as columns of attacks.parquet, by interposer, wire, frame and sequence number.
+    """The effects as columns of attacks.parquet.
 
+    Sorted by interposer, wire, frame and sequence number.
     Objects of a message that was withheld, forged or reframed as a whole have no separate rows.
     """
     rows = np.flatnonzero(~effects.whole)

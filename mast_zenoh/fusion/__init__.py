@@ -1,4 +1,7 @@
-"""Fusion at the command centre: from the tracks of many agents to one picture (docs/tracking.md)."""
+"""Fusion at the command centre: tracks of many agents to one picture.
+
+See docs/tracking.md.
+"""
 
 from mast_zenoh.fusion.base import Clusterer, Fusion, GroupTracker
 from mast_zenoh.fusion.clustering import DBSCANClusterer, SampledAssignmentClusterer

@@ -8,7 +8,7 @@ from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 
 
 class Clusterer(ABC):
-    """Finds which agents' tracks are of one object."""
+    """Groups the tracks of different agents by object."""
 
     @abstractmethod
     def cluster(self, states: ObjectStates, agent: Ints) -> Ints:
@@ -22,27 +22,30 @@ class Clusterer(ABC):
 
 
 class Fusion(ABC):
-    """Makes one state out of the members of each cluster."""
+    """Fuses the members of each cluster into one state."""
 
     @abstractmethod
     def fuse(self, states: ObjectStates, labels: Ints, weights: Floats | None = None) -> ObjectStates:
         """One row per cluster, in the order of the labels 0 to c-1; ids are the labels.
 
         states: n tracks, world frame, one time; labels: (n,) int64
-        weights: (n,) >= 0, how far each member is trusted; 0 leaves it out, and a cluster of which nothing remains
-        is left out of the result. None: all alike.
+        weights: (n,) >= 0, how far each member is trusted; 0 excludes it; a cluster without members is left
+        out of the result. None: all equal.
         """
 
 
 class GroupTracker(ABC):
-    """Turns clusters of tracks into the picture: one object per cluster, with a lasting id."""
+    """Turns clusters of tracks into the picture, one object with a lasting id each."""
 
     @abstractmethod
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
-        """(picture, support): objects at `time_ns`, sorted by id, and how many agents' tracks are now in each (n,)."""
+        """The picture and the support of its objects at `time_ns`.
+
+        The picture is sorted by id; support (n,) is the number of agents with a track in each object's cluster.
+        """
 
     @abstractmethod
     def reset(self) -> None:
-        """Back to the state of a newly made one."""
+        """Return to the initial state."""

@@ -1,26 +1,26 @@
-"""Finds the tracks of different agents that are of one object.
+"""Clusterers of the command centre, which group tracks by object.
 
-Rows are brought into the order of (agent, id) first, so that nothing depends on the order in which they arrive.
+Rows are first sorted by (agent, id), so the result does not depend on the order in which they arrive.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.arrays.clustering import merged, pairs_near
+from mast_zenoh.arrays.clustering import merge_pairs, pairs_near
 from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Clusterer
 
 
 class SampledAssignmentClusterer(Clusterer):
-    """Clusters within a radius, the nearest tracks first.
+    """Clusters tracks within a radius, nearest pairs first.
 
-    assign_radius: m, in the bird's-eye view, that two clusters' centres may be apart to become one
+    assign_radius: m, in the bird's-eye view, maximum distance between the centres of two clusters to be merged
 
-    Pairs of tracks are taken by distance; the clusters of a pair become one unless they both have a track of one agent,
-    or their centres are too far apart. The original takes tracks as they come, which makes the result depend on their
-    order and lets two tracks of one agent merge.
+    Pairs of tracks are merged by distance, unless both clusters have a track of the same agent or their centres are too
+    far apart. The original takes tracks in the order of arrival, so its result depends on that order, and two tracks of
+    one agent may merge.
     """
 
     def __init__(self, *, assign_radius: float = 2.0) -> None:
@@ -33,18 +33,20 @@ class SampledAssignmentClusterer(Clusterer):
         position, agent = states.position.take(order, 0)[:, :2], agent.take(order)
         i, j, distance = pairs_near(position, self._radius)
         labels = np.empty(len(order), np.int64)
-        labels[order] = merged(position, agent, i, j, distance, self._radius)
+        labels[order] = merge_pairs(position, agent, i, j, distance, self._radius)
         return labels
 
 
 class DBSCANClusterer(Clusterer):
-    """Density-based clusters (Ester, Kriegel, Sander, Xu, KDD 1996), split where they have two tracks of one agent.
+    """Density-based clusters, with at most one track of each agent.
+
+    Ester, Kriegel, Sander, Xu: DBSCAN, KDD 1996.
 
     eps: m, in the bird's-eye view, within which tracks are neighbours
-    min_samples: tracks within `eps` of one, itself among them, that make it a core of a cluster
+    min_samples: number of tracks within `eps` of a track, including itself, that make it a core of a cluster
 
-    Cores that are neighbours are of one cluster, others join their nearest core, and what has none is a cluster of its
-    own. Where that puts two tracks of one agent together, the nearest are joined first, as in
+    Neighbouring cores share a cluster, other tracks join their nearest core, and a track without one is its own
+    cluster. Where two tracks of one agent would share a cluster, the nearest are merged first, as in
     `SampledAssignmentClusterer`.
     """
 
@@ -62,12 +64,12 @@ class DBSCANClusterer(Clusterer):
         linked = core[i] & core[j]
         linked[_to_nearest_core(i, j, distance, core)] = True
         labels = np.empty(len(order), np.int64)
-        labels[order] = merged(position, agent, i[linked], j[linked], distance[linked], np.inf)
+        labels[order] = merge_pairs(position, agent, i[linked], j[linked], distance[linked], np.inf)
         return labels
 
 
 def _to_nearest_core(i: Ints, j: Ints, distance: Floats, core: Bools) -> Ints:
-    """Which pairs join a track that is no core to its nearest core, the first of those if several are as near."""
+    """Pairs that join each border track to its nearest core, the first in a tie."""
     pair = np.concatenate([(core[j] & ~core[i]).nonzero()[0], (core[i] & ~core[j]).nonzero()[0]])
     border = np.where(core[i], j, i)[pair]
     by_distance = np.lexsort((np.where(core[i], i, j)[pair], distance[pair], border))
@@ -76,5 +78,5 @@ def _to_nearest_core(i: Ints, j: Ints, distance: Floats, core: Bools) -> Ints:
 
 
 def _by_agent(states: ObjectStates, agent: Ints) -> Ints:
-    """(n,) rows by (agent, id); by place where a faulty source uses an id twice."""
+    """(n,) rows by (agent, id); by position where a faulty source uses an id twice."""
     return row_order(states.id, agent, ties=tuple(states.position.T))

@@ -1,4 +1,4 @@
-"""Fusing the members of clusters whose errors may be correlated in ways that nobody knows."""
+"""Fusion of members whose errors have an unknown correlation."""
 
 from __future__ import annotations
 
@@ -38,12 +38,13 @@ class CovarianceIntersectionFusion(Fusion):
         if self._optimised:
             members = members.weighted(members.weight * least_trace_weights(members))
         vectors = state_vectors(members.states)
-        return members.fused(*intersection(members.states.covariance, vectors, members.weight, members.start))
+        mean, covariance = covariance_intersection(members.states.covariance, vectors, members.weight, members.start)
+        return members.fused(mean, covariance)
 
 
 @kernel
-def intersection(covariance: Floats, state: Floats, weight: Floats, start: Ints) -> tuple[Floats, Floats]:
-    """(c, 9) means and (c, 9, 9) covariances of the intersections of n members of c clusters, see `Members`.
+def covariance_intersection(covariance: Floats, state: Floats, weight: Floats, start: Ints) -> tuple[Floats, Floats]:
+    """Means (c, 9) and covariances (c, 9, 9) of clusters of n members, see `Members`.
 
     covariance: (n, 9, 9), positive definite; state: (n, 9)
     """
@@ -60,7 +61,9 @@ def intersection(covariance: Floats, state: Floats, weight: Floats, start: Ints)
 
 
 def least_trace_weights(members: Members) -> Floats:
-    """(n,) covariance intersection weights of least trace of the horizontal position's covariance.
+    """Covariance intersection weights (n,) that minimise the trace.
+
+    The trace is that of the horizontal position's covariance.
 
     Multiplicative ascent for A-optimality (Silvey, Titterington, Torsney, Communications in Statistics, 1978): w_i
     grows by the root of tr(P A_i P), A_i the member's information. Monotone, and never leaves the simplex.
@@ -82,7 +85,7 @@ def least_trace_weights(members: Members) -> Floats:
 
 
 class BestMemberFusion(Fusion):
-    """Takes over the member of the least horizontal position variance per weight: no averaging, no undue confidence."""
+    """Selects the member with the least horizontal position variance per weight."""
 
     def __init__(self) -> None:
         pass

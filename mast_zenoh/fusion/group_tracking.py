@@ -1,4 +1,4 @@
-"""From clusters to the picture: fused objects with lasting ids."""
+"""Group tracking: from clusters to fused objects with lasting ids."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _BIPARTITE = BipartiteAssignment()
 
 
 class GroupTrackerWrapper(GroupTracker):
-    """Fuses each cluster and tracks the fused states, with the covariances that the fusion gives them.
+    """Fuses each cluster and tracks the fused states.
 
-    fusion: makes one state of a cluster; tracker: follows them (its `step_states`), for this group tracker alone
+    fusion: fuses each cluster; tracker: tracks the results (`step_states`) with the fusion's covariances; not shared
     """
 
     def __init__(self, *, fusion: Fusion, tracker: Tracker) -> None:
@@ -35,14 +35,14 @@ class GroupTrackerWrapper(GroupTracker):
 
 
 class UnfilteredGroupTracker(GroupTracker):
-    """Fuses each cluster and only gives it an id: that of the object nearest to where it should be by now.
+    """Fuses each cluster and assigns ids by the nearest predicted object.
 
-    What no agent reports in a frame is gone from the picture in that frame; its id is kept for `memory_s`.
+    An object that no agent reports in a frame is dropped from the picture; its id is remembered for `memory_s`.
 
     fusion: makes one state of a cluster
-    gate_m: m, in the bird's-eye view, that an object may be from where its last velocity takes it
-    memory_s: s for which an object that nobody reports may come back under its id
-    assignment: which cluster is which object
+    gate_m: m, in the bird's-eye view, maximum distance of an object from its predicted position
+    memory_s: s for which an unreported object may return under its id
+    assignment: how clusters are assigned to objects
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class UnfilteredGroupTracker(GroupTracker):
         self.reset()
 
     def reset(self) -> None:
-        self._known = ObjectStates.empty()
+        self._objects = ObjectStates.empty()
         self._seen_ns = np.zeros(0, np.int64)
         self._next_id = 0
 
@@ -65,27 +65,29 @@ class UnfilteredGroupTracker(GroupTracker):
         self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
         fused = self._fusion.fuse(states, labels, weights)
-        fresh = time_ns - self._seen_ns <= self._memory_ns
-        known, seen_ns = self._known.select(fresh), self._seen_ns[fresh]
-        there = known.position[:, :2] + known.velocity[:, :2] * ((time_ns - seen_ns) * 1e-9)[:, None]
-        i, j, dx, dy = neighbours(there, fused.position, np.full(len(there), self._gate_m))
+        remembered = time_ns - self._seen_ns <= self._memory_ns
+        objects, seen_ns = self._objects.select(remembered), self._seen_ns[remembered]
+        predicted = objects.position[:, :2] + objects.velocity[:, :2] * ((time_ns - seen_ns) * 1e-9)[:, None]
+        i, j, dx, dy = neighbours(predicted, fused.position, np.full(len(predicted), self._gate_m))
         chosen = self._assignment.match(i, j, np.hypot(dx, dy) - self._gate_m)
         ids = np.full(len(fused), -1)
-        ids[j[chosen]] = known.id[i[chosen]]
+        ids[j[chosen]] = objects.id[i[chosen]]
         new = np.flatnonzero(ids < 0)
         ids[new] = np.arange(self._next_id, self._next_id + len(new))
         self._next_id += len(new)
-        lost = np.ones(len(known), bool)
-        lost[i[chosen]] = False
+        unmatched = np.ones(len(objects), bool)
+        unmatched[i[chosen]] = False
         order = np.argsort(ids)
         picture = fused.with_(id=ids).select(order)
-        self._known = concatenate([picture, known.select(lost)])
-        self._seen_ns = np.concatenate([np.full(len(picture), time_ns), seen_ns[lost]])
+        self._objects = concatenate([picture, objects.select(unmatched)])
+        self._seen_ns = np.concatenate([np.full(len(picture), time_ns), seen_ns[unmatched]])
         return picture, _support(labels, weights, fused.id, order)
 
 
 def _support(labels: Ints, weights: Floats | None, fused: Ints, matched: Ints) -> Ints:
-    """(n,) members of positive weight of the cluster behind each object of the picture; 0 where there is none.
+    """Number of members (n,) with positive weight in the cluster behind each object.
+
+    0 for an object without a cluster.
 
     labels, weights: of the members; fused: (c,) labels of the fused clusters; matched: (n,) rows of those, -1 for none
     """

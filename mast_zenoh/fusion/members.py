@@ -1,4 +1,4 @@
-"""The members of clusters, in an order that does not depend on how they came in."""
+"""The members of clusters, in an order that does not depend on their arrival."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.soundness import sound
+from mast_zenoh.tracking.covariance_repair import make_positive_definite
 from mast_zenoh.tracking.tracks import known_class
 
 
 @dataclass(frozen=True, slots=True)
 class Members:
-    """n members of c clusters, the members of a cluster next to each other.
+    """n members of c clusters; those of a cluster are adjacent.
 
     states: n rows; their covariances are positive definite
     weight: (n,) > 0, sums to 1 over a cluster
     start:  (c,) row of each cluster's first member
     cluster: (n,) 0 to c-1
-    label:  (c,) int64, what the cluster was called
+    label:  (c,) int64, labels of the clusters in the input
     """
 
     states: ObjectStates
@@ -34,7 +34,7 @@ class Members:
 
     @classmethod
     def of(cls, states: ObjectStates, labels: Ints, weights: Floats | None) -> Members:
-        """The members of positive weight of the clusters `labels` (n,); without weights all members alike."""
+        """The members of clusters `labels` (n,) with positive weight; default weight 1."""
         x, y, z = states.position.T
         order = row_order(x, labels, ties=(states.id, *states.velocity.T, z, y))
         if weights is None:
@@ -46,11 +46,11 @@ class Members:
         first = np.ones(len(label), bool)
         first[1:] = label[1:] != label[:-1]
         states = states.select(order)
-        states = states.with_(covariance=sound(states.covariance))
+        states = states.with_(covariance=make_positive_definite(states.covariance))
         return cls(states, weight, first.nonzero()[0], first.cumsum() - 1, label[first]).weighted(weight)
 
     def weighted(self, weight: Floats) -> Members:
-        """The same with other weights (n,), brought to a sum of 1 in each cluster."""
+        """The same members with other weights (n,), normalised in each cluster."""
         return Members(self.states, weight / self.sum(weight)[self.cluster], self.start, self.cluster, self.label)
 
     def sum(self, values: Floats) -> Floats:
@@ -60,11 +60,11 @@ class Members:
     def fused(self, mean: Floats, covariance: Floats) -> ObjectStates:
         """One row per cluster at `mean` (c, 9) with `covariance` (c, 9, 9).
 
-        Heading: weighted mean of the members' axes, in the sense of the greater weight. Class: by weight of votes.
-        Existence: that of the surest member, as members may share the evidence.
+        Heading: weighted mean of the members' axes, in the direction of the greater weight. Class: weighted majority.
+        Existence: the maximum over the members, as they may share the evidence.
         """
         s = self.states
-        yaw, class_id, score = agreement(s.yaw, s.class_id, s.score, self.weight, self.start)
+        yaw, class_id, score = fused_attributes(s.yaw, s.class_id, s.score, self.weight, self.start)
         return ObjectStates(
             id=self.label,
             position=mean[:, 0:3],
@@ -78,12 +78,15 @@ class Members:
 
 
 @kernel
-def agreement(
+def fused_attributes(
     yaw: Floats, class_id: NDArray[np.uint8], score: Floats, weight: Floats, start: Ints
 ) -> tuple[Floats, NDArray[np.uint8], Floats]:
-    """(c,) headings, classes and scores of clusters out of (n,) those of their members, as `Members.fused` says."""
+    """Headings, classes and scores (c,) of clusters from those (n,) of their members.
+
+    See `Members.fused`.
+    """
     n = len(yaw)
-    # Angles doubled, opposite headings fall together; beside them, the votes.
+    # Doubling the angles makes opposite headings equal; the other columns are class votes.
     terms = np.zeros((n, 2 + len(CLASSES)))
     double = 2.0 * yaw
     terms[:, 0], terms[:, 1] = np.cos(double), np.sin(double)
@@ -91,12 +94,12 @@ def agreement(
     terms *= weight[:, None]
     sums = np.add.reduceat(terms, start)
     axis = 0.5 * np.arctan2(sums[:, 1], sums[:, 0])
-    own = np.repeat(axis, np.diff(start, append=n))
-    sense = np.add.reduceat(weight * np.copysign(1.0, np.cos(yaw - own)), start)
-    heading = wrap_angle(axis + np.pi * (sense < 0.0))
+    cluster_axis = np.repeat(axis, np.diff(start, append=n))
+    direction = np.add.reduceat(weight * np.copysign(1.0, np.cos(yaw - cluster_axis)), start)
+    heading = wrap_angle(axis + np.pi * (direction < 0.0))
     return heading, sums[:, 2:].argmax(axis=1).astype(np.uint8), np.maximum.reduceat(score, start)
 
 
 def state_vectors(states: ObjectStates) -> Floats:
-    """(n, 9) [x y z l w h vx vy vz]."""
+    """State vectors (n, 9) [x y z l w h vx vy vz]."""
     return np.concatenate([states.position, states.size, states.velocity], axis=1)

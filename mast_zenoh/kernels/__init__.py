@@ -1,12 +1,12 @@
-"""Compiled twins of small functions that run for every message and every track, where a C compiler was at hand.
+"""Compiled versions of small functions that run for every message and track.
 
     @kernel
     def predict(tracks, dt, noise):
-        ...                             # NumPy: the reference, and what runs where nothing was compiled
+        ...                             # NumPy: the reference, used if there is no compiled version
 
-`predict` is then the function of that name in one of the `.pyx` files of this folder, if that was built from the
-sources as they are now. The environment variable MAST_KERNELS=numpy keeps it from being used, MAST_KERNELS=compiled
-refuses to go on without.
+`predict` is then the function of that name in one of the `.pyx` files of this folder, if it was compiled from the
+current sources. The environment variable MAST_KERNELS=numpy disables compiled kernels; MAST_KERNELS=compiled requires
+them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MODULES = ("attacks", "clusters", "columns", "frames", "matching", "pairs", "tra
 
 
 def _load() -> dict[str, Callable[..., Any]]:
-    """The compiled functions by name; none if any is missing or was built from other sources."""
+    """The compiled functions by name; empty if any is missing or outdated."""
     try:
         modules = [importlib.import_module(f"{__name__}.{name}") for name in MODULES]
     except ImportError:
@@ -42,14 +42,14 @@ if _WANTED not in ("", "numpy", "compiled"):
 COMPILED = _load()
 if _WANTED == "compiled" and not COMPILED:
     raise ConfigurationError("environment variable MAST_KERNELS: compiled kernels wanted, but none were built")
-#: "compiled" or "numpy": which ones are used.
+#: "compiled" or "numpy", whichever is in use.
 USED = "compiled" if COMPILED and _WANTED != "numpy" else "numpy"
 #: The references by name.
 REFERENCES: dict[str, Callable[..., Any]] = {}
 
 
 def kernel(reference: Function) -> Function:
-    """The compiled function of the name of `reference`, or `reference` itself."""
+    """The compiled function with the name of `reference`, or `reference` itself."""
     name = reference.__name__
     assert name not in REFERENCES, f"two kernels are called {name}"
     REFERENCES[name] = reference

@@ -1,15 +1,15 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Small symmetric matrices, by rows, with the least work: most of their numbers are zero."""
+"""Factorisation of small symmetric matrices, stored by rows; skips zeros, of which there are many."""
 
 from libc.math cimport floor
 from libc.string cimport memset
 
 cdef enum:
-    MOST = 9  # rows of the largest matrix
+    MAX_ROWS = 9  # of a matrix
 
 
 cdef inline void factorise(double* a, Py_ssize_t m) noexcept nogil:
-    """L D L' of `a` (m, m), symmetric, positive definite: L below the diagonal, D on it."""
+    """Factorise `a` (m, m), symmetric, positive definite, in place: L below the diagonal, D on it; a = L D L'."""
     cdef Py_ssize_t i, j, k
     cdef double scaled
     for k in range(m):
@@ -23,7 +23,7 @@ cdef inline void factorise(double* a, Py_ssize_t m) noexcept nogil:
 
 
 cdef inline void forward(const double* l, Py_ssize_t m, double* b, Py_ssize_t columns) noexcept nogil:
-    """L^-1 b in place of `b` (m, columns)."""
+    """Replace `b` (m, columns) by L^-1 b."""
     cdef Py_ssize_t i, k, c
     cdef double factor
     for i in range(m):
@@ -35,31 +35,31 @@ cdef inline void forward(const double* l, Py_ssize_t m, double* b, Py_ssize_t co
 
 
 cdef inline void invert(double* a, Py_ssize_t m, double* result) noexcept nogil:
-    """The inverse of `a` (m, m), symmetric, positive definite, into `result`; `a` is spoilt."""
-    cdef double[MOST * MOST] rows
+    """Write the inverse of `a` (m, m), symmetric, positive definite, to `result`; overwrites `a`."""
+    cdef double[MAX_ROWS * MAX_ROWS] inverse_l
     cdef Py_ssize_t i, j, k
     cdef double factor
     factorise(a, m)
-    memset(rows, 0, sizeof(rows))
+    memset(inverse_l, 0, sizeof(inverse_l))
     memset(result, 0, m * m * sizeof(double))
     for i in range(m):
-        rows[i * m + i] = 1.0
-    forward(a, m, rows, m)
+        inverse_l[i * m + i] = 1.0
+    forward(a, m, inverse_l, m)
     # (L D L')^-1 = R' D^-1 R with R = L^-1, which is lower triangular.
     for k in range(m):
         for i in range(k + 1):
-            factor = rows[k * m + i]
+            factor = inverse_l[k * m + i]
             if factor != 0.0:
                 factor /= a[k * m + k]
                 for j in range(i + 1):
-                    result[i * m + j] += factor * rows[k * m + j]
+                    result[i * m + j] += factor * inverse_l[k * m + j]
     for i in range(m):
         for j in range(i):
             result[j * m + i] = result[i * m + j]
 
 
-cdef inline double wrapped(double angle) noexcept nogil:
-    """An angle in [-pi, pi), as `geometry.wrap_angle` has it."""
+cdef inline double wrap_angle(double angle) noexcept nogil:
+    """Wrap an angle to [-pi, pi), as `geometry.wrap_angle`."""
     cdef double pi = 3.141592653589793
     angle += pi
     return angle - 2.0 * pi * floor(angle / (2.0 * pi)) - pi

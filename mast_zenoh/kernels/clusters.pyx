@@ -1,15 +1,18 @@
 # cython: language_level=3, cdivision=True
-"""Clustering and fusion at the command centre. The references say what each function does.
+"""Kernels of clustering and fusion at the command centre. The NumPy references document them.
 
-The members of a cluster lie next to each other; `start` (c,) is the row of each cluster's first one.
+The members of a cluster are adjacent; `start` (c,) is the first row of each cluster.
 """
 
 cimport numpy as np
 from libc.math cimport atan2, copysign, cos, fmax, sin, sqrt
 from libc.string cimport memcpy, memset
 
-from mast_zenoh.kernels.algebra cimport MOST, factorise, invert, wrapped
-from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, squares, table, whole, writable, zeros
+from mast_zenoh.kernels.algebra cimport MAX_ROWS, factorise, invert, wrap_angle
+from mast_zenoh.kernels.arrays cimport (
+    byte_data, contiguous, empty_matrices, empty_matrix, empty_vector, float_data, int_data, length, writable_data,
+    zero_vector,
+)
 from mast_zenoh.kernels.table cimport N_CLASSES, SOURCE_DIGEST
 
 np.import_array()
@@ -18,56 +21,56 @@ DIGEST = SOURCE_DIGEST.decode()
 cdef double PI = 3.141592653589793
 
 
-def symmetrised(covariance, double least, double most):
-    covariance = whole(covariance)
-    cdef const double* given = floats(covariance, 3)
+def symmetrise(covariance, double min_variance, double max_variance):
+    covariance = contiguous(covariance)
+    cdef const double* matrix = float_data(covariance, 3)
     cdef Py_ssize_t r, i, j, k = length(covariance, 1)
-    cdef double[MOST * MOST] shifted
-    cdef bint fit = True
-    if k > MOST:
-        raise ValueError(f"covariance: found {k} rows, expected at most {MOST}")
-    result = squares(length(covariance), k)
-    cdef double* out = writable(result, 3)
+    cdef double[MAX_ROWS * MAX_ROWS] shifted
+    cdef bint valid = True
+    if k > MAX_ROWS:
+        raise ValueError(f"covariance: found {k} rows, expected at max_variance {MAX_ROWS}")
+    result = empty_matrices(length(covariance), k)
+    cdef double* out = writable_data(result, 3)
     for r in range(length(covariance)):
         for i in range(k):
             for j in range(i + 1):
-                out[k * i + j] = out[k * j + i] = 0.5 * (given[k * i + j] + given[k * j + i])
-            fit = fit and out[k * i + i] <= most
-        if fit:
+                out[k * i + j] = out[k * j + i] = 0.5 * (matrix[k * i + j] + matrix[k * j + i])
+            valid = valid and out[k * i + i] <= max_variance
+        if valid:
             memcpy(shifted, out, k * k * sizeof(double))
             for i in range(k):
-                shifted[i * k + i] -= 0.5 * least
+                shifted[i * k + i] -= 0.5 * min_variance
             factorise(shifted, k)
             for i in range(k):
-                fit = fit and shifted[i * k + i] > 0.0
-        given, out = given + k * k, out + k * k
-    return result, fit
+                valid = valid and shifted[i * k + i] > 0.0
+        matrix, out = matrix + k * k, out + k * k
+    return result, valid
 
 
-def intersection(covariance, state, weight, start):
-    covariance = whole(covariance)
-    cdef const double* given = floats(covariance, 3)
-    cdef const double* vector = floats(state, 2)
-    cdef const double* share = floats(weight, 1)
-    cdef const np.int64_t* first = ints(start)
+def covariance_intersection(covariance, state, weight, start):
+    covariance = contiguous(covariance)
+    cdef const double* matrix = float_data(covariance, 3)
+    cdef const double* vector = float_data(state, 2)
+    cdef const double* share = float_data(weight, 1)
+    cdef const np.int64_t* first = int_data(start)
     cdef Py_ssize_t c, r, i, j, end, n = length(covariance), count = length(start)
-    cdef double[81] own, information, inverse
+    cdef double[81] member, information, inverse
     cdef double[9] total
-    means, covariances = table(count, 9), squares(count, 9)
-    cdef double* mean = writable(means, 2)
-    cdef double* fused = writable(covariances, 3)
+    means, covariances = empty_matrix(count, 9), empty_matrices(count, 9)
+    cdef double* mean = writable_data(means, 2)
+    cdef double* fused = writable_data(covariances, 3)
     for c in range(count):
         memset(information, 0, sizeof(information))
         memset(total, 0, sizeof(total))
         end = first[c + 1] if c + 1 < count else n
         for r in range(first[c], end):
-            memcpy(own, given + 81 * r, sizeof(own))
-            invert(own, 9, inverse)
+            memcpy(member, matrix + 81 * r, sizeof(member))
+            invert(member, 9, inverse)
             for i in range(9):
                 for j in range(9):
-                    own[9 * i + j] = share[r] * inverse[9 * i + j]
-                    information[9 * i + j] += own[9 * i + j]
-                    total[i] += own[9 * i + j] * vector[9 * r + j]
+                    member[9 * i + j] = share[r] * inverse[9 * i + j]
+                    information[9 * i + j] += member[9 * i + j]
+                    total[i] += member[9 * i + j] * vector[9 * r + j]
         invert(information, 9, fused)
         for i in range(9):
             mean[i] = 0.0
@@ -77,36 +80,36 @@ def intersection(covariance, state, weight, start):
     return means, covariances
 
 
-def agreement(yaw, class_id, score, weight, start):
-    cdef const double* heading = floats(yaw, 1)
-    cdef const np.uint8_t* class_of = octets(class_id)
-    cdef const double* sure = floats(score, 1)
-    cdef const double* share = floats(weight, 1)
-    cdef const np.int64_t* first = ints(start)
+def fused_attributes(yaw, class_id, score, weight, start):
+    cdef const double* heading = float_data(yaw, 1)
+    cdef const np.uint8_t* class_of = byte_data(class_id)
+    cdef const double* member_score = float_data(score, 1)
+    cdef const double* share = float_data(weight, 1)
+    cdef const np.int64_t* first = int_data(start)
     cdef Py_ssize_t c, r, k, end, best, n = length(yaw), count = length(start)
-    cdef double x, y, axis, sense
+    cdef double x, y, axis, direction
     cdef double[N_CLASSES] votes
-    yaws, classes, scores = made(np.NPY_DOUBLE, count), made(np.NPY_UINT8, count), made(np.NPY_DOUBLE, count)
-    cdef double* agreed = writable(yaws, 1)
-    cdef double* highest = writable(scores, 1)
-    cdef np.uint8_t* chosen = octets(classes)
+    yaws, classes, scores = empty_vector(np.NPY_DOUBLE, count), empty_vector(np.NPY_UINT8, count), empty_vector(np.NPY_DOUBLE, count)
+    cdef double* fused_yaw = writable_data(yaws, 1)
+    cdef double* fused_score = writable_data(scores, 1)
+    cdef np.uint8_t* fused_class = byte_data(classes)
     for c in range(count):
         end = first[c + 1] if c + 1 < count else n
         memset(votes, 0, sizeof(votes))
-        x = y = sense = 0.0
-        highest[c] = sure[first[c]]
+        x = y = direction = 0.0
+        fused_score[c] = member_score[first[c]]
         for r in range(first[c], end):
             x += share[r] * cos(2.0 * heading[r])
             y += share[r] * sin(2.0 * heading[r])
             votes[class_of[r] if class_of[r] < N_CLASSES else 0] += share[r]
-            highest[c] = fmax(highest[c], sure[r])
+            fused_score[c] = fmax(fused_score[c], member_score[r])
         axis = 0.5 * atan2(y, x)
         for r in range(first[c], end):
-            sense += share[r] * copysign(1.0, cos(heading[r] - axis))
-        agreed[c] = wrapped(axis + PI if sense < 0.0 else axis)
+            direction += share[r] * copysign(1.0, cos(heading[r] - axis))
+        fused_yaw[c] = wrap_angle(axis + PI if direction < 0.0 else axis)
         best = 0
         for k in range(1, N_CLASSES):
             if votes[k] > votes[best]:
                 best = k
-        chosen[c] = best
+        fused_class[c] = best
     return yaws, classes, scores

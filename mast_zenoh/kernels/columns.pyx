@@ -1,5 +1,5 @@
 # cython: language_level=3, cdivision=True
-"""Checks of the columns of messages. The references, in `messages.layout`, say what each function does."""
+"""Kernels that check the columns of messages. The NumPy references in `messages.layout` document them."""
 
 cimport numpy as np
 from libc.math cimport INFINITY
@@ -12,7 +12,7 @@ DIGEST = SOURCE_DIGEST.decode()
 cdef double sum_of_squares(const double* values, Py_ssize_t n) noexcept nogil:
     cdef double a = 0.0, b = 0.0, c = 0.0, d = 0.0
     cdef Py_ssize_t k = 0
-    while k + 4 <= n:  # four sums, none of which has to wait for another
+    while k + 4 <= n:  # four independent sums, which the processor computes in parallel
         a += values[k] * values[k]
         b += values[k + 1] * values[k + 1]
         c += values[k + 2] * values[k + 2]
@@ -25,7 +25,7 @@ cdef double sum_of_squares(const double* values, Py_ssize_t n) noexcept nogil:
 
 
 cdef np.ndarray read_only(object owner, void* data, int axes, np.npy_intp* shape, int kind):
-    """An array of the numbers at `data`, which belong to `owner`."""
+    """A read-only array over the data of `owner`."""
     cdef np.ndarray array = np.PyArray_SimpleNewFromData(axes, shape, kind, data)
     np.set_array_base(array, owner)
     np.PyArray_CLEARFLAGS(array, np.NPY_ARRAY_WRITEABLE)
@@ -38,13 +38,13 @@ def exact_columns(body, tuple names, tuple dtypes, tuple shapes):
     cdef dict columns = {}
     cdef Py_ssize_t column, axis, axes
     for column in range(len(names)):
-        found = body.get(names[column])
-        if not np.PyArray_CheckExact(found):
+        value = body.get(names[column])
+        if not np.PyArray_CheckExact(value):
             return None
-        array, sizes, dtype = found, shapes[column], dtypes[column]
+        array, sizes, dtype = value, shapes[column], dtypes[column]
         axes = len(sizes)
-        own = array.dtype
-        if np.PyArray_NDIM(array) != axes or (own is not dtype and own != dtype):
+        array_dtype = array.dtype
+        if np.PyArray_NDIM(array) != axes or (array_dtype is not dtype and array_dtype != dtype):
             return None
         for axis in range(axes):
             if np.PyArray_DIM(array, axis) != <Py_ssize_t>sizes[axis]:
@@ -62,7 +62,7 @@ def exact_columns(body, tuple names, tuple dtypes, tuple shapes):
 
 def sound_values(dict columns, tuple names, tuple limits):
     cdef np.ndarray array
-    cdef double squares = 0.0, own, limit
+    cdef double squares = 0.0, column_squares, limit
     cdef Py_ssize_t column, k
     cdef int kind
     cdef np.uint8_t highest
@@ -75,9 +75,9 @@ def sound_values(dict columns, tuple names, tuple limits):
                 if not isinstance(text, str) or len(<str>text) > limit:
                     return INFINITY
         elif kind == np.NPY_DOUBLE:
-            own = sum_of_squares(<const double*>np.PyArray_DATA(array), np.PyArray_SIZE(array))
-            squares += own
-            if own < limit:
+            column_squares = sum_of_squares(<const double*>np.PyArray_DATA(array), np.PyArray_SIZE(array))
+            squares += column_squares
+            if column_squares < limit:
                 return INFINITY
         elif kind == np.NPY_UINT8:
             highest, octets = 0, <const np.uint8_t*>np.PyArray_DATA(array)

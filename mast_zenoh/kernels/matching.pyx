@@ -1,21 +1,23 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""The one-to-one choice of least total cost. The reference says what the function does."""
+"""Kernel of minimum-cost one-to-one matching. The NumPy reference documents it."""
 
 cimport numpy as np
 from libc.math cimport INFINITY, isfinite
 
-from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, writable, zeros
+from mast_zenoh.kernels.arrays cimport (
+    byte_data, empty_vector, float_data, int_data, length, writable_data, zero_vector,
+)
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST
 
 np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
 
 
-cdef inline np.int64_t root_of(np.int64_t* above, np.int64_t node) noexcept nogil:
-    """The first node of its island; ways there are shortened."""
-    while above[node] != node:
-        above[node] = above[above[node]]
-        node = above[node]
+cdef inline np.int64_t root_of(np.int64_t* parent, np.int64_t node) noexcept nogil:
+    """The root of the node's component (union-find with path compression)."""
+    while parent[node] != node:
+        parent[node] = parent[parent[node]]
+        node = parent[node]
     return node
 
 
@@ -23,12 +25,12 @@ cdef void solve(
     const double* cost, Py_ssize_t n, Py_ssize_t m, np.int64_t* partner, np.int64_t* of_row, np.int64_t* before,
     np.int64_t* open_columns, double* u, double* v, double* shortest, np.uint8_t* reached,
 ) noexcept nogil:
-    """`partner` (m,): the row of each column or -1, in the complete choice of least total cost (n, m), n <= m.
+    """Complete matching of minimum total cost (n, m), n <= m: `partner` (m,) is the row of each column, or -1.
 
-    Room for of_row (n,), before, open_columns (m,), u (n,), v, shortest (m,), reached (m,) numbers is lent.
+    The caller provides the work arrays of_row (n,), before, open_columns (m,), u (n,), v, shortest (m,), reached (m,).
     """
     cdef Py_ssize_t row, column, new, k, nearest, left
-    cdef double lowest, way
+    cdef double lowest, path_cost
     for row in range(n):
         u[row] = 0.0
         of_row[row] = -1
@@ -36,21 +38,21 @@ cdef void solve(
         v[column] = 0.0
         partner[column] = -1
     for new in range(n):
-        # The cheapest way from the new row to a free column, along which pairs change partners (Dijkstra).
+        # The shortest augmenting path from the new row to a free column (Dijkstra).
         for column in range(m):
             shortest[column] = INFINITY
             reached[column] = 0
             open_columns[column] = m - 1 - column
         left, lowest, row = m, 0.0, new
         while True:
-            way = lowest - u[row]
+            path_cost = lowest - u[row]
             lowest, nearest = INFINITY, 0
             for k in range(left):
                 column = open_columns[k]
-                if way + cost[row * m + column] - v[column] < shortest[column]:
-                    shortest[column] = way + cost[row * m + column] - v[column]
+                if path_cost + cost[row * m + column] - v[column] < shortest[column]:
+                    shortest[column] = path_cost + cost[row * m + column] - v[column]
                     before[column] = row
-                # Of columns that are as near, a free one ends the search.
+                # Among equally near columns, a free one ends the search.
                 if shortest[column] < lowest or (shortest[column] == lowest and partner[column] < 0):
                     lowest, nearest = shortest[column], k
             column = open_columns[nearest]
@@ -60,7 +62,7 @@ cdef void solve(
             if partner[column] < 0:
                 break
             row = partner[column]
-        # What has been reached is as cheap to reach as the end of the way.
+        # Update the dual variables of the reached rows and columns.
         u[new] += lowest
         for k in range(m):
             if reached[k]:
@@ -76,64 +78,64 @@ cdef void solve(
                 break
 
 
-def cheapest(row, column, cost):
-    cdef const np.int64_t* of_row = ints(row)
-    cdef const np.int64_t* of_column = ints(column)
-    cdef const double* costs = floats(cost, 1)
-    cdef Py_ssize_t p, q, k, n, m, most = 0, broadest = 0, widest = 0, count = length(row)
+def min_cost_matching(row, column, cost):
+    cdef const np.int64_t* of_row = int_data(row)
+    cdef const np.int64_t* of_column = int_data(column)
+    cdef const double* costs = float_data(cost, 1)
+    cdef Py_ssize_t p, q, k, n, m, largest_table = 0, max_rows = 0, max_columns = 0, count = length(row)
     cdef np.int64_t rows = 0, nodes = 0, a, b
     for p in range(count):
         if not isfinite(costs[p]):
             raise ValueError("cost: found one that is not finite")
         rows, nodes = max(rows, of_row[p] + 1), max(nodes, of_column[p] + 1)
     nodes += rows
-    result = zeros(np.NPY_BOOL, count)
-    cdef np.uint8_t* chosen = octets(result)
-    # Rows, and after them columns, are nodes; an island is named after its first node.
-    ways, present = made(np.NPY_INT64, nodes), zeros(np.NPY_UINT8, nodes)
-    numbers, ends = made(np.NPY_INT64, nodes), zeros(np.NPY_INT64, nodes + 1)
-    of_rows, of_columns = zeros(np.NPY_INT64, nodes), zeros(np.NPY_INT64, nodes)
-    by_island = made(np.NPY_INT64, count)
-    cdef np.int64_t* above = ints(ways)
-    cdef np.uint8_t* there = octets(present)
-    cdef np.int64_t* local = ints(numbers)
-    cdef np.int64_t* end = ints(ends)
-    cdef np.int64_t* n_rows = ints(of_rows)
-    cdef np.int64_t* n_columns = ints(of_columns)
-    cdef np.int64_t* pair = ints(by_island)
+    result = zero_vector(np.NPY_BOOL, count)
+    cdef np.uint8_t* chosen = byte_data(result)
+    # Nodes are rows, then columns; a component is identified by its root.
+    parents, present = empty_vector(np.NPY_INT64, nodes), zero_vector(np.NPY_UINT8, nodes)
+    local_indices, ends = empty_vector(np.NPY_INT64, nodes), zero_vector(np.NPY_INT64, nodes + 1)
+    of_rows, of_columns = zero_vector(np.NPY_INT64, nodes), zero_vector(np.NPY_INT64, nodes)
+    by_component = empty_vector(np.NPY_INT64, count)
+    cdef np.int64_t* parent = int_data(parents)
+    cdef np.uint8_t* used = byte_data(present)
+    cdef np.int64_t* local = int_data(local_indices)
+    cdef np.int64_t* end = int_data(ends)
+    cdef np.int64_t* n_rows = int_data(of_rows)
+    cdef np.int64_t* n_columns = int_data(of_columns)
+    cdef np.int64_t* pair = int_data(by_component)
     for a in range(nodes):
-        above[a] = a
+        parent[a] = a
     for p in range(count):
-        a, b = root_of(above, of_row[p]), root_of(above, rows + of_column[p])
-        above[max(a, b)] = min(a, b)
-        there[of_row[p]] = there[rows + of_column[p]] = 1
+        a, b = root_of(parent, of_row[p]), root_of(parent, rows + of_column[p])
+        parent[max(a, b)] = min(a, b)
+        used[of_row[p]] = used[rows + of_column[p]] = 1
     for a in range(nodes):
-        if there[a]:
-            b = root_of(above, a)
+        if used[a]:
+            b = root_of(parent, a)
             if a < rows:
                 local[a] = n_rows[b]
                 n_rows[b] += 1
             else:
                 local[a] = n_columns[b]
                 n_columns[b] += 1
-    # Pairs by island: after this loop and the next, end[a] is where those of island a end.
+    # Pairs by component: after this loop and the next, end[a] is the end of those of component a.
     for p in range(count):
-        end[root_of(above, of_row[p]) + 1] += 1
+        end[root_of(parent, of_row[p]) + 1] += 1
     for a in range(nodes):
         end[a + 1] += end[a]
-        most = max(most, n_rows[a] * n_columns[a])
-        broadest, widest = max(broadest, min(n_rows[a], n_columns[a])), max(widest, max(n_rows[a], n_columns[a]))
+        largest_table = max(largest_table, n_rows[a] * n_columns[a])
+        max_rows, max_columns = max(max_rows, min(n_rows[a], n_columns[a])), max(max_columns, max(n_rows[a], n_columns[a]))
     for p in range(count):
-        a = root_of(above, of_row[p])
+        a = root_of(parent, of_row[p])
         pair[end[a]] = p
         end[a] += 1
-    table = zeros(np.NPY_DOUBLE, most)
-    partners, columns = made(np.NPY_INT64, widest), made(np.NPY_INT64, broadest)
-    ways_back, still_open = made(np.NPY_INT64, widest), made(np.NPY_INT64, widest)
-    prices, values = made(np.NPY_DOUBLE, broadest), made(np.NPY_DOUBLE, widest)
-    distances, visited = made(np.NPY_DOUBLE, widest), made(np.NPY_UINT8, widest)
-    cdef double* square = writable(table, 1)
-    cdef np.int64_t* partner = ints(partners)
+    table = zero_vector(np.NPY_DOUBLE, largest_table)
+    partners, columns = empty_vector(np.NPY_INT64, max_columns), empty_vector(np.NPY_INT64, max_rows)
+    predecessors, still_open = empty_vector(np.NPY_INT64, max_columns), empty_vector(np.NPY_INT64, max_columns)
+    row_duals, column_duals = empty_vector(np.NPY_DOUBLE, max_rows), empty_vector(np.NPY_DOUBLE, max_columns)
+    distances, visited = empty_vector(np.NPY_DOUBLE, max_columns), empty_vector(np.NPY_UINT8, max_columns)
+    cdef double* square = writable_data(table, 1)
+    cdef np.int64_t* partner = int_data(partners)
     p = 0
     for a in range(rows):
         n, m = n_rows[a], n_columns[a]
@@ -143,13 +145,13 @@ def cheapest(row, column, cost):
             chosen[pair[p]] = 1
             p += 1
             continue
-        # The smaller side stands in the rows.
+        # The smaller side becomes the rows.
         for q in range(p, end[a]):
             k, b = local[of_row[pair[q]]], local[rows + of_column[pair[q]]]
             square[k * m + b if n <= m else b * n + k] = costs[pair[q]]
         solve(
-            square, min(n, m), max(n, m), partner, ints(columns), ints(ways_back), ints(still_open),
-            writable(prices, 1), writable(values, 1), writable(distances, 1), octets(visited),
+            square, min(n, m), max(n, m), partner, int_data(columns), int_data(predecessors), int_data(still_open),
+            writable_data(row_duals, 1), writable_data(column_duals, 1), writable_data(distances, 1), byte_data(visited),
         )
         for q in range(p, end[a]):
             k, b = local[of_row[pair[q]]], local[rows + of_column[pair[q]]]

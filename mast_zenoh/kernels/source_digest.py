@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def digest() -> str:
-    """Of the sources beside this file, 16 hexadecimal digits; the build puts it into what it compiles."""
+    """Digest of the kernels' sources, 16 hexadecimal digits; compiled into them."""
     folder = Path(__file__).parent
     result = hashlib.blake2b(digest_size=8)
     for path in sorted([*folder.glob("*.p[yx][xd]"), folder / "table_columns.py"]):

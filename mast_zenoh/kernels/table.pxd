@@ -1,5 +1,5 @@
 # cython: language_level=3
-"""What the build hands to the C compiler: the columns of `table_columns.py`, and what the kernels were made from."""
+"""Constants that the build passes to the C compiler: those of `table_columns.py`, and the digest of the sources."""
 
 cdef extern from *:
     """

@@ -1,12 +1,14 @@
 # cython: language_level=3, cdivision=True
-"""A table of tracks: prediction, correction, evidence. The references say what each function does."""
+"""Kernels on the table of tracks: prediction, correction, existence. The NumPy references document them."""
 
 cimport numpy as np
 from libc.math cimport cos, exp, fabs, fmax, fmin, rint, sin, sqrt
 from libc.string cimport memcpy, memset
 
-from mast_zenoh.kernels.algebra cimport factorise, forward, wrapped
-from mast_zenoh.kernels.arrays cimport floats, ints, length, made, octets, squares, table, whole, writable
+from mast_zenoh.kernels.algebra cimport factorise, forward, wrap_angle
+from mast_zenoh.kernels.arrays cimport (
+    byte_data, contiguous, empty_matrices, empty_matrix, empty_vector, float_data, int_data, length, writable_data,
+)
 from mast_zenoh.kernels.table cimport (
     SOURCE_DIGEST, P, XX, XY, YY, YAW, YAW_VARIANCE, TURN, LATERAL_RESIDUAL, ODDS, HITS, MISSES, VOTES, N_CLASSES,
     CLASS, CONFIRMED, AGE, ID, ROW, WIDTH,
@@ -19,8 +21,8 @@ cdef double PI = 3.141592653589793
 
 
 def predict(t, double dt, noise):
-    cdef double* row = writable(t, 2)
-    cdef const double* by_class = floats(noise, 3)
+    cdef double* row = writable_data(t, 2)
+    cdef const double* by_class = float_data(noise, 3)
     cdef const double* added
     cdef Py_ssize_t r, i, k
     for r in range(length(t)):
@@ -38,19 +40,19 @@ def predict(t, double dt, noise):
 
 
 def correct(t, measured, noise):
-    cdef double* row = writable(t, 2)
-    cdef const double* found = floats(measured, 2)
-    cdef const double* own = floats(noise, 3)
+    cdef double* row = writable_data(t, 2)
+    cdef const double* measurement = float_data(measured, 2)
+    cdef const double* measurement_noise = float_data(noise, 3)
     cdef Py_ssize_t m = length(measured, 1)
     cdef Py_ssize_t r, i, j, k
     cdef double[81] total
-    cdef double[90] columns  # of what was measured: innovation, and covariance with the state
+    cdef double[90] columns  # per measured component: innovation, and covariance with the state
     cdef double factor
     for r in range(length(t)):
         for i in range(m):
             for j in range(m):
-                total[i * m + j] = row[P + 9 * i + j] + own[i * m + j]
-            columns[10 * i] = found[i] - row[i]
+                total[i * m + j] = row[P + 9 * i + j] + measurement_noise[i * m + j]
+            columns[10 * i] = measurement[i] - row[i]
             memcpy(&columns[10 * i + 1], &row[P + 9 * i], 9 * sizeof(double))
         factorise(total, m)
         forward(total, m, columns, 10)
@@ -65,13 +67,13 @@ def correct(t, measured, noise):
         for j in range(9):
             for k in range(j):
                 row[P + 9 * k + j] = row[P + 9 * j + k]
-        row, found, own = row + WIDTH, found + m, own + m * m
+        row, measurement, measurement_noise = row + WIDTH, measurement + m, measurement_noise + m * m
 
 
 def correct_speed(t, direction, noise):
-    cdef double* row = writable(t, 2)
-    cdef const double* along = floats(direction, 2)
-    cdef const double* own = floats(noise, 1)
+    cdef double* row = writable_data(t, 2)
+    cdef const double* along = float_data(direction, 2)
+    cdef const double* measurement_noise = float_data(noise, 1)
     cdef Py_ssize_t r, i, j
     cdef double[9] cross
     cdef double x, y, variance, speed
@@ -79,7 +81,7 @@ def correct_speed(t, direction, noise):
         x, y = along[2 * r], along[2 * r + 1]
         for i in range(9):
             cross[i] = row[P + 9 * i + 6] * x + row[P + 9 * i + 7] * y
-        variance = 1.0 / (cross[6] * x + cross[7] * y + own[r])
+        variance = 1.0 / (cross[6] * x + cross[7] * y + measurement_noise[r])
         speed = (row[6] * x + row[7] * y) * variance
         for i in range(9):
             row[i] -= cross[i] * speed
@@ -90,8 +92,8 @@ def correct_speed(t, direction, noise):
 
 
 def correct_heading(t, yaw, double variance):
-    cdef double* row = writable(t, 2)
-    cdef const double* measured = floats(yaw, 1)
+    cdef double* row = writable_data(t, 2)
+    cdef const double* measured = float_data(yaw, 1)
     cdef Py_ssize_t r
     cdef double innovation, half_turns, gain
     for r in range(length(t)):
@@ -104,8 +106,8 @@ def correct_heading(t, yaw, double variance):
         row += WIDTH
 
 
-def settle_sense(t, double forward, double limit):
-    cdef double* row = writable(t, 2)
+def resolve_heading_direction(t, double forward, double limit):
+    cdef double* row = writable_data(t, 2)
     cdef Py_ssize_t r
     cdef double along
     for r in range(length(t)):
@@ -120,29 +122,29 @@ def settle_sense(t, double forward, double limit):
         row += WIDTH
 
 
-def across(t, surprise, free, double slip, double share, double s):
-    cdef double* row = writable(t, 2)
-    cdef const double* off = floats(surprise, 2)
-    cdef const double* by_class = floats(free, 1)
+def lateral_constraint(t, innovation, free, double slip, double share, double time_s):
+    cdef double* row = writable_data(t, 2)
+    cdef const double* offset = float_data(innovation, 2)
+    cdef const double* by_class = float_data(free, 1)
     cdef Py_ssize_t r, n = length(t)
     cdef double c, d, squared
-    directions, variances = table(n, 2), made(np.NPY_DOUBLE, n)
-    cdef double* direction = writable(directions, 2)
-    cdef double* variance = writable(variances, 1)
+    directions, variances = empty_matrix(n, 2), empty_vector(np.NPY_DOUBLE, n)
+    cdef double* direction = writable_data(directions, 2)
+    cdef double* variance = writable_data(variances, 1)
     for r in range(n):
         c, d = cos(row[YAW]), sin(row[YAW])
-        row[LATERAL_RESIDUAL] += share * (off[2 * r + 1] * c - off[2 * r] * d - row[LATERAL_RESIDUAL])
+        row[LATERAL_RESIDUAL] += share * (offset[2 * r + 1] * c - offset[2 * r] * d - row[LATERAL_RESIDUAL])
         squared = row[6] * row[6] + row[7] * row[7]
-        variance[r] = slip * slip + (row[LATERAL_RESIDUAL] / s) ** 2 + squared * row[YAW_VARIANCE]
+        variance[r] = slip * slip + (row[LATERAL_RESIDUAL] / time_s) ** 2 + squared * row[YAW_VARIANCE]
         variance[r] += by_class[<Py_ssize_t>row[CLASS]]
         direction[2 * r], direction[2 * r + 1] = -d, c
         row += WIDTH
     return directions, variances
 
 
-def vote(t, class_id):
-    cdef double* row = writable(t, 2)
-    cdef const np.int64_t* seen = ints(class_id)
+def update_class(t, class_id):
+    cdef double* row = writable_data(t, 2)
+    cdef const np.int64_t* seen = int_data(class_id)
     cdef Py_ssize_t r, k, best
     for r in range(length(t)):
         row[VOTES + seen[r]] += 1.0
@@ -154,85 +156,85 @@ def vote(t, class_id):
         row += WIDTH
 
 
-def survive(t, double dt, double lifetime_s, double memory_s):
-    cdef double* row = writable(t, 2)
+def predict_existence(t, double dt, double lifetime_s, double memory_s):
+    cdef double* row = writable_data(t, 2)
     cdef Py_ssize_t r, k
-    cdef double leaves = exp(dt / lifetime_s), fades = exp(-dt / memory_s)
+    cdef double growth = exp(dt / lifetime_s), decay = exp(-dt / memory_s)
     for r in range(length(t)):
-        row[ODDS] /= leaves + (leaves - 1.0) * row[ODDS]
+        row[ODDS] /= growth + (growth - 1.0) * row[ODDS]
         for k in range(HITS, VOTES + N_CLASSES):
-            row[k] *= fades
+            row[k] *= decay
         row += WIDTH
 
 
-def hit(t, detected, log_ratio, double most):
-    cdef double* row = writable(t, 2)
-    cdef const double* p = floats(detected, 1)
-    cdef const double* log_of = floats(log_ratio, 1)
+def update_detected(t, detected, log_ratio, double max_odds):
+    cdef double* row = writable_data(t, 2)
+    cdef const double* p = float_data(detected, 1)
+    cdef const double* log_of = float_data(log_ratio, 1)
     cdef Py_ssize_t r
     for r in range(length(t)):
-        row[ODDS] = fmin(row[ODDS] * (p[r] * exp(log_of[r]) + (1.0 - p[r])), most)
+        row[ODDS] = fmin(row[ODDS] * (p[r] * exp(log_of[r]) + (1.0 - p[r])), max_odds)
         row[HITS] += 1.0
         row += WIDTH
 
 
-def miss(t, detected, expected, double birth):
-    cdef double* row = writable(t, 2)
-    cdef const double* p = floats(detected, 1)
-    cdef const double* share = floats(expected, 1)
+def update_missed(t, detected, visible, double birth):
+    cdef double* row = writable_data(t, 2)
+    cdef const double* p = float_data(detected, 1)
+    cdef const double* fraction = float_data(visible, 1)
     cdef Py_ssize_t r
     for r in range(length(t)):
-        row[ODDS] = fmax(row[ODDS] * (1.0 - p[r] * share[r]), birth * row[CONFIRMED])
-        row[MISSES] += share[r]
+        row[ODDS] = fmax(row[ODDS] * (1.0 - p[r] * fraction[r]), birth * row[CONFIRMED])
+        row[MISSES] += fraction[r]
         row += WIDTH
 
 
 def to_columns(t):
-    cdef const double* row = floats(t, 2)
+    cdef const double* row = float_data(t, 2)
     cdef Py_ssize_t r, n = length(t)
-    ids, positions, velocities = made(np.NPY_INT64, n), table(n, 3), table(n, 3)
-    sizes, yaws, covariances = table(n, 3), made(np.NPY_DOUBLE, n), squares(n, 9)
-    scores, classes = made(np.NPY_DOUBLE, n), made(np.NPY_UINT8, n)
-    cdef np.int64_t* id = ints(ids)
-    cdef double* position = writable(positions, 2)
-    cdef double* velocity = writable(velocities, 2)
-    cdef double* size = writable(sizes, 2)
-    cdef double* yaw = writable(yaws, 1)
-    cdef double* covariance = writable(covariances, 3)
-    cdef double* score = writable(scores, 1)
-    cdef np.uint8_t* class_id = octets(classes)
+    ids, positions, velocities = empty_vector(np.NPY_INT64, n), empty_matrix(n, 3), empty_matrix(n, 3)
+    sizes, yaws, covariances = empty_matrix(n, 3), empty_vector(np.NPY_DOUBLE, n), empty_matrices(n, 9)
+    scores, classes = empty_vector(np.NPY_DOUBLE, n), empty_vector(np.NPY_UINT8, n)
+    cdef np.int64_t* id = int_data(ids)
+    cdef double* position = writable_data(positions, 2)
+    cdef double* velocity = writable_data(velocities, 2)
+    cdef double* size = writable_data(sizes, 2)
+    cdef double* yaw = writable_data(yaws, 1)
+    cdef double* covariance = writable_data(covariances, 3)
+    cdef double* score = writable_data(scores, 1)
+    cdef np.uint8_t* class_id = byte_data(classes)
     for r in range(n):
         id[r] = <np.int64_t>row[ID]
         memcpy(position + 3 * r, row, 3 * sizeof(double))
         memcpy(size + 3 * r, row + 3, 3 * sizeof(double))
         memcpy(velocity + 3 * r, row + 6, 3 * sizeof(double))
         memcpy(covariance + 81 * r, row + P, 81 * sizeof(double))
-        yaw[r] = wrapped(row[YAW])
+        yaw[r] = wrap_angle(row[YAW])
         score[r] = row[ODDS] / (1.0 + row[ODDS])
         class_id[r] = <np.uint8_t>row[CLASS]
         row += WIDTH
     return ids, positions, velocities, sizes, yaws, covariances, scores, classes
 
 
-def kept(
-    t, double confirm, double report, double doubtful, double max_age, double lost, double max_speed,
+def track_status(
+    t, double confirm, double report, double drop, double max_age, double lost_variance, double max_speed,
     double max_variance,
 ):
-    cdef double* row = writable(t, 2)
+    cdef double* row = writable_data(t, 2)
     cdef Py_ssize_t r, n = length(t)
     cdef double variance, speed
-    keeps, reports = made(np.NPY_BOOL, n), made(np.NPY_BOOL, n)
-    cdef np.uint8_t* keep = octets(keeps)
-    cdef np.uint8_t* tell = octets(reports)
+    keep_mask, report_mask = empty_vector(np.NPY_BOOL, n), empty_vector(np.NPY_BOOL, n)
+    cdef np.uint8_t* keep = byte_data(keep_mask)
+    cdef np.uint8_t* reported = byte_data(report_mask)
     for r in range(n):
         if row[ODDS] > confirm:
             row[CONFIRMED] = 1.0
         variance = row[XX] + row[YY]
         speed = sqrt(row[6] * row[6] + row[7] * row[7])
         keep[r] = (
-            row[ODDS] >= doubtful * (1.0 - row[CONFIRMED]) and row[AGE] <= max_age and variance <= lost
+            row[ODDS] >= drop * (1.0 - row[CONFIRMED]) and row[AGE] <= max_age and variance <= lost_variance
             and speed <= max_speed
         )
-        tell[r] = row[CONFIRMED] > 0.0 and row[ODDS] > report and variance <= max_variance
+        reported[r] = row[CONFIRMED] > 0.0 and row[ODDS] > report and variance <= max_variance
         row += WIDTH
-    return keeps, reports
+    return keep_mask, report_mask

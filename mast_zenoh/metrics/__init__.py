@@ -21,8 +21,8 @@ from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, IoU3
 from mast_zenoh.metrics.attribution import Attribution
 from mast_zenoh.metrics.blame import causes_of
 from mast_zenoh.metrics.boxes import Boxes
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, FAULT_CAUSES, named
-from mast_zenoh.metrics.cut_off import CutOff, Presence, Severed
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, FAULT_CAUSES, cause_names
+from mast_zenoh.metrics.cut_off import CutOff, CutOffObjects, Presence
 from mast_zenoh.metrics.driving import Driving
 from mast_zenoh.metrics.increments import increments
 from mast_zenoh.metrics.manipulations import Manipulations
@@ -44,6 +44,7 @@ __all__ = [
     "Boxes",
     "CenterDistanceAssigner",
     "CutOff",
+    "CutOffObjects",
     "Driving",
     "Estimate",
     "FrameMetric",
@@ -57,15 +58,14 @@ __all__ = [
     "Scores",
     "Series",
     "SetDistance",
-    "Severed",
     "Table",
     "achievement",
     "achievement_summary",
     "birdseye_intersection",
+    "cause_names",
     "causes_of",
     "consequences",
     "increments",
     "iou_3d",
-    "named",
     "user_metrics",
 ]

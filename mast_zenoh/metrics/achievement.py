@@ -1,4 +1,6 @@
-"""The success of each adversary: which of its manipulations were believed, where and for how long.
+"""Success of the adversaries: which of their manipulations were believed.
+
+Also where, and for how long.
 
 Pure; see docs/metrics.md.
 """
@@ -26,7 +28,9 @@ DISPLACED_M = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """n objects that an adversary manipulated, each in one frame; several passages of one adversary count once.
+    """n objects that an adversary manipulated, each in one frame.
+
+    Several passages of one adversary count once.
 
     adversary: (n,) row of `Manipulations.culprits`;  kind: (n,) index into KINDS
     frame, object: (n,), see Manipulations;  position: (n, 3) m, world frame, as manipulated, or before if hidden
@@ -77,8 +81,9 @@ def targets(
     range_m: float,
     min_points: int,
 ) -> Targets:
-    """Evaluate every manipulated object in the centre's picture and in the ego's mission-critical estimate.
+    """Evaluate every manipulated object in the picture and the ego's estimate.
 
+    The ego's estimate is the mission-critical one.
     cause, by: of the rows of `scores.judged`
     truth:   of the frames of `scores`, of which `agents` are the columns
     ego:     name of the agent with the mission-critical estimate
@@ -117,7 +122,10 @@ def targets(
 
 
 def _in_range(manipulations: Manipulations, place: Floats, frames: Ints, range_m: float) -> Bools:
-    """(n,) bool: whether each manipulated object is in range of any of a agents at (f, a, 3) m."""
+    """Whether each manipulated object (n,) is in range of any of a agents.
+
+    place: (f, a, 3) m
+    """
     at = find((manipulations.frame,), (frames,))
     if not (at >= 0).any():
         return np.zeros(len(manipulations), bool)
@@ -128,7 +136,9 @@ def _in_range(manipulations: Manipulations, place: Floats, frames: Ints, range_m
 def _judge(
     scores: Scores, cause: Ints, by: Texts, manipulations: Manipulations, chosen: Bools, within: Bools
 ) -> tuple[Bools, Bools, Floats]:
-    """For each manipulation: whether any of the series believes it, whether that is defined, and the error, m.
+    """Whether manipulations are believed, whether that is defined, and the error m.
+
+    A manipulation is believed if any of the series believes it.
 
     within: (n,) bool, whether it is in range of any agent of these series
     """
@@ -174,13 +184,16 @@ def _judge(
 
 
 def _error(scores: Scores, rows: Ints, tracks: Ints) -> Floats:
-    """(n,) m: bird's-eye distance from truth rows of `scores.judged` to those of matched tracks; NaN without."""
+    """Bird's-eye distances (n,) m from truth rows to matched tracks; NaN without.
+
+    rows, tracks: of `scores.judged`
+    """
     judged, error = scores.judged, np.full(len(rows), np.nan)
-    wanted = judged.series[rows], judged.frame[rows], judged.match_id[rows]
-    at = find(wanted, (judged.series[tracks], judged.frame[tracks], judged.id[tracks]))
-    hit = (at >= 0) & (judged.outcome[rows] == MATCHED)
-    offset = judged.boxes.position[tracks[at[hit]]] - judged.boxes.position[rows[hit]]
-    error[hit] = np.hypot(offset[:, 0], offset[:, 1])
+    keys = judged.series[rows], judged.frame[rows], judged.match_id[rows]
+    at = find(keys, (judged.series[tracks], judged.frame[tracks], judged.id[tracks]))
+    matched = (at >= 0) & (judged.outcome[rows] == MATCHED)
+    offset = judged.boxes.position[tracks[at[matched]]] - judged.boxes.position[rows[matched]]
+    error[matched] = np.hypot(offset[:, 0], offset[:, 1])
     return error
 
 

@@ -31,7 +31,9 @@ def summary(
     period_s: float,
     scored: slice = slice(None),
 ) -> dict[str, dict[str, Any]]:
-    """Results by adversary, and of ALL together; {} without adversaries. See docs/metrics.md.
+    """Results by adversary, and of ALL together; {} without adversaries.
+
+    See docs/metrics.md.
 
     switch_by: the adversaries responsible for each of `scores.switches`
     scored:    the frames in which identity switches count, as in the summary of scores
@@ -56,8 +58,9 @@ def summary(
 
 
 def _merge(targets_: Targets, rows: Ints) -> Targets:
-    """The targets in `rows`, with those of several adversaries on the same object and frame merged.
+    """The targets in `rows`, merged if they have the same object and frame.
 
+    Several adversaries may have manipulated the same object.
     A merged target is believed if any of its parts is; its error is the largest.
     """
     _, first, group = np.unique(

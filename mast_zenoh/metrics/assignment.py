@@ -1,4 +1,4 @@
-"""One-to-one matching of tracks and truth objects, for all frames of a run in one call."""
+"""One-to-one matching of tracks and truth objects, for all frames at once."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import cheapest, greedy
+from mast_zenoh.arrays.matching import greedy_matching, min_cost_matching
 from mast_zenoh.arrays.states import Ints
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
 from mast_zenoh.metrics.overlap import iou_3d
@@ -35,7 +35,7 @@ class Assigner(ABC):
 class CenterDistanceAssigner(Assigner):
     """Optimal assignment on bird's-eye centre distance.
 
-    gate_m: the farthest that the centres of a pair may be apart
+    gate_m: maximum distance between the centres of a pair
 
     Finds the most pairs within `gate_m` and, among these matchings, the least total distance. Equivalent to the
     Hungarian method on the cost matrix of each frame with prohibitive costs beyond the gate, but only applied to
@@ -54,14 +54,14 @@ class CenterDistanceAssigner(Assigner):
         i, j, distance = i.take(near), j.take(near), distance.take(near)
         # The bonus of a pair exceeds any possible difference in distance, so that more pairs always win.
         max_pairs = min(np.bincount(boxes.group).max() for boxes in (truth, tracks))
-        chosen = cheapest(i, j, distance - (self.gate_m * (max_pairs + 1) + 1.0))
+        chosen = min_cost_matching(i, j, distance - (self.gate_m * (max_pairs + 1) + 1.0))
         return i[chosen], j[chosen]
 
 
 class IoU3DGreedyAssigner(Assigner):
-    """Greedy assignment on 3D overlap: the best remaining pair first, down to `threshold`.
+    """Greedy assignment on 3D overlap, best pair first, down to `threshold`.
 
-    threshold: intersection over union that a pair has at least, 0 to 1
+    threshold: minimum intersection over union of a pair, 0 to 1
     """
 
     def __init__(self, *, threshold: float = 0.3) -> None:
@@ -70,12 +70,12 @@ class IoU3DGreedyAssigner(Assigner):
         self.threshold = threshold
 
     def _assign(self, truth: Boxes, tracks: Boxes) -> tuple[Ints, Ints]:
-        reach = [np.hypot(boxes.size[:, 0], boxes.size[:, 1]) / 2.0 for boxes in (truth, tracks)]
-        i, j = pairs_within(truth, tracks, float(reach[0].max() + reach[1].max()))
-        touching = centre_distance(truth.position[i], tracks.position[j]) <= reach[0][i] + reach[1][j]
+        radius = [np.hypot(boxes.size[:, 0], boxes.size[:, 1]) / 2.0 for boxes in (truth, tracks)]
+        i, j = pairs_within(truth, tracks, float(radius[0].max() + radius[1].max()))
+        touching = centre_distance(truth.position[i], tracks.position[j]) <= radius[0][i] + radius[1][j]
         i, j = i[touching], j[touching]
         iou = iou_3d(truth.select(i), tracks.select(j))
         overlapping = iou >= self.threshold
         i, j = i[overlapping], j[overlapping]
-        chosen = greedy(i, j, -iou[overlapping])
+        chosen = greedy_matching(i, j, -iou[overlapping])
         return i[chosen], j[chosen]

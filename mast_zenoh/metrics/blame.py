@@ -45,8 +45,9 @@ def _count_causes(series: Ints, cause: Ints, n: int) -> list[dict[str, int]]:
 
 
 def split(counts: Mapping[str, int], frames: int) -> dict[str, float | None]:
-    """Mean number of rows per frame, by {"fault", "attack", "natural"}; None without frames.
+    """Mean number of rows per frame, by {"fault", "attack", "natural"}.
 
+    None without frames.
     counts: rows by cause
     """
     rows = {"fault": sum(counts.get(cause, 0) for cause in FAULT_CAUSES)}

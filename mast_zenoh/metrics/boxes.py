@@ -15,7 +15,7 @@ from mast_zenoh.kernels import kernel
 
 @dataclass(frozen=True, slots=True)
 class Boxes:
-    """n upright boxes. Boxes of different groups (frames, estimators) are never paired.
+    """n upright boxes, which are never paired between groups (frames, estimators).
 
     group:    (n,) int64, 0 or more
     id:       (n,) int64, identity of the object or track
@@ -62,9 +62,10 @@ class Boxes:
 
 
 def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
-    """Rows (i, j) of all pairs in a group with centres at most `radius` m apart in the bird's-eye view.
+    """Rows (i, j) of all pairs in a group at most `radius` m apart.
 
-    Sorted by i, then j. Rounding may add slightly more distant pairs: callers apply their own limit.
+    The distance is that of the centres in the bird's-eye view. Sorted by i, then j. Rounding may add slightly more
+    distant pairs: callers apply their own limit.
     """
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -75,23 +76,23 @@ def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
 def pairs_in_groups(
     a_group: Ints, a_position: Floats, b_group: Ints, b_position: Floats, radius: float
 ) -> tuple[Ints, Ints]:
-    """Nearby pairs, see `pairs_within`; neither side is empty."""
+    """Nearby pairs as in `pairs_within`; neither side is empty."""
     # Groups are placed side by side along x, farther apart than the radius: for each box of `a` the candidates are a
     # range of the boxes of `b`, sorted by x.
     x = [a_position[:, 0], b_position[:, 0]]
     x_min = min(x[0].min(), x[1].min())
     span = max(x[0].max(), x[1].max()) - x_min + 2.0 * radius + 1.0
     key = [(group * span) + (at - x_min) for group, at in zip((a_group, b_group), x, strict=True)]
-    reach = radius * (1.0 + 1e-9) + 1e-9 + 1e-15 * span * float(max(a_group.max(), b_group.max()) + 1)
+    limit = radius * (1.0 + 1e-9) + 1e-9 + 1e-15 * span * float(max(a_group.max(), b_group.max()) + 1)
     by_x = np.argsort(key[1], kind="stable")
     sorted_key = key[1][by_x]
-    first = np.searchsorted(sorted_key, key[0] - reach, side="left")
-    count = np.searchsorted(sorted_key, key[0] + reach, side="right") - first
+    first = np.searchsorted(sorted_key, key[0] - limit, side="left")
+    count = np.searchsorted(sorted_key, key[0] + limit, side="right") - first
     i = np.repeat(np.arange(len(a_group)), count)
     j = by_x[np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)]
-    near = np.abs(a_position[i, 1] - b_position[j, 1]) <= reach
+    near = np.abs(a_position[i, 1] - b_position[j, 1]) <= limit
     i, j = i[near], j[near]
-    near = (a_group[i] == b_group[j]) & (centre_distance(a_position[i], b_position[j]) <= reach)
+    near = (a_group[i] == b_group[j]) & (centre_distance(a_position[i], b_position[j]) <= limit)
     i, j = i[near], j[near]
     order = row_order(j, i)
     return i[order], j[order]

@@ -32,7 +32,9 @@ class BrakingRule(ABC):
 
 
 class SafeDistance(BrakingRule):
-    """Brake when the gap is below the minimum safe longitudinal distance of Responsibility-Sensitive Safety.
+    """Brake below the minimum safe longitudinal distance.
+
+    The distance is that of Responsibility-Sensitive Safety.
 
     Source: Shalev-Shwartz, Shammah and Shashua, On a Formal Model of Safe and Scalable Self-driving Cars (2017),
     Definition 1: the vehicle accelerates for its response time, then brakes with at least its minimum deceleration; the

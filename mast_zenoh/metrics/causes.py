@@ -1,9 +1,10 @@
-"""The causes of errors, and the positions and objects that adversaries fake or hide."""
+"""Causes of errors, and the positions and objects that adversaries fake or hide."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.places import Places
+from mast_zenoh.metrics.scores import Texts
 
 #: Causes of false tracks, missed objects and identity switches: attacks first, with the codes of KINDS.
 CAUSES = (*KINDS, "duplicate", "lag", "occlusion or range", "clutter", "tracking", "fusion", "link or fault")
@@ -20,16 +22,16 @@ UNKNOWN = -1
 ATTACK_CAUSES, FAULT_CAUSES = KINDS, CAUSES[FAULT:]
 
 
-def named(causes: Ints) -> NDArray[np.object_]:
+def cause_names(causes: Ints) -> NDArray[np.object_]:
     """Names (n,) str of causes; empty for UNKNOWN."""
     return np.array([*CAUSES, ""], object)[causes]
 
 
 def claimed_positions(manipulations: Manipulations, period_s: float, coast: int, span: int) -> Places:
-    """Claimed positions of objects, extrapolated at constant velocity over `coast` frames and over gaps.
+    """Claimed positions of objects, extrapolated over `coast` frames and gaps.
 
-    The extrapolation covers tracks that coast. Groups are series * `span` + frame, for every series that a
-    manipulation can have influenced.
+    They are extrapolated at constant velocity, which covers tracks that coast. Groups are series * `span` + frame, for
+    every series that a manipulation can have influenced.
     """
     order = np.lexsort((manipulations.frame, manipulations.object, manipulations.passage))
     manipulations = manipulations.select(order)
@@ -43,6 +45,20 @@ def claimed_positions(manipulations: Manipulations, period_s: float, coast: int,
     position = manipulations.position[row] + manipulations.velocity[row] * (lead_frames * period_s)[:, None]
     index, series = manipulations.reach[manipulations.passage[row]].nonzero()
     return Places(series * span + frame[index], position[index])
+
+
+class Labels(NamedTuple):
+    """Causes of the errors of a run.
+
+    cause: (n,) of each row of `Scores.judged`, an index into CAUSES; UNKNOWN: no error
+    by:    (n,) str, the adversaries, joined by "+" if several showed the same object; empty without an attack
+    switch_cause, switch_by: (k,) likewise for `Scores.switches`
+    """
+
+    cause: Ints
+    by: Texts
+    switch_cause: Ints
+    switch_by: Texts
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +88,11 @@ class Hidden:
                 parts.append((code, culprit, hidden.reach[passage], hidden.object[rows], hidden.frame[rows], lasts))
         return cls(tuple(parts))
 
-    def lately(self, truth_id: Ints, frame: Ints, series: Ints) -> Iterator[tuple[int, int, Bools]]:
-        """For each part, (code, culprit, (n,) whether objects were recently hidden from an influenced series)."""
+    def recent(self, truth_id: Ints, frame: Ints, series: Ints) -> Iterator[tuple[int, int, Bools]]:
+        """For each part, code, culprit, and whether objects (n,) were recently hidden.
+
+        They must have been hidden from an influenced series.
+        """
         if not len(truth_id):
             return
         for code, culprit, reach, ids, frames, lasts in self.parts:
@@ -84,7 +103,7 @@ class Hidden:
             yield code, culprit, same & reach[series]
 
 
-def joined(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
+def joined_names(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
     """The names set in each row of (n, a), joined by "+", (n,) str."""
     result = np.full(len(by), "", object)
     nonempty = np.flatnonzero(by.any(axis=1))

@@ -1,4 +1,4 @@
-"""Consequences of estimation errors for the vehicles in the scene. Pure; docs/metrics.md."""
+"""Consequences of estimation errors for vehicles. Pure; see docs/metrics.md."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.attribution import Labels
-from mast_zenoh.metrics.causes import ATTACK_CAUSES
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
 from mast_zenoh.metrics.driving import Ahead, Driving, Objects, Vehicle
 from mast_zenoh.metrics.lookup import find
 from mast_zenoh.metrics.record import LOCAL, MISSION, Record, Series, TruthTable
@@ -46,8 +45,9 @@ class Drive(NamedTuple):
 def drives(
     driving: Driving, record: Record, scores: Scores, labels: Labels, truth: TruthTable
 ) -> dict[tuple[str, str], Drive]:
-    """The behaviour of each vehicle among the agents, by (agent, estimate); "truth" is one of the estimates.
+    """The behaviour of each vehicle among the agents, by (agent, estimate).
 
+    "truth" is one of the estimates.
     truth: of the frames of `scores`. Only agents that are objects of the scene in all frames are vehicles.
     """
     result: dict[tuple[str, str], Drive] = {}
@@ -88,7 +88,7 @@ def _vehicle(truth: TruthTable, agent: int, n_frames: int) -> Vehicle | None:
 
 
 def _errors(scores: Scores, labels: Labels, series: int, outcome: int, frame: Ints, id_: Ints) -> tuple[Bools, Bools]:
-    """(n,) which objects of a series have this outcome, and which of them because of an attack."""
+    """Objects (n,) of a series with this outcome, and those of them due to an attack."""
     judged = scores.judged
     rows = np.flatnonzero((judged.series == series) & (judged.outcome == outcome))
     at = find((scores.frames[frame], id_), (judged.frame[rows], judged.id[rows]))
@@ -136,7 +136,10 @@ def _compare(
 
 
 def summary(by_estimate: dict[tuple[str, str], Drive], scored: slice) -> dict[str, dict[str, dict[str, Any]]]:
-    """By agent and estimate, over the scored frames: mean numbers of objects, and fractions of frames."""
+    """Mean numbers of objects and fractions of frames, by agent and estimate.
+
+    Over the scored frames.
+    """
     result: dict[str, dict[str, dict[str, Any]]] = {}
     for (agent, estimate), drive in by_estimate.items():
         part = Drive._make(column[scored] for column in drive)

@@ -1,5 +1,6 @@
-"""Objects known only to disconnected agents, whose tracks did not reach the broker in time.
+"""Objects known only to disconnected agents.
 
+Their tracks did not reach the broker in time.
 Pure; docs/metrics.md.
 """
 
@@ -16,15 +17,15 @@ from mast_zenoh.metrics.lookup import find, occurs
 from mast_zenoh.metrics.record import LOCAL, TruthTable
 from mast_zenoh.metrics.scores import MATCHED, Scores
 
-#: Roles that are needed to make a picture.
+#: Roles needed to compute a picture.
 CENTRE = ("broker", "command_center")
 
 
 @dataclass(frozen=True, slots=True)
-class Severed:
+class CutOffObjects:
     """n objects, each in one frame, that only disconnected agents could have reported.
 
-    truth_id, frame: (n,) int64; tracked: (n,) whether such an agent tracks it, not only its sensor sees it
+    truth_id, frame: (n,) int64; tracked: (n,) whether such an agent tracks it, as opposed to only sensing it
     """
 
     truth_id: Ints
@@ -32,24 +33,26 @@ class Severed:
     tracked: Bools
 
     @classmethod
-    def nothing(cls) -> Severed:
+    def nothing(cls) -> CutOffObjects:
         """The result without disconnected agents."""
         return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, bool))
 
     def contains(self, truth_id: Ints, frame: Ints, tracked: Bools | None = None) -> Bools:
-        """(m,) whether m objects in frames are among these; if (m,) `tracked` is set, only tracked ones count."""
+        """Whether m objects in frames are among these: (m,).
+
+        tracked: (m,) where set, only tracked objects count; None: all count
+        """
         row = find((truth_id, frame), (self.truth_id, self.frame))
-        is_severed = row >= 0
-        return is_severed if tracked is None else is_severed & (~tracked | np.append(self.tracked, False)[row])
+        is_cut_off = row >= 0
+        return is_cut_off if tracked is None else is_cut_off & (~tracked | np.append(self.tracked, False)[row])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CutOff:
-    """When an agent's tracks count as missing from the picture.
+    """Conditions under which an agent's tracks are missing from the picture.
 
-    max_age_s:  s, how long the broker goes on with an agent's newest tracks: in a scenario its parameter of that name
-    recovery_s: s, how long tracks of an agent that was missing for longer than that need to become tracks of the
-                picture
+    max_age_s:  s, how long the broker uses an agent's newest tracks: its parameter of that name in a scenario
+    recovery_s: s, how long it takes until tracks of an agent that was missing for longer appear in the picture
     Raises ValueError for a value below 0.
     """
 
@@ -61,7 +64,7 @@ class CutOff:
             if not 0.0 <= value < np.inf:
                 raise ValueError(f"{name}: found {value}, expected 0 or more")
 
-    def severed(
+    def objects(
         self,
         scores: Scores,
         truth: TruthTable,
@@ -69,24 +72,25 @@ class CutOff:
         frames: Ints,
         period_s: float,
         silent: Bools,
-        unheard: Bools,
+        undelivered: Bools,
         min_points: int = 5,
-    ) -> Severed:
-        """Objects known to an agent that is missing from the picture and not tracked by any other agent.
+    ) -> CutOffObjects:
+        """Objects known only to agents that are missing from the picture.
 
+        No other agent tracks them.
         An agent knows the objects in its own tracks. If these were not received, and during the recovery after that,
         the objects that its sensor sees are used instead.
 
         scores:     the scores, for the agents' own tracks
         truth:      of (f,) `frames`, ascending
-        period_s:   s from frame to frame
+        period_s:   s, frame period
         silent:     (f, a) of a agents: its tracks did not reach the broker in time
-        unheard:    (f, a) its tracks were not received in time by any node, including the evaluator
+        undelivered:    (f, a) its tracks were not received in time by any node, including the evaluator
         min_points: lidar points from which an agent sees an object
         """
-        missing = self.missing(silent, unheard, period_s)
+        missing = self.missing(silent, undelivered, period_s)
         if not missing.any():
-            return Severed.nothing()
+            return CutOffObjects.nothing()
         ids, row = truth.boxes.id, truth.boxes.group
         judged = scores.judged
         tracked = np.zeros((len(ids), len(agents)), bool)
@@ -94,26 +98,29 @@ class CutOff:
             series = scores.every_series.get((agent, LOCAL), -1)
             own = (judged.series == series) & ~judged.is_track & (judged.outcome == MATCHED)
             tracked[:, k] = occurs((ids, frames[row]), (judged.id[own], judged.frame[own]))
-        disconnected, unheard_rows = missing[row], self._extend_through_recovery(unheard, period_s)[row]
+        disconnected, undelivered_rows = missing[row], self._extend_through_recovery(undelivered, period_s)[row]
         tracked_by_missing = np.asarray((disconnected & tracked).any(axis=1))
-        seen_by_missing = (disconnected & unheard_rows & (truth.points >= min_points)).any(axis=1)
+        seen_by_missing = (disconnected & undelivered_rows & (truth.points >= min_points)).any(axis=1)
         only_missing = (tracked_by_missing | seen_by_missing) & ~(~disconnected & tracked).any(axis=1)
-        return Severed(ids[only_missing], frames[row[only_missing]], tracked_by_missing[only_missing])
+        return CutOffObjects(ids[only_missing], frames[row[only_missing]], tracked_by_missing[only_missing])
 
-    def missing(self, silent: Bools, unheard: Bools, period_s: float) -> Bools:
-        """(f, a) bool: whether an agent's tracks are missing from the picture in these frames.
+    def missing(self, silent: Bools, undelivered: Bools, period_s: float) -> Bools:
+        """Whether an agent's tracks are missing from the picture: (f, a).
 
-        Unheard frames count if they last longer than the broker uses the agent's last tracks; until then the tracks may
-        only be late.
+        Undelivered frames count if they last longer than the broker uses the agent's last tracks; until then the
+        tracks may only be late.
         """
-        return self._extend_through_recovery(silent | (_runs(unheard) > self._age_frames(period_s)), period_s)
+        return self._extend_through_recovery(silent | (_runs(undelivered) > self._age_frames(period_s)), period_s)
 
     def _age_frames(self, period_s: float) -> int:
         """Number of frames for which an agent's last tracks are used."""
         return int(self.max_age_s / period_s + 1e-6)
 
     def _extend_through_recovery(self, mask: Bools, period_s: float) -> Bools:
-        """Extend each run of a mask (f, a) that outlasts the agent's last tracks by `recovery_s`."""
+        """Extend long runs of a mask (f, a) by `recovery_s`.
+
+        Runs are long if they outlast the use of the agent's last tracks.
+        """
         recovery_frames = round(self.recovery_s / period_s)
         frame = np.arange(len(mask))[:, None]
         last_outage = np.where(_runs(mask) > self._age_frames(period_s), frame, -recovery_frames - 1)
@@ -121,7 +128,7 @@ class CutOff:
 
 
 def _runs(mask: Bools) -> Ints:
-    """(f, a) length of the run of set values in the column of each value; 0 if not set."""
+    """Length (f, a) of the run of set values that contains each value; 0 if not set."""
     result = np.zeros(mask.shape, np.int64)
     for k, column in enumerate(mask.T):
         edge = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(np.int8)))
@@ -131,7 +138,7 @@ def _runs(mask: Bools) -> Ints:
 
 
 class Presence:
-    """Joining and leaving of nodes during a run; a node that joined later was absent before."""
+    """Joining and leaving of nodes; a node that joined later was absent before."""
 
     def __init__(self) -> None:
         self._changes: dict[str, list[tuple[int, bool]]] = {}
@@ -153,7 +160,7 @@ class Presence:
         return result
 
     def absent(self, agents: Sequence[str], frames: Ints) -> Bools:
-        """(f, a) bool: whether the process of the agent, the broker or the command centre is absent in each frame."""
+        """Whether the agent, broker or command centre is absent in each frame: (f, a)."""
         result = np.zeros((len(frames), len(agents)), bool)
         for node, away in self.idle(frames).items():
             if self._roles[node] in CENTRE:

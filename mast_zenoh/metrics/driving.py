@@ -1,4 +1,4 @@
-"""Open-loop driving analysis: objects in a vehicle's corridor, times to collision, and braking.
+"""Open-loop driving analysis: corridor objects, times to collision, braking.
 
 The corridor is along the path that the vehicle drove in the scene. Pure; docs/metrics.md.
 """
@@ -24,7 +24,10 @@ _TOUCH_M2 = 1e-6
 
 
 class Vehicle(NamedTuple):
-    """A vehicle in f frames: position (f, 3) m, velocity (f, 3) m/s, world frame; heading (f,) rad; length, width m."""
+    """A vehicle in f frames.
+
+    position (f, 3) m, velocity (f, 3) m/s, world frame; heading (f,) rad; length, width m
+    """
 
     position: Floats
     velocity: Floats
@@ -34,7 +37,10 @@ class Vehicle(NamedTuple):
 
 
 class Objects(NamedTuple):
-    """n objects: frame (n,) int64, row of the vehicle's frames; position, velocity and size (n, 3); yaw (n,) rad."""
+    """n objects.
+
+    frame (n,) int64, row of the vehicle's frames; position, velocity and size (n, 3); yaw (n,) rad
+    """
 
     frame: Ints
     position: Floats
@@ -100,10 +106,10 @@ class Driving:
         overlaps = _overlaps(vehicle, objects, row)
         inside = np.abs(lateral) - half_extent_across <= vehicle.width / 2.0 + self.margin_m
         inside &= (centre > 0.0) & (gap <= self.horizon_m) & ~overlaps
-        kept = inside.nonzero()[0]
-        overlapping, row, gap = row[overlaps], row[kept], np.maximum(gap[kept], 0.0)
+        rows = inside.nonzero()[0]
+        overlapping, row, gap = row[overlaps], row[rows], np.maximum(gap[rows], 0.0)
         speed = np.hypot(*vehicle.velocity[objects.frame[row], :2].T)
-        ahead_speed = c[kept] * objects.velocity[row, 0] + s[kept] * objects.velocity[row, 1]
+        ahead_speed = c[rows] * objects.velocity[row, 0] + s[rows] * objects.velocity[row, 1]
         rule = self.rule or SafeDistance()
         return Ahead(
             row, gap, time_to_collision(gap, speed, ahead_speed), rule.brakes(gap, speed, ahead_speed), overlapping
@@ -111,7 +117,10 @@ class Driving:
 
 
 def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
-    """(k,) bool: whether each of k objects overlaps the vehicle in its frame, or is centred on it."""
+    """Whether each of k objects (k,) overlaps the vehicle or is centred on it.
+
+    Objects and vehicle are compared in the frame of each object.
+    """
     frame, zeros = objects.frame[row], np.zeros(len(row), np.int64)
     size = np.tile([vehicle.length, vehicle.width, 0.0], (len(row), 1))
     own = Boxes(zeros, zeros, vehicle.position[frame], size, vehicle.heading[frame])
@@ -121,8 +130,9 @@ def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
 
 
 def _near_path(objects: Objects, path: Floats, along: Floats, driven: Floats) -> tuple[Ints, Ints]:
-    """Rows of the objects near the path, and for each the nearest path point ahead of the vehicle.
+    """Rows of the objects near the path, and the nearest path point of each.
 
+    The points are ahead of the vehicle.
     along: (k,) m, arc lengths of the points;  driven: (f,) m, arc length of the vehicle in each frame
     """
     if not len(objects.frame):
@@ -148,7 +158,10 @@ def _near_path(objects: Objects, path: Floats, along: Floats, driven: Floats) ->
 
 
 def _path(vehicle: Vehicle, horizon_m: float) -> tuple[Floats, Floats, Floats]:
-    """Points (k, 2) m at equal steps along the whole path and straight on, headings (k,) rad and arc lengths (k,) m."""
+    """Points (k, 2) m along the path, headings (k,) rad and arc lengths (k,) m.
+
+    At equal steps along the whole path and straight on.
+    """
     last = vehicle.heading[-1]
     extension = (horizon_m + vehicle.length) * np.array([np.cos(last), np.sin(last)])
     corners = np.concatenate([vehicle.position[:, :2], vehicle.position[-1:, :2] + extension])

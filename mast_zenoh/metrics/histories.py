@@ -15,7 +15,9 @@ _PLAIN_IDS = 1 << 32
 
 
 class Histories(NamedTuple):
-    """n rows of `Scores.judged`, all tracks or all truth objects, by series, id and frame.
+    """n rows of `Scores.judged`, all tracks or all truth objects.
+
+    Sorted by series, id and frame.
 
     row:      (n,) of `Scores.judged`;  series, frame, id, match, outcome: (n,), see `Judged`
     position: (n, 3) m, world frame
@@ -33,7 +35,7 @@ class Histories(NamedTuple):
 
     @classmethod
     def of(cls, scores: Scores, rows: Ints, span: int) -> Histories:
-        """The given rows of `scores.judged`, in order; span: greater than any frame number."""
+        """The given rows of `scores.judged`; span: greater than any frame number."""
         judged = scores.judged
         series, frame = judged.series[rows], judged.frame[rows]
         id_, position = judged.id[rows], judged.boxes.position[rows]
@@ -42,7 +44,10 @@ class Histories(NamedTuple):
 
     @classmethod
     def of_wrong(cls, scores: Scores, outcome: int, span: int, *, tracks: bool) -> Histories:
-        """All rows of the tracks, or truth objects, with a given outcome in any frame of a series."""
+        """All rows of the tracks or truth objects that ever have a given outcome.
+
+        In any frame of a series.
+        """
         judged = scores.judged
         ids = judged.id
         if len(ids) and not (ids.min() >= 0 and ids.max() < _PLAIN_IDS):
@@ -57,10 +62,12 @@ class Histories(NamedTuple):
         """The positions of some rows; rows of different series or frames are never paired."""
         return Places(self.group[rows], self.position[rows])
 
-    def adjacent(self, valid: Bools, stops: Bools, most: int, *, later: bool = False) -> Ints:
-        """(n,) the last row with `stops` up to each row, in its series and id; later: the next one from there on.
+    def adjacent(self, valid: Bools, stops: Bools, max_frames: int, *, later: bool = False) -> Ints:
+        """The last row (n,) with `stops` up to each row, in its series and id.
 
-        -1 if there is none, if it is not `valid`, or if it is more than `most` frames away.
+        later: the first one from each row on instead
+
+        -1 if there is none, if it is not `valid`, or if it is more than `max_frames` frames away.
         """
         direction = slice(None, None, -1) if later else slice(None)
         n = len(self.row)
@@ -69,11 +76,11 @@ class Histories(NamedTuple):
         known = last >= 0
         last = np.where(known & later, n - 1 - last, last)
         same = known & (self.series[last] == self.series) & (self.id[last] == self.id) & valid[last]
-        same &= np.abs(self.frame[last] - self.frame) <= most
+        same &= np.abs(self.frame[last] - self.frame) <= max_frames
         return np.where(same, last, -1)
 
-    def begun(self) -> Ints:
-        """(n,) first frame of the uninterrupted evaluated, or unevaluated, period of each row."""
+    def period_start(self) -> Ints:
+        """First frame (n,) of the current evaluated, or unevaluated, period of each row."""
         seen = self.outcome != UNEVALUATED
         first = np.ones(len(self.row), bool)
         first[1:] = (np.diff(self.series) != 0) | (np.diff(self.id) != 0) | (np.diff(self.frame) != 1)

@@ -1,4 +1,7 @@
-"""Errors added by an attack: increments over the baseline (IoB) and over the ego's own tracks (IoE)."""
+"""Errors added by an attack: increments over baseline (IoB) and ego (IoE).
+
+IoE is over the ego's own tracks.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ def increments(
     alone: str = "local",
     first_frame: int | None = None,
 ) -> dict[str, Any]:
-    """Increments of one attacked run, frame by frame, as mean and standard deviation over frames.
+    """Increments of one attacked run as mean and standard deviation over frames.
 
     baseline, attacked: tables per frame (`Scores.per_frame`) of two runs of the same scene and seed
     agent:              name of the agent

@@ -1,4 +1,4 @@
-"""Manipulations of objects by interposers, with the estimates that they can influence. Pure."""
+"""Manipulations of objects by interposers, and the estimates that they influence."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Manipulations:
         return Manipulations(self.culprits, self.reach, *(getattr(self, name)[rows] for name in columns))
 
 
-def none(n_series: int) -> Manipulations:
+def no_manipulations(n_series: int) -> Manipulations:
     """Manipulations without rows."""
     zero, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
     return Manipulations((), np.zeros((0, n_series), bool), zero, zero, zero, zero, zero, nowhere, nowhere, zero)

@@ -1,4 +1,4 @@
-"""OSPA and GOSPA distances between truth objects and tracks, for all frames in one call.
+"""OSPA and GOSPA distances between truth objects and tracks, for all frames.
 
 Sources: Schuhmacher, Vo and Vo, A consistent metric for performance evaluation of multi-object filters (2008);
 Rahmathullah, Garcia-Fernandez and Svensson, Generalized optimal sub-pattern assignment metric (2017).
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import cheapest
+from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
 
@@ -56,14 +56,14 @@ class SetDistance:
         return np.maximum(ospa, 0.0) ** root, np.maximum(gospa, 0.0) ** root
 
     def _saving(self, truth: Boxes, tracks: Boxes, n_groups: int) -> Floats:
-        """(n_groups,) m^p: saving of the best assignment over one with all pairs c apart: c^p · m - S.
+        """Saving (n_groups,) m^p of the best assignment: c^p · m - S.
 
-        Only pairs nearer than c contribute.
+        The saving is over an assignment with all pairs c apart. Only pairs nearer than c contribute.
         """
         i, j = pairs_within(truth, tracks, self.c)
         distance = centre_distance(truth.position.take(i, 0), tracks.position.take(j, 0))
         near = (distance < self.c).nonzero()[0]
         i, j = i.take(near), j.take(near)
         saving = self.c**self.p - distance.take(near) ** self.p
-        chosen = cheapest(i, j, -saving)
+        chosen = min_cost_matching(i, j, -saving)
         return np.bincount(truth.group[i[chosen]], saving[chosen], minlength=n_groups).astype(np.float64)

@@ -13,8 +13,9 @@ _TOLERANCE = 1e-9
 
 
 def iou_3d(a: Boxes, b: Boxes) -> Floats:
-    """(n,) intersection over union of the volumes of box i of `a` and box i of `b`, 0 to 1; groups are ignored.
+    """Volume intersection over union (n,), 0 to 1, of box i of `a` and box i of `b`.
 
+    Groups are ignored.
     The intersection is the exact area of the overlap of the rotated rectangles seen from above, times the overlap
     of the heights.
     """
@@ -56,7 +57,10 @@ def _inside(points: Floats, half: Floats) -> Bools:
 
 
 def _crossings(corners: Floats, half: Floats) -> tuple[Floats, Bools]:
-    """Crossings (n, 16, 2) of sides of outlines (n, 4, 2) with boxes of half sizes (n, 1, 2), and their validity."""
+    """Crossings (n, 16, 2) of outlines (n, 4, 2) with boxes, and their validity.
+
+    half: (n, 1, 2), half sizes of the boxes
+    """
     along = np.roll(corners, -1, axis=1) - corners
     points, valid = [], []
     for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
@@ -70,7 +74,10 @@ def _crossings(corners: Floats, half: Floats) -> tuple[Floats, Bools]:
 
 
 def _convex_area(points: Floats, valid: Bools) -> Floats:
-    """Area (n,) of the convex outlines of the valid ones of (n, k, 2) points; 0 without any."""
+    """Areas (n,) of the convex outlines of the valid points; 0 without any.
+
+    points: (n, k, 2)
+    """
     nonempty = valid.any(axis=1)
     points = np.where(valid[..., None], points, 0.0)
     centroid = points.sum(axis=1) / np.maximum(valid.sum(axis=1), 1)[:, None]

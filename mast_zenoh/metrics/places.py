@@ -12,7 +12,10 @@ from mast_zenoh.metrics.boxes import Boxes, centre_distance, pairs_within
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """n positions: group (n,) int64 (different groups are never paired) and position (n, 3) m, world frame."""
+    """n positions, which are never paired between groups.
+
+    group: (n,) int64; position: (n, 3) m, world frame
+    """
 
     group: Ints
     position: Floats
@@ -28,9 +31,9 @@ class Places:
 
 
 def nearest(places: Places, among: Places, radius: float) -> tuple[Ints, Floats]:
-    """For each of n positions, the nearest row of `among` in its group and its bird's-eye distance, m.
+    """Nearest row of `among` in the group of each of n positions, and its distance m.
 
-    -1 and inf if none is within `radius` m.
+    The distance is that in the bird's-eye view. -1 and inf if none is within `radius` m.
     """
     row, distance = np.full(len(places.group), -1, np.int64), np.full(len(places.group), np.inf)
     i, j = pairs_within(places.boxes(), among.boxes(), radius)

@@ -24,13 +24,16 @@ MISSION = "mission"
 ESTIMATORS = (LOCAL, RECEIVED, PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
 
 
-def place_of(estimator: str) -> int:
+def rank_of(estimator: str) -> int:
     """Index of an estimator in ESTIMATORS; others come last."""
     return ESTIMATORS.index(estimator) if estimator in ESTIMATORS else len(ESTIMATORS)
 
 
 class Series(NamedTuple):
-    """One estimate over time: the name of the agent, empty for a shared estimate, and of the estimator."""
+    """One estimate over time.
+
+    agent: its name, empty for a shared estimate; estimator: its name
+    """
 
     agent: str
     estimator: str
@@ -86,7 +89,10 @@ class Snapshot(NamedTuple):
 
     @classmethod
     def of(cls, states: ObjectStates, *, views: bool = False) -> Snapshot:
-        """The snapshot of states; views: copy their columns, which are views of larger arrays."""
+        """The snapshot of states.
+
+        views: copy their columns, which are views of larger arrays
+        """
         columns = _snapshot_columns(states)
         return cls(*([column.copy() for column in columns] if views else columns))
 
@@ -96,8 +102,9 @@ _EMPTY = Snapshot.of(ObjectStates.empty())
 
 
 class Record:
-    """Collects a run frame by frame. The first of several messages about a frame in a series counts.
+    """Collects a run frame by frame.
 
+    The first of several messages about a frame in a series counts.
     agents: names, in the order of the columns of `points` and `agent_position`
     """
 
@@ -151,9 +158,10 @@ class Record:
                 self._arrivals.setdefault(each.agent, []).append(arrival)
 
     def hold_pictures(self, max_age_ns: Mapping[str, int], times_ns: Mapping[int, int]) -> None:
-        """Compute the series PICTURE_ON_ARRIVAL: in each frame, the received picture about the latest frame.
+        """Compute the series PICTURE_ON_ARRIVAL from the received pictures.
 
-        Pictures older than `max_age_ns` of the agent, or from the future, are not used. times_ns: of the frames
+        In each frame it has the received picture about the latest frame. Pictures older than `max_age_ns` of the agent,
+        or from the future, are not used. times_ns: of the frames
         """
         frames = self.frames().tolist()
         for agent, arrivals in self._arrivals.items():

@@ -1,4 +1,4 @@
-"""The scores of a run: tables per frame and per object, and the summary for metrics.json."""
+"""The scores of a run: tables per frame and object, and the summary."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Boxes
-from mast_zenoh.metrics.record import place_of
+from mast_zenoh.metrics.record import rank_of
 
 #: A table: one array per column, all of one length.
 Table = dict[str, NDArray[Any]]
@@ -29,7 +29,7 @@ MATCHED, MISSED, FALSE, UNEVALUATED = range(len(OUTCOMES))
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class EvaluatedObjects:
     """n evaluated truth objects, each in one series and frame.
 
     series, frame: (n,) rows of `Scores.series` and `Scores.frames`; id: (n,) of the object; matched: (n,) bool
@@ -41,8 +41,9 @@ class Seen:
     matched: Bools
 
     def completeness(self, n_series: int, frames: Ints) -> list[float | None]:
-        """For each series, the mean over its objects of the fraction of matched frames, 0 to 1.
+        """Completeness, 0 to 1, of each series.
 
+        The mean over its objects of the fraction of matched frames.
         frames: rows of `Scores.frames` that count. None for a series without objects.
         """
         counts = np.zeros(max(int(table.max(initial=-1)) for table in (self.frame, frames)) + 1, bool)
@@ -61,7 +62,9 @@ class Seen:
 
 
 class Judged(NamedTuple):
-    """n boxes with their outcomes: truth objects in range and tracks, by series, frame, kind, outcome and id.
+    """n boxes with outcomes: truth objects in range, and tracks.
+
+    Sorted by series, frame, kind, outcome and id.
 
     series:   (n,) row of `Scores.series`;  frame: (n,) number of the frame
     is_track: (n,) bool, a track instead of a truth object
@@ -124,7 +127,7 @@ class Scores:
     id_switches: Ints
     ospa_m: Floats
     gospa_m: Floats
-    seen: Seen
+    seen: EvaluatedObjects
     switches: Switches
     judged: Judged
     same_as: Mapping[tuple[str, str], tuple[str, str]]
@@ -135,11 +138,14 @@ class Scores:
         row = {each: k for k, each in enumerate(self.series)}
         every = row | {each: row[other] for each, other in self.same_as.items()}
         agents = {agent: k for k, agent in enumerate(dict.fromkeys(agent for agent, _ in self.series))}
-        return dict(sorted(every.items(), key=lambda item: (agents[item[0][0]], place_of(item[0][1]), item[0][1])))
+        return dict(sorted(every.items(), key=lambda item: (agents[item[0][0]], rank_of(item[0][1]), item[0][1])))
 
     def objects(self) -> Table:
-        """A row per box and series: frame, agent, estimator, kind ("truth" | "track"), outcome ("matched" | "missed" |
-        "false" | "unevaluated"), id, match_id (-1: none), x, y, z, l, w, h, yaw, score (NaN for truth)."""
+        """A row per box and series.
+
+        Columns: frame, agent, estimator, kind ("truth" | "track"), outcome ("matched" | "missed" | "false" |
+        "unevaluated"), id, match_id (-1: none), x, y, z, l, w, h, yaw, score (NaN for truth).
+        """
         judged, boxes = self.judged, self.judged.boxes
         names = np.array(self.series, object).reshape(-1, 2)
         return {
@@ -181,8 +187,9 @@ class Scores:
         }
 
     def summary(self, scored: slice = slice(None)) -> dict[str, dict[str, dict[str, Any]]]:
-        """Summarise by agent and estimator: fn, fp, tp, ospa_m, gospa_m as {"mean", "std"} over frames.
+        """Summarise by agent and estimator.
 
+        By frame: fn, fp, tp, ospa_m, gospa_m as {"mean", "std"}.
         Over the run: rmse_m of all pairs, the number of id_switches, and completeness, the mean over truth objects of
         the fraction of their evaluated frames in which they are matched.
 

@@ -13,7 +13,17 @@ from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner
 from mast_zenoh.metrics.boxes import Boxes, centre_distance
 from mast_zenoh.metrics.ospa import SetDistance
 from mast_zenoh.metrics.record import Record, Series, TruthTable
-from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, OUTCOMES, UNEVALUATED, Judged, Scores, Seen, Switches
+from mast_zenoh.metrics.scores import (
+    FALSE,
+    MATCHED,
+    MISSED,
+    OUTCOMES,
+    UNEVALUATED,
+    EvaluatedObjects,
+    Judged,
+    Scores,
+    Switches,
+)
 
 
 class Scorer:
@@ -86,7 +96,10 @@ class Scorer:
         return _compare(self.assigner, self.distance, layout, score, same_as)
 
     def _truth_masks(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
-        """Masks of the truth rows: near an agent, evaluated for it, and excused (their tracks are not false)."""
+        """Masks of the truth rows: near an agent, evaluated, and excused.
+
+        Tracks of excused objects are not false.
+        """
         near = self._near(table.boxes.position, table.agent_position[table.boxes.group, agent])
         own = table.boxes.id == table.agent_object[table.boxes.group, agent]
         evaluated = near & (table.seen >= self.min_points)
@@ -101,7 +114,10 @@ class Scorer:
 
 
 def _distinct_series(record: Record, frames: Ints) -> tuple[list[Series], dict[tuple[str, str], tuple[str, str]]]:
-    """The distinct series, and for each of the others the (agent, estimator) with the same messages."""
+    """The distinct series, and the equal distinct series of each of the others.
+
+    Series are equal if they have the same messages.
+    """
     series = record.series()
     same_as: dict[tuple[str, str], tuple[str, str]] = {}
     distinct: list[Series] = []
@@ -117,8 +133,9 @@ def _distinct_series(record: Record, frames: Ints) -> tuple[list[Series], dict[t
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Boxes of all series and frames as consecutive groups; group = series · frames + frame.
+    """Boxes of all series and frames as consecutive groups.
 
+    group = series · frames + frame
     boxes:   the evaluated objects, then other objects in range (for figures), then the tracks in range
     counts:  number of each of these three
     excused: objects that are not evaluated and whose tracks are not false
@@ -139,7 +156,10 @@ class _Layout:
         kinds: Sequence[Sequence[Ints]],
         excused: Sequence[Ints],
     ) -> _Layout:
-        """The layout of rows of `boxes`, given by series for each of the three kinds and for the excused."""
+        """The layout of rows of `boxes`.
+
+        kinds, excused: rows by series
+        """
         picked = _arrange(boxes, [rows for kind in kinds for rows in kind], len(series), len(frames))
         of_seen, of_others, of_tracks = (sum(map(len, kind)) for kind in kinds)
         counts = of_seen, of_others, of_tracks
@@ -216,7 +236,7 @@ def _compare(
         id_switches=count(group[switched]),
         ospa_m=ospa.reshape(shape),
         gospa_m=gospa.reshape(shape),
-        seen=Seen(*np.divmod(truth.group, max(shape[1], 1)), truth.id, truth_outcome == MATCHED),
+        seen=EvaluatedObjects(*np.divmod(truth.group, max(shape[1], 1)), truth.id, truth_outcome == MATCHED),
         switches=Switches(
             *np.divmod(group[switched], max(shape[1], 1)),
             truth.id[pairs[switched, 0]],
@@ -229,7 +249,10 @@ def _compare(
 
 
 def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> tuple[Ints, Ints]:
-    """Pairs whose object was previously matched, in the same series, by a track of another id; and that id."""
+    """Pairs whose object was previously matched by another track; and its id.
+
+    In the same series.
+    """
     series = group // max(n_frames, 1)
     order = np.lexsort((group, truth_id, series))
     same = (np.diff(series[order]) == 0) & (np.diff(truth_id[order]) == 0)

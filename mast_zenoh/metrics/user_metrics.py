@@ -1,4 +1,7 @@
-"""User-defined metrics, computed for every estimate of every agent. Pure; see docs/metrics.md."""
+"""User-defined metrics, computed for every estimate of every agent.
+
+Pure; see docs/metrics.md.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.attribution import Labels
-from mast_zenoh.metrics.causes import named
+from mast_zenoh.metrics.causes import Labels, cause_names
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table, Texts, mean_and_std
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One estimate of one agent over a run of f frames: n boxes of truth objects and tracks.
+    """One estimate of one agent over f frames: n boxes of truth objects and tracks.
 
     agent, estimator: their names;  frames: (f,) int64;  period_s: s, frame period
     scored:   (f,) bool, the frames that count in summaries
@@ -74,7 +76,10 @@ class Metric(ABC):
 
     @abstractmethod
     def value(self, estimate: Estimate) -> Floats | float | None:
-        """Values (f,), one per frame, or a single one for the run. Raises ValueError for anything else."""
+        """Values (f,), one per frame, or a single one for the run.
+
+        Raises ValueError for anything else.
+        """
 
 
 class InvalidMetricValue(ValueError):
@@ -86,7 +91,10 @@ class InvalidMetricValue(ValueError):
 
 
 class FrameMetric(Metric):
-    """A metric with a value in every frame; its mean and standard deviation are over the scored frames."""
+    """A metric with a value in every frame.
+
+    Its mean and standard deviation are over the scored frames.
+    """
 
     @abstractmethod
     def per_frame(self, estimate: Estimate) -> Floats:
@@ -108,7 +116,7 @@ class FrameMetric(Metric):
 
 
 def _describe(returned: object) -> str:
-    """A short description of a returned value: its type, and that of its first element."""
+    """Describe a returned value by its type and that of its first element."""
     first = next(iter(returned), None) if isinstance(returned, (list, tuple, np.ndarray)) else None
     return type(returned).__name__ if first is None else f"a {type(returned).__name__} of {type(first).__name__}"
 
@@ -186,8 +194,9 @@ def values(
     scored: Bools,
     period_s: float,
 ) -> tuple[dict[str, list[Any]], dict[str, BaseException]]:
-    """Values by metric name for each of `scores.series`: (f,) floats, or a float or None; and errors by name.
+    """Values of the metrics for each of `scores.series`, and errors, both by name.
 
+    Values are (f,) floats, or a float or None.
     A metric that raises is undefined for every series: NaN in every frame, or None. Its first error is returned.
     """
     result: dict[str, list[Any]] = {metric.label: [] for metric in metrics}
@@ -244,7 +253,7 @@ def _estimate(
         yaw=boxes.yaw,
         score=judged.score[rows],
         range_m=np.hypot(*(boxes.position - at)[:, :2].T),
-        cause=named(labels.cause[rows]).astype(str),
+        cause=cause_names(labels.cause[rows]).astype(str),
     )
 
 

@@ -1,4 +1,4 @@
-"""The stages of an agent and of the command centre, put together: tracking and fusion from input to output."""
+"""Complete pipelines of an agent and of the command centre."""
 
 from mast_zenoh.pipelines.agent import AgentPipeline, MissionEstimator, OwnAndPicture, PictureFirst, Pose
 from mast_zenoh.pipelines.command_center import CommandCenterPipeline, Pipeline

@@ -1,6 +1,6 @@
-"""An agent's pipeline: from detections to its own tracks, and from these and the picture to its best estimate.
+"""An agent's pipeline: detections to tracks, then fusion with the picture.
 
-No message of another node reaches the first of the two estimators.
+Tracking, the first stage, does not use any message of another node.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ _NOWHERE = SensorView(_NO_OFFSET, np.eye(3), -np.pi, np.pi, -np.pi / 2, np.pi / 
 
 
 class MissionEstimator(ABC):
-    """Makes the mission-critical estimate of an agent's own tracks and the newest picture."""
+    """Makes the mission-critical estimate from own tracks and the newest picture."""
 
     @abstractmethod
     def estimate(self, own: ObjectStates, picture: ObjectStates) -> ObjectStates:
-        """Objects at the time that both are of, world frame.
+        """Objects at the common time of both inputs, world frame.
 
-        Ids are unique: 2 i where the picture has the object as i, 2 i + 1 where only the agent has it as i.
+        Ids are unique: 2 i for object i of the picture, 2 i + 1 for object i that only the agent has.
         """
 
 
 class OwnAndPicture(MissionEstimator):
     """Clusters and fuses own tracks with the picture's objects.
 
-    clustering: which of them are one object;  fusion: makes one state of a cluster
+    clustering: groups tracks and objects of the same object; fusion: fuses each cluster
 
-    The picture holds this agent's own tracks already, in an unknown share: fuse by covariance intersection, which is
-    consistent whatever the correlation (Julier and Uhlmann, ACC 1997).
+    The picture already contains this agent's tracks in an unknown proportion: fuse by covariance intersection, which is
+    consistent for any correlation (Julier and Uhlmann, ACC 1997).
     """
 
     def __init__(self, *, clustering: Clusterer, fusion: Fusion) -> None:
@@ -57,12 +57,12 @@ class OwnAndPicture(MissionEstimator):
             return both
         labels = self.clustering.cluster(both, np.repeat([0, 1], [len(picture), len(own)]))
         fused = self.fusion.fuse(both, labels)
-        # The picture's rows come first, so the first member of a cluster is the picture's wherever it has one.
+        # The picture's rows come first, so the first member of a cluster is from the picture if there is one.
         return fused.with_(id=both.id[np.unique(labels, return_index=True)[1]])
 
 
 class PictureFirst(MissionEstimator):
-    """The picture as it is, and own tracks only where the picture has nothing near.
+    """Takes the picture, and own tracks only where it has no object nearby.
 
     radius: m, in the bird's-eye view, within which an own track is left out
     """
@@ -75,14 +75,17 @@ class PictureFirst(MissionEstimator):
         near, _, _, _ = neighbours(own.position, picture.position, np.full(len(own), self.radius))
         seen = np.zeros(len(own), bool)
         seen[near] = True
-        rest = own.select(~seen)
-        ids = np.concatenate([2 * picture.id, 2 * rest.id + 1])
-        return concatenate([picture, rest]).with_(id=ids)
+        remaining = own.select(~seen)
+        ids = np.concatenate([2 * picture.id, 2 * remaining.id + 1])
+        return concatenate([picture, remaining]).with_(id=ids)
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where an agent is: position (3,) m, and active quaternion (4,) w x y z, agent to world."""
+    """Pose of an agent.
+
+    position: (3,) m; quaternion: (4,) active, w x y z, agent to world
+    """
 
     position: Floats
     quaternion: Floats
@@ -92,9 +95,8 @@ class AgentPipeline:
     """The stages of an agent, from detections to tracks.
 
     tracker: turns detections into tracks;  mission: makes the mission-critical estimate of them and the picture
-    frame: "world": detections are brought to the world frame before they are tracked, so that the agent's own
-           motion is taken out. "body": they are tracked in the agent's moving frame, as the original MAST did, and the
-           tracks say so; only there to show what that costs.
+    frame: "world": detections are transformed to the world frame before tracking, which removes the agent's own motion.
+           "body": detections are tracked in the agent's moving frame, as in the original MAST; only to show the effect.
     """
 
     def __init__(
@@ -108,7 +110,9 @@ class AgentPipeline:
     def track(
         self, time_ns: int, detections: Detections, pose: Pose, mount: Pose, lidar: LidarSensor
     ) -> tuple[ObjectStates, Floats, Floats]:
-        """Safety-critical: (tracks, origin (3,), rotation (4,)) of their frame of reference, from own sensors alone.
+        """Safety-critical tracks, from own sensors alone, and their frame of reference.
+
+        Returns tracks, origin (3,) m and active quaternion (4,).
 
         detections: sensor frame; pose: of the agent in the world; mount: of the sensor in the agent's frame
         """
@@ -119,7 +123,7 @@ class AgentPipeline:
         return tracks, reference.position, reference.quaternion
 
     def _view_from(self, base: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:
-        """What the sensor has in view; remembered, because most agents stand still."""
+        """The sensor's field of view; cached, because most agents are stationary."""
         parts = base.position, base.quaternion, mount.position, mount.quaternion
         key = [part.tobytes() for part in parts]
         if key != self._view[0]:
@@ -129,7 +133,7 @@ class AgentPipeline:
 
 
 def view_of(lidar: LidarSensor, position: Floats, rotation: Floats) -> SensorView:
-    """What a lidar at `position` (3,) with `rotation` (3, 3) has in view."""
+    """The field of view of a lidar at `position` (3,) with `rotation` (3, 3)."""
     return SensorView(
         position=position,
         rotation=rotation,

@@ -17,7 +17,9 @@ class Pipeline(ABC):
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
-        """(picture, support): objects at `time_ns`, sorted by id, and how many agents' tracks are now in each (n,).
+        """The picture and the support of its objects at `time_ns`.
+
+        The picture is sorted by id; support (n,) is the number of agents with a track in each object's cluster.
 
         states: n tracks of all agents, world frame, at `time_ns`
         agent: (n,) int64, rows of `agents`, the agents' names
@@ -28,13 +30,13 @@ class Pipeline(ABC):
 
     @abstractmethod
     def reset(self) -> None:
-        """Back to the state of a newly made one."""
+        """Return to the initial state."""
 
 
 class CommandCenterPipeline(Pipeline):
     """Clustering, then fusion and tracking of the clusters.
 
-    clustering: which tracks are of one object; group_tracking: what becomes of a cluster
+    clustering: groups tracks by object; group_tracking: turns clusters into the picture
     """
 
     def __init__(self, *, clustering: Clusterer, group_tracking: GroupTracker) -> None:
@@ -44,7 +46,7 @@ class CommandCenterPipeline(Pipeline):
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None
     ) -> tuple[ObjectStates, Ints]:
-        # By name, not by row: agents are listed as their messages come in.
+        # Sorted by name, because the order of `agents` depends on the arrival of their messages.
         rank = {name: row for row, name in enumerate(sorted(agents))}
         agent = np.array([rank[name] for name in agents], np.int64)[agent]
         labels = self._clustering.cluster(states, agent)

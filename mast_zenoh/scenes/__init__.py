@@ -1,4 +1,4 @@
-"""Scenes: the source of ground truth, prepared once per seed as a `Recording` and replayed."""
+"""Scenes: ground truth, prepared once per seed as a `Recording` and replayed."""
 
 from mast_zenoh.scenes.av2 import AV2Log
 from mast_zenoh.scenes.avstack import AVstackScene

@@ -1,4 +1,7 @@
-"""Unpacks tar archives safely: limits on size and member count, no writes outside the folder."""
+"""Unpacks tar archives safely.
+
+Limits size and member count, and does not write outside the folder.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,10 @@ def _decompressed(path: Path) -> IO[bytes]:
 
 
 class _Bounded:
-    """The file that tarfile reads; `budget` is the number of bytes that it may still read. Seeking is not limited."""
+    """The file that tarfile reads; `budget` is the number of bytes it may still read.
+
+    Seeking is not limited.
+    """
 
     def __init__(self, content: IO[bytes], path: Path) -> None:
         self.budget = _MAX_HEADER

@@ -13,7 +13,7 @@ from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.av2_files import Boxes, find_log, read_boxes, read_poses
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.observe import World, detect, recorded, see
+from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
@@ -86,13 +86,16 @@ class AV2Log(Scene):
         poles = _poles(world, ego, heading(rotation), self.n_infrastructure)
         world, ground = _with_agents(world, ego, rotation, poles)
         world = _truncate(world, count)
-        points = see(world, range(1, len(world.agents)))
+        points = lidar_visibility(world, range(1, len(world.agents)))
         points[:, 0] = returns[: len(points)]
-        return recorded(world, points, *detect(world, points, self.detector, seed, ground[:count]))
+        return make_recording(world, points, *detect(world, points, self.detector, seed, ground[:count]))
 
 
 def _world(name: str, boxes: Boxes, ego: Floats, rotation: Floats) -> tuple[World, Floats]:
-    """The traffic including the ego, without agents; and the ego's lidar returns from each object (N,)."""
+    """The traffic including the ego, without agents; and the ego's lidar returns.
+
+    The lidar returns are (N,), one count for each object.
+    """
     frames = len(boxes.times_ns)
     frame = np.concatenate([np.arange(frames), boxes.frame])
     track = np.concatenate([np.full(frames, _EGO_ID), boxes.track])
@@ -127,8 +130,9 @@ def _world(name: str, boxes: Boxes, ego: Floats, rotation: Floats) -> tuple[Worl
 
 
 def _poles(world: World, ego: Floats, yaw: Floats, count: int) -> list[tuple[Floats, float, float]]:
-    """Position (3,) m, heading rad and ground m of poles on both sides of the ego's path, facing its middle.
+    """Position (3,) m, heading rad and ground m of poles along the ego's path.
 
+    Poles are on both sides of the path and face its middle.
     The k-th pole does not depend on the number of poles.
     """
     extension = np.stack([np.cos(yaw), np.sin(yaw)], axis=1) * _PATH_EXTENSION_M
@@ -161,7 +165,10 @@ def _van_der_corput(k: int) -> float:
 
 
 def _ground(bottoms: Floats, position: Floats) -> float:
-    """Ground height (m) at `position` (2,): the median of the bottoms of nearby boxes, else of the nearest ones."""
+    """Ground height m at `position` (2,): median of the bottoms of nearby boxes.
+
+    If there are too few, the nearest boxes are used.
+    """
     distance = np.hypot(*(bottoms[:, :2] - position).T)
     nearest = np.sort(distance)[:_MIN_GROUND_BOXES][-1]
     return float(np.median(bottoms[distance <= max(_GROUND_RADIUS_M, nearest), 2]))

@@ -70,7 +70,10 @@ class Boxes:
 
 
 def find_log(path: Path) -> tuple[Path, Path]:
-    """The annotations and the poses of the log at `path`: its folder, or a folder that holds a single log."""
+    """The annotations and the poses of the log at `path`.
+
+    path: its folder, or a folder that holds a single log
+    """
     if not path.is_dir():
         raise SceneError(f"{path}: no such folder")
     folders = [folder for folder in (path, *sorted(path.iterdir())) if folder.is_dir() and (folder / POSES).is_file()]
@@ -83,7 +86,10 @@ def find_log(path: Path) -> tuple[Path, Path]:
 
 
 def read_poses(path: Path, times_ns: Ints) -> tuple[Floats, Floats]:
-    """Position (F, 3) m and active rotation (F, 3, 3) of the recording car in the city at `times_ns` (F,)."""
+    """Position (F, 3) m and active rotation (F, 3, 3) of the recording car.
+
+    In the city frame, at `times_ns` (F,).
+    """
     columns = _read(path, _POSE)
     order = np.argsort(columns["timestamp_ns"], kind="stable")
     pose_times = columns["timestamp_ns"][order]
@@ -97,7 +103,10 @@ def read_poses(path: Path, times_ns: Ints) -> tuple[Floats, Floats]:
 
 
 def read_boxes(path: Path) -> Boxes:
-    """The annotated road users of a log, without those `LEFT_OUT`; unknown categories get class 0 (unknown)."""
+    """The annotated road users of a log, without those `LEFT_OUT`.
+
+    Unknown categories get class 0 (unknown).
+    """
     columns = _read(path, _BOX)
     times = np.unique(columns["timestamp_ns"])
     if len(times) == 0:

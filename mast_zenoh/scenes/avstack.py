@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import beside
+from mast_zenoh.scenes import accompanying_files
 from mast_zenoh.scenes.avstack_decode import Calibration, ObjectState, read_calibration, read_objects, read_seen
 from mast_zenoh.scenes.avstack_layout import Layout, open_layout
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.observe import World, detect, recorded, see
+from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.velocities import fill_velocity
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
@@ -33,7 +33,9 @@ _OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 class AVstackScene(Scene):
-    """A scene in the CARLA multi-agent layout, with its accompanying files (docs/scenes.md).
+    """A scene in the CARLA multi-agent layout.
+
+    With its accompanying files, see docs/scenes.md.
 
     path:             a run folder, a folder above a single run, or a tar archive of either
     n_infrastructure: number of static agents to use, the first ones; None: all
@@ -85,14 +87,14 @@ class AVstackScene(Scene):
         agents = self._agents(actors[0], layout.run)
         world, ground = _world(layout, self.path.name, numbers, times, agents, actors, objects)
         points = _points(layout, world, numbers, agents)
-        file = layout.beside("detections.jsonl") if self.replay else None
+        file = layout.accompanying_file("detections.jsonl") if self.replay else None
         if file is None:
-            return recorded(world, points, *detect(world, points, self.detector, seed, ground))
+            return make_recording(world, points, *detect(world, points, self.detector, seed, ground))
         rotation = world.agent_rotation @ np.stack([agent.sensor.mount_rotation for agent in world.agents])
-        return recorded(world, points, *beside.read_detections(file, numbers, agents, rotation))
+        return make_recording(world, points, *accompanying_files.read_detections(file, numbers, agents, rotation))
 
     def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
-        """Numbers of the agents: the ego, then the other mobile ones, then the static ones."""
+        """Numbers of the agents: the ego, other mobile agents, then static agents."""
         mobile = [number for number, state in actors.items() if state.size is not None]
         static = [number for number, state in actors.items() if state.size is None]
         if not mobile:
@@ -113,7 +115,10 @@ class AVstackScene(Scene):
 def _read_states(
     layout: Layout, numbers: list[int]
 ) -> tuple[Ints, list[dict[int, ObjectState]], list[dict[int, ObjectState]]]:
-    """Times (F,) ns, and for every frame the actors by number and the objects by id, including actors with a box."""
+    """Times (F,) ns, and the actors by number and objects by id of every frame.
+
+    The objects include actors with a box.
+    """
     times: list[float] = []
     all_actors: list[dict[int, ObjectState]] = []
     all_objects: list[dict[int, ObjectState]] = []
@@ -151,7 +156,10 @@ def _world(
     actors: list[dict[int, ObjectState]],
     objects: list[dict[int, ObjectState]],
 ) -> tuple[World, Floats]:
-    """The scene without visibility and detections; and the ground height (F, A) m at each agent."""
+    """The scene without visibility and detections, and the ground at each agent.
+
+    The ground height is (F, A) m.
+    """
     truth_start = np.cumsum([0, *map(len, objects)])
     rows = [(number, state) for frame in objects for number, state in frame.items()]
     position = np.array([state.centre for _, state in rows])
@@ -173,8 +181,10 @@ def _world(
         if actors[0][number].size is not None:
             agent_velocity[:, column] = truth.velocity[ids == EGO_ID + number]
     agent_rotation = np.array([[frame[number].rotation for number in agents] for frame in actors])
-    file = layout.beside("buildings.json")
-    buildings = beside.read_buildings(file, layout.beside("scene.json")) if file else ((), np.zeros(0))
+    file = layout.accompanying_file("buildings.json")
+    buildings = (
+        accompanying_files.read_buildings(file, layout.accompanying_file("scene.json")) if file else ((), np.zeros(0))
+    )
     world = World(
         name=name,
         agents=tuple(
@@ -205,7 +215,10 @@ def _agent(
     position: Floats,
     rotation: Floats,
 ) -> SceneAgent:
-    """An agent with its first lidar and its first camera; position (F, 3) and rotation (F, 3, 3) are the agent's."""
+    """An agent with its first lidar and its first camera.
+
+    position (F, 3), rotation (F, 3, 3): of the agent
+    """
     mobile = state.size is not None
     lidars = layout.sensors("lidar", number)
     if not lidars:
@@ -252,10 +265,10 @@ def _mount(calibration: Calibration, position: Floats, rotation: Floats) -> tupl
 def _points(layout: Layout, world: World, numbers: list[int], agents: list[int]) -> NDArray[np.int32]:
     """(N, A) lidar returns, from the best source available."""
     truth: ObjectStates = world.truth
-    file = layout.beside("visibility.jsonl")
+    file = layout.accompanying_file("visibility.jsonl")
     if file is not None:
-        return beside.read_visibility(file, numbers, agents, truth.id, world.truth_start)
-    cast_points = see(world)
+        return accompanying_files.read_visibility(file, numbers, agents, truth.id, world.truth_start)
+    cast_points = lidar_visibility(world)
     points = cast_points.copy()
     listed: set[int] = set()
     for column, number in enumerate(agents):

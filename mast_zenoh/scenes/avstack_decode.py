@@ -1,5 +1,6 @@
-"""Decodes the JSON of the CARLA multi-agent layout, whose nested objects are JSON strings.
+"""Decodes the JSON of the CARLA multi-agent layout.
 
+Nested objects are JSON strings.
 Only the fields in use are decoded. The layout's quaternions are passive (they convert components from the parent's
 frame to the body's), whereas rotations here are active, so the vector part changes sign.
 """
@@ -63,7 +64,10 @@ def class_of(name: str) -> int:
 
 
 def read_objects(path: Path, frame: int) -> tuple[float, list[ObjectState]]:
-    """Time s and states in a file of `objects/`. Raises SceneError with the file and the index of the object."""
+    """Time s and states in a file of `objects/`.
+
+    Raises SceneError with the file and the index of the object.
+    """
     time, texts = _container(path, frame)
     states = []
     for index, text in enumerate(texts):
@@ -75,7 +79,7 @@ def read_objects(path: Path, frame: int) -> tuple[float, list[ObjectState]]:
 
 
 def read_seen(path: Path, frame: int) -> dict[int, float | None]:
-    """Ids in a file of `objects_sensor/` with their visible fractions (None: not stored).
+    """Ids in a file of `objects_sensor/` with visible fractions (None: not stored).
 
     Completely occluded objects are left out.
     """
@@ -98,7 +102,7 @@ def read_seen(path: Path, frame: int) -> dict[int, float | None]:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The pose of a sensor in the world, and the image size and focal length of a camera.
+    """The pose of a sensor in the world; image size and focal length of a camera.
 
     position: (3,) m;  rotation: (3, 3) active, sensor to world;  focal, width, height: px, None for a lidar
     """
@@ -159,7 +163,10 @@ def _referenced(text: str, name: str) -> tuple[dict[str, Any], tuple[Floats, Flo
 
 @lru_cache(maxsize=256)
 def _pose(reference: str) -> tuple[Floats, Floats]:
-    """Position (3,) m and active rotation (3, 3) of a reference frame in the world, through all its parents."""
+    """Position (3,) m and active rotation (3, 3) of a reference frame in the world.
+
+    Resolved through all its parents.
+    """
     data = _decode(reference)["reference"]
     position, rotation = _vector(data["x"], 3), _active(data["qw"], data["qv"])
     if data["reference"] is None:

@@ -25,17 +25,20 @@ _MAX_DEPTH = 3  # levels of subfolders that are searched for a run
 
 @dataclass(frozen=True)
 class Layout:
-    """A run folder, and the folders that may hold its accompanying files, nearest first."""
+    """A run folder, and the folders that may hold accompanying files, nearest first."""
 
     run: Path
     search_folders: tuple[Path, ...]
 
-    def beside(self, name: str) -> Path | None:
+    def accompanying_file(self, name: str) -> Path | None:
         """The nearest accompanying file of that name; None: there is none."""
         return next((folder / name for folder in self.search_folders if (folder / name).is_file()), None)
 
     def frames(self) -> dict[int, Path]:
-        """The actors' file of every frame, in order. Raises SceneError for gaps and for missing files."""
+        """The actors' file of every frame, in order.
+
+        Raises SceneError for gaps and for missing files.
+        """
         actors = object_files(self.run / "objects", "actors")
         others = object_files(self.run / "objects", "npcs")
         if not actors:
@@ -52,7 +55,10 @@ class Layout:
         return actors
 
     def sensors(self, kind: str, agent: int) -> list[str]:
-        """Names of an agent's sensors of a kind ("lidar", "camera") with data, e.g. "lidar-0-3"."""
+        """Names of an agent's sensors of a kind with data, such as "lidar-0-3".
+
+        kind: "lidar" or "camera"
+        """
         folder = self.run / "data"
         names = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
         return [name for name in names if (parts := name.split("-"))[0] == kind and parts[-1] == str(agent)]
@@ -67,7 +73,10 @@ class Layout:
         return {frame: files[frame] for frame in frames}
 
     def seen(self, sensor: str, frames: Sequence[int]) -> dict[int, Path] | None:
-        """The file of visible objects of a sensor in every frame; None without a folder for that sensor."""
+        """The file of visible objects of a sensor in every frame.
+
+        None without a folder for that sensor.
+        """
         folder = self.run / "objects_sensor" / sensor
         if not folder.is_dir():
             return None
@@ -78,10 +87,11 @@ class Layout:
 
 @contextlib.contextmanager
 def open_layout(path: Path, max_unpacked_mb: float) -> Iterator[Layout]:
-    """The layout at `path`: a run folder, a folder above a single run, or a tar archive of either.
+    """Open the layout at `path`: a run folder, a folder above one, or a tar archive.
 
-    An archive is unpacked into a temporary folder, without the images and point clouds; the folder is deleted when the
-    context ends. Raises SceneError without exactly one run, or if the files exceed `max_unpacked_mb` (10^6 bytes).
+    A folder above must contain a single run. An archive is unpacked into a temporary folder, without the images and
+    point clouds; the folder is deleted when the context ends. Raises SceneError without exactly one run, or if the
+    files exceed `max_unpacked_mb` (10^6 bytes).
     """
     if path.is_dir():
         yield find_layout(path)
@@ -116,7 +126,7 @@ def find_layout(path: Path) -> Layout:
 
 
 def object_files(folder: Path, kind: str) -> dict[int, Path]:
-    """The files `objectstate-<kind>-<frame>-<time>.txt` of a folder by frame, in order."""
+    """The files `objectstate-<kind>-<frame>-<time>.txt` by frame, in order."""
     files: dict[int, Path] = {}
     for path in folder.glob(f"objectstate-{kind}-*.txt"):
         parts = path.stem.split("-")

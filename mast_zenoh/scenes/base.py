@@ -10,7 +10,10 @@ from mast_zenoh.scenes.recording import Recording
 
 
 class Scene(ABC):
-    """A source of ground truth. A subclass takes its parameters as keywords and prepares a `Recording`."""
+    """A source of ground truth, which prepares a `Recording`.
+
+    A subclass takes its parameters as keywords.
+    """
 
     @abstractmethod
     def record(self, seed: int, frames: int | None) -> Recording:
@@ -21,5 +24,5 @@ class Scene(ABC):
         """
 
     def inputs(self) -> Sequence[Path]:
-        """Files and folders that the recording depends on; the disk cache is invalidated when they change."""
+        """Files and folders that the recording depends on; the disk cache tracks them."""
         return ()

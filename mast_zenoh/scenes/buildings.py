@@ -11,8 +11,9 @@ _GAP = 3.0  # m, between two buildings
 
 
 def rows_of_buildings(arms: tuple[Arm, ...], random: np.random.Generator) -> tuple[tuple[Floats, ...], Floats]:
-    """Outlines, each (4, 2) m, and heights (B,) m: a row of random density on either side of every arm.
+    """Outlines, each (4, 2) m, and heights (B,) m, of rows along every arm.
 
+    The rows have a random density and are on both sides of every arm.
     No building overlaps a road, a pavement or another building.
     """
     occupied = [

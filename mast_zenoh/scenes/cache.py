@@ -1,4 +1,7 @@
-"""Disk cache of prepared scenes, one per (configuration, seed, frames, code, data)."""
+"""Disk cache of prepared scenes.
+
+One file per (configuration, seed, frames, code, data).
+"""
 
 from __future__ import annotations
 
@@ -25,13 +28,13 @@ def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None) 
     """The recording of a scene, from the disk cache or else recorded and cached.
 
     cache_key: the scene's configuration as text, the same for equal scenes; None: do not cache.
-    A scene of which a notebook defines a part is not cached either: nothing says whether its code has changed.
+    Scenes with parts defined in a notebook are not cached, because changes of their code cannot be detected.
 
     The cache is in $XDG_CACHE_HOME/mast-zenoh/scenes (or ~/.cache/...). Files are written atomically, so two processes
     may prepare the same scene at the same time. If a file is broken or missing, the scene is recorded again. A cache
     that cannot be written is not an error. Raises what `Scene.record` raises.
     """
-    if cache_key is None or _of_session(scene):
+    if cache_key is None or _defined_in_session(scene):
         return scene.record(seed, frames)
     path = cache_folder() / f"{_digest(scene, seed, frames, cache_key)}.npz"
     try:
@@ -113,22 +116,25 @@ def _line(path: Path | str, stat: os.stat_result) -> str:
 
 @cache
 def _code() -> str:
-    """A hash of the code that prepares scenes: a change invalidates every prepared scene."""
+    """Hash of the code that prepares scenes; a change invalidates all of them."""
     files = [Path(module.__file__ or "") for module in (geometry, states, streams)]
     for file in (__file__, sensing.__file__):
         files += Path(file or "").parent.glob("*.py")
     return _hash_of(files)
 
 
-def _of_session(scene: Scene) -> bool:
-    """Whether a class of the scene or of its parts has no file: it is defined in a notebook or at a prompt."""
+def _defined_in_session(scene: Scene) -> bool:
+    """Whether a class of the scene or its parts is defined in a notebook or a prompt."""
     parts = [scene, *vars(scene).values()]
-    file = getattr(sys.modules["__main__"], "__file__", None)  # <stdin>, where a session reads its code from there
+    file = getattr(sys.modules["__main__"], "__file__", None)  # <stdin> if the code is read from there
     return not (file and Path(file).is_file()) and any(type(part).__module__ == "__main__" for part in parts)
 
 
 def _own_code(scene: Scene) -> str:
-    """A hash of the modules that define the scene and its parts, such as the detector: they may be user code."""
+    """Hash of the modules that define the scene and its parts.
+
+    They may be user code, such as a detector.
+    """
     modules = {type(part).__module__ for part in (scene, *vars(scene).values())}
     names = [getattr(sys.modules.get(module), "__file__", None) for module in sorted(modules)]
     return _hash_of([Path(name) for name in names if name])

@@ -1,4 +1,4 @@
-"""A generated scene: a signalised junction with traffic, an ego driving through and poles around it."""
+"""A generated scene: a signalised junction with traffic, an ego and poles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.buildings import rows_of_buildings
 from mast_zenoh.scenes.junction import ROAD, Arm, arms_of, plan
-from mast_zenoh.scenes.observe import World, detect, recorded, see
+from mast_zenoh.scenes.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.road_users import road_users
 from mast_zenoh.scenes.traffic import Motion, Movers, Network, Traffic
@@ -112,15 +112,18 @@ class Intersection(Scene):
             _poles(arms, self.n_infrastructure),
             (buildings, heights),
         )
-        points = see(world)
-        return recorded(world, points, *detect(world, points, self.detector, seed))
+        points = lidar_visibility(world)
+        return make_recording(world, points, *detect(world, points, self.detector, seed))
 
     def _count(self, name: str, default: int) -> int:
         configured: int | None = getattr(self, name)
         return default if configured is None else configured
 
     def _drive(self, network: Network, movers: Movers, seed: int, frames: int) -> tuple[Motion, int, list[int]]:
-        """The motion in the recorded frames, the ego, and the other motor vehicles, those at the junction first."""
+        """The motion in the recorded frames, the ego, and the other motor vehicles.
+
+        The other vehicles are sorted by their distance from the junction.
+        """
         steps = int(np.ceil(10.0 / self.rate_hz - 1e-9))
         dt = 1.0 / (self.rate_hz * steps)
         traffic = Traffic(network, movers, seed, f"intersection/{self.scene_index}")
@@ -151,7 +154,7 @@ def _arms(scene_index: int, random: np.random.Generator) -> tuple[Arm, ...]:
 
 
 def _choose_ego(network: Network, motion: Motion, cars: Ints, window: int) -> tuple[int, int]:
-    """The first frame and the ego: a moving car that crosses the junction in the window."""
+    """The first frame and the ego, a moving car that crosses the junction."""
     crossing: Bools = network.origin[motion.path[:, cars]] >= 0
     travelled = np.concatenate([np.zeros((1, len(cars))), np.cumsum(motion.speed[:, cars], axis=0)])
     starts = np.arange(0, len(motion.speed) - window + 1, 5)
@@ -172,7 +175,10 @@ def _choose_ego(network: Network, motion: Motion, cars: Ints, window: int) -> tu
 
 
 def _poles(arms: tuple[Arm, ...], count: int) -> list[tuple[Floats, float]]:
-    """Position (2,) m and heading rad of the poles, on pavements, nearest the stop lines first, facing the centre."""
+    """Position (2,) m and heading rad of the poles, which face the centre.
+
+    They are on pavements, those nearest the stop lines first.
+    """
     positions = []
     for setback, side in ((8.0, 1.0), (24.0, -1.0), (40.0, 1.0), (56.0, -1.0), (72.0, 1.0), (88.0, -1.0)):
         local = [np.array([[arm.stop + setback, side * (arm.half_width + 1.2)]]) for arm in arms]

@@ -1,8 +1,8 @@
-"""The ground plan of a generated junction: arms, lanes, turns, crossings, pavements. No traffic yet.
+"""Ground plan of a generated junction: arms, lanes, crossings, pavements.
 
-Traffic drives on the right. In the frame of an arm, x points away from the centre and y to the left of that, so that
-lanes towards the centre have y > 0. Every lane away from the centre ends in a turning loop, out of sight of the
-junction, and returns as the lane towards it: nothing ever leaves the scene, so a recording can have any length.
+Traffic drives on the right. In the frame of an arm, x points away from the centre and y to its left, so that lanes
+towards the centre have y > 0. Every lane away from the centre ends in a turning loop, out of sight of the junction, and
+returns as the lane towards it: no vehicle leaves the scene, so a recording can have any length.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ ROAD, BIKE, CROSSER, WALKER = range(4)
 
 @dataclass(frozen=True)
 class Arm:
-    """One road of the junction: direction rad from the centre, lanes each way, and m from centre to stop line."""
+    """One road of the junction.
+
+    angle: rad, direction from the centre; lanes: each way; stop: m, from the centre to the stop line
+    """
 
     angle: float
     lanes: int
@@ -43,7 +46,10 @@ class Arm:
         return self.lanes * LANE + BIKE_LANE
 
     def offset(self, slot: int) -> float:
-        """m, from the middle of the road to the middle of a lane; slot `lanes` is the bicycle lane."""
+        """Distance m from the middle of the road to the middle of a lane.
+
+        Slot `lanes` is the bicycle lane.
+        """
         return (slot + 0.5) * LANE if slot < self.lanes else self.lanes * LANE + BIKE_LANE / 2
 
     def world(self, local: Floats) -> Floats:
@@ -74,12 +80,15 @@ class Lane:
 
     @property
     def connector(self) -> bool:
-        """Whether the path crosses the junction or a road and therefore needs the right of way."""
+        """Whether the path crosses the junction or a road and needs the right of way."""
         return self.target >= 0
 
 
 def arms_of(angles: list[float], lanes: list[int]) -> tuple[Arm, ...]:
-    """The arms at `angles` rad (ascending) with `lanes` each way; stop lines are set back behind the crossings."""
+    """The arms at `angles` rad (ascending) with `lanes` each way.
+
+    Stop lines are set back behind the crossings.
+    """
     unplaced = [Arm(angle, count, 0.0) for angle, count in zip(angles, lanes, strict=True)]
     arms = []
     for i, arm in enumerate(unplaced):
@@ -125,7 +134,10 @@ def _turn(arms: tuple[Arm, ...], a: int, b: int) -> float:
 
 
 def _exits(arms: tuple[Arm, ...], a: int, slot: int) -> list[tuple[int, int]]:
-    """Exits (arm, slot) of a lane: straight from every lane, left from the inner one, right from the outer one."""
+    """Exits (arm, slot) of a lane.
+
+    Straight from every lane, left from the inner one, right from the outer one.
+    """
     arm = arms[a]
     turns = {b: _turn(arms, a, b) for b in range(len(arms)) if b != a}
     ahead = [b for b, turn in turns.items() if abs(turn) < np.radians(35)]
@@ -155,7 +167,10 @@ def _approach(arm: Arm, slot: int) -> Path:
 
 
 def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
-    """Two tracks over the road, joined by a landing on either pavement where pedestrians turn round."""
+    """Two tracks over the road, joined by a landing on either pavement.
+
+    Pedestrians turn round on the landings.
+    """
     x, half, track = arm.stop - 1.5 - CROSSING / 2, arm.half_width + 0.2, 0.9
     over = straight(np.array([x + track, -half]), np.array([x + track, half]))
     out, back = np.array([x + track, half + 0.5]), np.array([x - track, half])
@@ -172,8 +187,9 @@ def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
 
 
 def corners(arms: tuple[Arm, ...], a: int, setback: float) -> Floats:
-    """(1 or 2, 2) m, where the left side of arm `a` becomes the right side of the next, `setback` m behind the kerbs.
+    """Corner (1 or 2, 2) m between the left side of arm `a` and the next arm.
 
+    It is `setback` m behind the kerbs.
     One point if the sides meet, two if the arms are opposite each other.
     """
     arm, next_arm = arms[a], arms[(a + 1) % len(arms)]
@@ -186,7 +202,7 @@ def corners(arms: tuple[Arm, ...], a: int, setback: float) -> Floats:
 
 
 def _pavement(arms: tuple[Arm, ...], a: int) -> Floats:
-    """The loop of pedestrians who walk round the corner between arm `a` and the next, and back."""
+    """The loop of pedestrians walking round the corner between arm `a` and the next."""
     arm, next_arm = arms[a], arms[(a + 1) % len(arms)]
     setback = 3.5
     start = arm.world(np.array([[PAVEMENT_END, arm.half_width + setback]]))

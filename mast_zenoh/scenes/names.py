@@ -1,4 +1,4 @@
-"""Short names of scenes, as given on the command line: `intersection`, `avstack:PATH`, `av2:PATH`."""
+"""Short names of scenes: `intersection`, `avstack:PATH`, `av2:PATH`."""
 
 from __future__ import annotations
 

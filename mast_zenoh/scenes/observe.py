@@ -38,7 +38,10 @@ class World:
         return slice(int(self.truth_start[frame]), int(self.truth_start[frame + 1]))
 
     def sensor_pose(self, frame: int, agent: int) -> tuple[Floats, Floats]:
-        """Position (3,) m and rotation (3, 3) of the lidar of `agent` (row of `agents`) in the world."""
+        """Position (3,) m and rotation (3, 3) of an agent's lidar in the world.
+
+        agent: row of `agents`
+        """
         mount = self.agents[agent].sensor
         return sensor_pose(
             self.agent_position[frame, agent],
@@ -48,8 +51,11 @@ class World:
         )
 
 
-def see(world: World, columns: Sequence[int] | None = None) -> NDArray[np.int32]:
-    """(N, A) lidar returns of each truth row at each agent, by ray casting; only for `columns` if they are given."""
+def lidar_visibility(world: World, columns: Sequence[int] | None = None) -> NDArray[np.int32]:
+    """Lidar returns (N, A) of each truth row at each agent, by ray casting.
+
+    columns: the agents to compute; None: all
+    """
     points = np.zeros((len(world.truth), len(world.agents)), np.int32)
     walls = Walls.of_buildings(world.buildings, world.building_height)
     for frame in range(len(world.times_ns)):
@@ -73,8 +79,9 @@ def see(world: World, columns: Sequence[int] | None = None) -> NDArray[np.int32]
 def detect(
     world: World, points: NDArray[np.int32], detector: Detector, seed: int, ground: Floats | None = None
 ) -> tuple[Detections, Ints, Ints]:
-    """Detect objects in every frame: `detections`, `detection_start` and `detection_truth_id`.
+    """Detect objects in every frame.
 
+    The result is `detections`, `detection_start` and `detection_truth_id`.
     Each (agent, frame) has its own random stream, so adding an agent does not affect the others.
     ground: (F, A) m, z of the ground at each agent; None: 0.
     """
@@ -98,7 +105,7 @@ def detect(
     return flat, np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
 
 
-def recorded(
+def make_recording(
     world: World, points: NDArray[np.int32], detections: Detections, detection_start: Ints, detection_truth_id: Ints
 ) -> Recording:
     """The finished, validated recording."""

@@ -1,4 +1,4 @@
-"""Planar curves that road users move along, and a table of them for batched look-up."""
+"""Planar curves that road users move along, with batched look-up."""
 
 from __future__ import annotations
 
@@ -50,15 +50,18 @@ def straight(start: Floats, end: Floats) -> Floats:
 
 
 def arc(centre: Floats, radius: float, begin: float, sweep: float) -> Floats:
-    """(k, 2) m, on a circle about `centre` (2,) from the angle `begin` rad, by `sweep` rad (positive: left)."""
+    """Points (k, 2) m on a circle about `centre` (2,).
+
+    begin: rad; sweep: rad, positive to the left
+    """
     angle = begin + np.linspace(0.0, sweep, max(8, int(abs(sweep) * radius / 0.1) + 1))
     return centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def bend(start: Floats, heading: float, end: Floats, end_heading: float) -> Floats:
-    """(k, 2) m, a smooth turn between two poses, straight at both ends, with the smallest peak curvature.
+    """Points (k, 2) m of a smooth turn between two poses with least peak curvature.
 
-    A quintic Hermite curve with zero curvature at its ends; the length of the end tangents is chosen from several.
+    A quintic Hermite curve, straight at both ends; the length of the end tangents is chosen from several.
     """
     t = np.linspace(0.0, 1.0, 161)[:, None]
     start_tangent, end_tangent = (
@@ -82,7 +85,10 @@ def bend(start: Floats, heading: float, end: Floats, end_heading: float) -> Floa
 
 
 def rounded(corners: Floats, radius: float) -> Floats:
-    """(k, 2) m, a polyline (m, 2) whose inner corners are rounded off within `radius` m of each."""
+    """Points (k, 2) m of a polyline (m, 2) with inner corners rounded off.
+
+    radius: m, distance from a corner within which it is rounded
+    """
     parts = [corners[:1]]
     for before, corner, after in zip(corners[:-2], corners[1:-1], corners[2:], strict=True):
         start = corner + (before - corner) * min(0.49, radius / np.hypot(*(before - corner)))
@@ -94,10 +100,10 @@ def rounded(corners: Floats, radius: float) -> Floats:
 
 
 def oval(middle: Floats, half_width: float) -> Floats:
-    """(k, 2) m, a closed loop around the line `middle` (m, 2) at a distance of `half_width` m, keeping right.
+    """Points (k, 2) m of a closed loop around the line `middle` (m, 2), keeping right.
 
-    Out on the right of the line, half a turn to the left, back on the left, half a turn to the left. The seam is on
-    the way out, where the line is nearly straight, so that the direction is continuous.
+    The loop is `half_width` m from the line: out on its right, half a turn to the left, back on its left, half a turn.
+    The seam is on the way out, where the line is nearly straight, so that the direction is continuous.
     """
     path = Path.through(middle)
     normal = np.stack([-np.sin(path.yaw), np.cos(path.yaw)], axis=1) * half_width
@@ -125,7 +131,10 @@ class PathTable:
 
     @classmethod
     def of(cls, paths: Sequence[Path], lateral: float, braking: float) -> PathTable:
-        """A table of `paths`; speed limits allow `lateral` m/s^2 across and `braking` m/s^2 along the path."""
+        """A table of `paths` with speed limits.
+
+        lateral, braking: m/s^2, maximum acceleration across and along the path
+        """
         count = np.array([len(path.points) for path in paths])
         limits = []
         for path in paths:

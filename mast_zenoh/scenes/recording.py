@@ -1,4 +1,4 @@
-"""A prepared scene: all data of one (scene, seed) in columns, recorded once and replayed."""
+"""A prepared scene: all data of one (scene, seed) in columns."""
 
 from __future__ import annotations
 
@@ -103,15 +103,21 @@ class Recording:
         return slice(int(self.detection_start[index]), int(self.detection_start[index + 1]))
 
     def detections_at(self, frame: int, agent: int) -> Detections:
-        """Detections of `agent` (row of `agents`) in a frame, sensor frame; views, not copies."""
+        """Detections of `agent` in a frame, sensor frame; views, not copies.
+
+        agent: row of `agents`
+        """
         return self.detections.select(self._detection_rows(frame, agent))
 
     def detection_truth_id_at(self, frame: int, agent: int) -> Ints:
-        """(n,) truth ids of `detections_at(frame, agent)`, -1 for clutter; for scoring only."""
+        """Truth ids (n,) of `detections_at`, -1 for clutter; for scoring only."""
         return self.detection_truth_id[self._detection_rows(frame, agent)]
 
     def validate(self) -> None:
-        """Raise SceneError with the column and frame of the first invalid shape, offset or number."""
+        """Raise SceneError for the first invalid shape, offset or number.
+
+        The message names its column and frame.
+        """
         f, a, n, d = len(self.times_ns), len(self.agents), len(self.truth), len(self.detections)
         if f == 0 or a == 0:
             raise SceneError(f"{self.name}: {f} frames and {a} agents, expected at least one of each")
@@ -179,7 +185,10 @@ class Recording:
 
     @classmethod
     def load(cls, path: Path) -> Recording:
-        """Read a file written by `save`. Raises SceneError when the file is missing, broken or of another format."""
+        """Read a file written by `save`.
+
+        Raises SceneError when the file is missing, broken or of another format.
+        """
         try:
             with np.load(path, allow_pickle=False) as file:
                 unpacked, size = sum(member.file_size for member in file.zip.infolist()), path.stat().st_size
@@ -215,7 +224,10 @@ _ARRAYS = tuple(
 
 
 def truth_states(columns: Mapping[str, NDArray[Any]]) -> ObjectStates:
-    """Truth with the given TRUTH_COLUMNS; the covariances are n views of one zero matrix."""
+    """Truth with the given TRUTH_COLUMNS.
+
+    The covariances are n views of one zero matrix.
+    """
     n = len(columns["id"])
     return ObjectStates(
         **{name: columns[name] for name in TRUTH_COLUMNS},

@@ -1,4 +1,4 @@
-"""Road users of a generated junction: sizes, driver parameters and start positions."""
+"""Road users of a generated junction: sizes, drivers and start positions."""
 
 from __future__ import annotations
 
@@ -67,7 +67,10 @@ def road_users(network: Network, count: dict[str, int], random: np.random.Genera
 
 
 def _places(network: Network, user: int, random: np.random.Generator) -> list[tuple[int, float]]:
-    """Start positions of movers of a kind that do not overlap: (path, m along it), shuffled."""
+    """Start positions (path, m along it) of a kind of movers, shuffled.
+
+    They do not overlap.
+    """
     spacing = {ROAD: 18.0, BIKE: 8.0, CROSSER: 2.2, WALKER: 4.0}[user]
     places = []
     landings = 0

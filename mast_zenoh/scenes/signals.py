@@ -1,4 +1,4 @@
-"""Conflicts between paths of a junction, and traffic lights that never release two conflicting paths.
+"""Conflicts between paths of a junction, and conflict-free traffic lights.
 
 A *mover* on a path sweeps an area, here a chain of discs. Two connectors (paths across the junction) conflict if their
 swept areas meet. Lights are derived from the conflicts: groups of connectors without conflicts share a phase, and
@@ -34,7 +34,10 @@ _TAIL = 15.0  # m, ends of adjacent lanes that a turning vehicle's sweep must no
 
 
 def _sweep(path: Path, footprint: tuple[float, float], begin: float = 0.0, end: float = np.inf) -> tuple[Floats, float]:
-    """Centres (k, 2) m and radius m of discs that cover the area swept by a box of `footprint` along a path."""
+    """Discs that cover the area swept by a box along a path.
+
+    Centres (k, 2) m and radius m; footprint: length and width of the box, m.
+    """
     length, width = footprint
     count = max(1, round(length / 1.6))
     distance = np.linspace(0.0, path.length, len(path.points))
@@ -73,8 +76,9 @@ def origins(lanes: Sequence[Lane]) -> Ints:
 
 
 def conflicts(lanes: Sequence[Lane]) -> Bools:
-    """(2 P, 2 P) whether two connectors conflict; row 2 p + c is mover class c on path p.
+    """Conflicts (2 P, 2 P) between connectors.
 
+    Row 2 p + c is mover class c on path p.
     Connectors that begin in the same lane do not conflict: their movers follow each other at a distance.
     """
     result = np.zeros((2 * len(lanes), 2 * len(lanes)), bool)
@@ -93,8 +97,9 @@ def conflicts(lanes: Sequence[Lane]) -> Bools:
 
 
 def passable(lanes: Sequence[Lane]) -> Bools:
-    """(P, 2) whether a mover class can use a path without reaching into adjacent lanes or a dead end.
+    """Whether a mover class can use a path (P, 2).
 
+    A mover must not reach into adjacent lanes or a dead end.
     A long vehicle swings out in a tight turn and could hit vehicles waiting beside it. A lane without a passable
     continuation for long vehicles is not passable for them either.
     """
@@ -154,7 +159,7 @@ class Lights:
     cycle: float
 
     def now(self, time: float) -> tuple[Bools, float]:
-        """(P,) whether each connector has green at `time` s, and the remaining green time, s."""
+        """Whether each connector (P,) has green at `time` s, and the remaining green s."""
         cycle_time = time % self.cycle
         phase = int(np.searchsorted(self.begin, cycle_time, side="right")) - 1
         remaining = float(self.begin[phase] + self.length[phase] - cycle_time)
@@ -162,7 +167,10 @@ class Lights:
 
 
 def lights(lanes: Sequence[Lane], conflict: Bools, green_s: float, red_s: float) -> Lights:
-    """Lights for a junction: phases of `green_s` s or more, each followed by `red_s` s of red for all."""
+    """Lights for a junction.
+
+    Phases of `green_s` s or more, each followed by `red_s` s of red for all.
+    """
     groups: dict[tuple[int, int, int], list[int]] = {}
     for row, lane in enumerate(lanes):
         if lane.connector:

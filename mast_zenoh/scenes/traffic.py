@@ -1,4 +1,4 @@
-"""Traffic simulation: movers keep their lane and distance, slow for curves and stop at red.
+"""Traffic simulation: movers keep lane and distance, and stop at red.
 
 Car following is the intelligent driver model (Treiber, Hennecke, Helbing: Congested traffic states in empirical
 observations and microscopic simulations, Physical Review E 62, 2000), for bicycles and pedestrians too. A mover
@@ -61,7 +61,10 @@ class Network:
 
     @classmethod
     def of(cls, lanes: tuple[Lane, ...], green_s: float, red_s: float) -> Network:
-        """The network of a plan, with lights of `green_s` s green and `red_s` s red between phases."""
+        """The network of a plan.
+
+        green_s, red_s: s, green phases of the lights, and red between them
+        """
         conflict = conflicts(lanes)
         return cls(
             lanes,
@@ -76,7 +79,10 @@ class Network:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion of n movers in F frames: position (F, n, 2) m, yaw (F, n) rad, speed (F, n) m/s, path (F, n) row."""
+    """The motion of n movers in F frames.
+
+    position (F, n, 2) m, yaw (F, n) rad, speed (F, n) m/s, path (F, n) row
+    """
 
     position: Floats
     yaw: Floats
@@ -92,7 +98,10 @@ class Traffic:
     """A running simulation; `step` advances it."""
 
     def __init__(self, network: Network, movers: Movers, seed: int, name: str) -> None:
-        """Place the movers at their start, at rest. Mover i chooses turns from its own random stream."""
+        """Place the movers at their start, at rest.
+
+        Mover i chooses turns from its own random stream.
+        """
         self.network, self.movers = network, movers
         self.time = 0.0
         n = len(movers.user)
@@ -131,7 +140,10 @@ class Traffic:
         return points, yaw, self.v.copy(), self.route[:, 0].copy()
 
     def run(self, frames: int, steps: int, dt: float) -> Motion:
-        """Simulate `frames` frames, beginning with the current one, `steps` steps of `dt` s apart."""
+        """Simulate `frames` frames, beginning with the current one.
+
+        They are `steps` steps of `dt` s apart.
+        """
         log = []
         for _ in range(frames):
             log.append(self.motion())
@@ -191,7 +203,10 @@ class Traffic:
         return interaction
 
     def _right_of_way(self, to_line: Floats) -> Bools:
-        """(n,) whether each mover must stop at the line. Grants the right of way to movers about to pass it."""
+        """Movers (n,) that must stop at the line.
+
+        Grants the right of way to movers about to pass it.
+        """
         green, remaining = self.network.lights.now(self.time)
         connector = self.route[:, 1]
         waiting = self._signalled[self.route[:, 0]] & (self.granted != connector)
@@ -216,7 +231,10 @@ class Traffic:
         return must_stop
 
     def _room_beyond(self, i: int) -> bool:
-        """Whether there is room for mover i behind its connector, counting movers already heading there."""
+        """Whether there is room for mover i behind its connector.
+
+        Counts movers that are already heading there.
+        """
         movers, exit_path = self.movers, self.route[i, 2]
         on_exit = np.flatnonzero(self.route[:, 0] == exit_path)
         if not len(on_exit):
@@ -235,7 +253,10 @@ class Traffic:
         )
 
     def _advance(self, end: Floats) -> None:
-        """Move on to the next path; release the right of way once the rear has left the connector."""
+        """Move on to the next path, and release the right of way of cleared connectors.
+
+        A connector is cleared when the rear of its mover has left it.
+        """
         for i in np.flatnonzero(self.s >= end):
             self.s[i] -= end[i]
             self.route[i] = (*self.route[i, 1:], self._next_path(int(i), int(self.route[i, 2])))

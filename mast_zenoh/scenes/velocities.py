@@ -8,7 +8,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 
 
 def fill_velocity(ids: Ints, position: Floats, velocity: Floats, times_ns: Ints) -> Floats:
-    """Fill the NaN rows of `velocity` (N, 3) m/s by differentiating `position` (N, 3) m of the same id.
+    """Fill NaN rows of `velocity` (N, 3) m/s by differentiating `position` (N, 3) m.
 
     ids (N,) and times_ns (N,) ns, ascending for each id. Central differences, one-sided at the ends of a track; zero
     for an object in a single frame.

@@ -27,7 +27,9 @@ class Camera:
     focal: float = 400.0
 
     def project(self, points_world: Floats, agent_position: Floats, agent_rotation: Floats) -> tuple[Floats, Floats]:
-        """Pixels (n, 2) and depth (n,) in m of world points (n, 3) for an agent's pose (3,), (3, 3).
+        """Pixels (n, 2) and depth (n,) m of world points (n, 3) for an agent's pose.
+
+        agent_position: (3,) m; agent_rotation: (3, 3)
 
         Pixels count u to the right and v down from the upper left corner. A point behind the camera has a depth <= 0
         and NaN pixels; a point outside the image has pixels outside [0, width) x [0, height).

@@ -38,7 +38,9 @@ class Detector(ABC):
         ground: float,
         random: np.random.Generator,
     ) -> tuple[Detections, Ints]:
-        """Detections of one sensor in one frame, in the sensor frame, best score first; and their truth ids (n,).
+        """Detections of one sensor in one frame, and their truth ids (n,).
+
+        Detections are in the sensor frame, best score first.
 
         objects: n objects in the world frame. points: (n,) lidar returns of each at this sensor.
         sensor_position (3,) m, sensor_rotation (3, 3) active: pose of the lidar in the world.
@@ -48,9 +50,11 @@ class Detector(ABC):
 
 
 class CleanDetector(Detector):
-    """Reports every object with enough points without noise, misses or clutter; for tests and upper bounds.
+    """Reports every object with enough points exactly; for tests and upper bounds.
 
-    min_points: lidar returns below which nothing is found
+    No noise, misses or clutter.
+
+    min_points: minimum number of lidar returns of a detected object
     """
 
     def __init__(self, *, min_points: int = 5) -> None:
@@ -74,7 +78,9 @@ class CleanDetector(Detector):
 
 
 class DetectionModel(Detector):
-    """A statistical detector: misses, noise, wrong classes and clutter, drawn from the number of lidar returns.
+    """A statistical detector: misses, noise, wrong classes and clutter.
+
+    They are drawn from the number of lidar returns.
 
     An object with n >= min_points returns is detected with probability 1 - exp(-n / points_scale). Errors are normal,
     independent from frame to frame, with the standard deviations below times

@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import Bools, Floats
 
 @dataclass(frozen=True, eq=False)
 class LidarSensor:
-    """A spinning or sector lidar. The defaults are the roof lidar of the paper's mobile agents.
+    """A spinning or sector lidar; by default the paper's roof lidar of mobile agents.
 
     mount_position:    (3,) m, of the lidar in the agent's frame
     mount_rotation:    (3, 3), active, lidar to agent
@@ -33,7 +33,10 @@ class LidarSensor:
 
     @classmethod
     def infrastructure(cls) -> LidarSensor:
-        """The paper's pole lidar: a 90 degree sector, -25 to 30 degrees in the frame of the (pitched) agent."""
+        """The paper's pole lidar: a 90 degree sector, -25 to 30 degrees elevation.
+
+        In the frame of the (pitched) agent.
+        """
         return cls(np.zeros(3), np.eye(3), -45.0, 45.0, 0.2, -25.0, 30.0, 64, 100.0)
 
     @property
@@ -50,7 +53,7 @@ class LidarSensor:
 
 
 def in_view(points_world: Floats, sensor_position: Floats, sensor_rotation: Floats, lidar: LidarSensor) -> Bools:
-    """(n,) whether world points (n, 3) are within the sector, the elevations and the range of a lidar.
+    """Whether world points (n, 3) are in the field of view and range of a lidar.
 
     sensor_position (3,) m, sensor_rotation (3, 3) active, of the lidar itself (`sensing.sensor_pose`). Occlusion is
     ignored.

@@ -1,4 +1,6 @@
-"""Lidar returns by ray casting: each beam returns from the nearest box unless a wall is in between.
+"""Lidar returns by ray casting against boxes and walls.
+
+Each beam returns from the nearest box unless a wall is in between.
 
 The test is exact for upright boxes and vertical walls. It is fast because a box is only tested against the beams in
 its angular window, and walls only against the beams that hit a box.
@@ -84,9 +86,9 @@ def lidar_points(
 
 
 def _columns(lidar: LidarSensor, corners: Floats, nearest: Floats) -> tuple[Ints, Ints, Ints]:
-    """Candidate (box, azimuth) pairs and the range of channels (2,) of each; the bounds are conservative.
+    """Candidate (box, azimuth) pairs and the range of channels (2,) of each.
 
-    corners (n, 8, 3) in the sensor frame, nearest (n,) distance of each box.
+    The bounds are conservative. corners: (n, 8, 3) in the sensor frame; nearest: (n,) distance of each box
     """
     azimuths, elevations = lidar.azimuths, lidar.elevations
     centre = corners.mean(axis=1)
@@ -121,7 +123,10 @@ def _columns(lidar: LidarSensor, corners: Floats, nearest: Floats) -> tuple[Ints
 def _hits(
     lidar: LidarSensor, rotation: Floats, origin: Floats, half: Floats, box: Ints, azimuth: Ints, channels: Ints
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Slab test of every beam in the columns: box, beam, distance and direction (sensor frame) of those that hit."""
+    """Slab test of every beam in the columns.
+
+    Returns box, beam, distance and direction (sensor frame) of the beams that hit.
+    """
     azimuths, elevations = lidar.azimuths, lidar.elevations
     horizontal = np.stack([np.cos(azimuths), np.sin(azimuths)])[:, azimuth]
     count = channels[:, 1] - channels[:, 0]
@@ -136,9 +141,9 @@ def _hits(
         # Avoids division by zero for a beam parallel to a face.
         direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
         centre = (-origin[box, axis])[column] / direction
-        reach = half[box, axis][column] / np.abs(direction)
-        np.maximum(enter, centre - reach, out=enter)
-        np.minimum(leave, centre + reach, out=leave)
+        half_span = half[box, axis][column] / np.abs(direction)
+        np.maximum(enter, centre - half_span, out=enter)
+        np.minimum(leave, centre + half_span, out=leave)
     hit = np.flatnonzero(enter <= leave)
     column, channel = column[hit], channel[hit]
     directions = np.stack(
@@ -156,7 +161,10 @@ def _nearest(box: Ints, beam: Ints, distance: Floats, direction: Floats) -> tupl
 
 
 def _behind_walls(origin: Floats, ends: Floats, box: Ints, walls: Walls) -> NDArray[np.bool_]:
-    """(n,) whether a wall blocks the line from `origin` to the hits `ends` (n, 3) on the boxes `box` (n,)."""
+    """Whether a wall blocks the line from `origin` to each hit in `ends` (n, 3).
+
+    box: (n,) box of each hit
+    """
     blocked = np.zeros(len(ends), bool)
     order = np.argsort(box, kind="stable")
     sight = ends[order, :2] - origin[:2]

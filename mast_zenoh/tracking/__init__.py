@@ -1,4 +1,7 @@
-"""Tracking: turns detections or states into tracks with persistent ids (docs/tracking.md)."""
+"""Tracking: turns detections or states into tracks with persistent ids.
+
+See docs/tracking.md.
+"""
 
 from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment, GreedyAssignment
 from mast_zenoh.tracking.base import Tracker

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import alone, cheapest, greedy
+from mast_zenoh.arrays.matching import greedy_matching, min_cost_matching, uncontested
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 
@@ -39,16 +39,16 @@ class Assignment(ABC):
 
 @kernel
 def useful_pairs(row: Ints, column: Ints, cost: Floats) -> tuple[Ints, Bools]:
-    """(k,) int64, ascending: pairs with negative cost; (k,) bool: which of them share neither row nor column.
+    """Pairs (k,) with negative cost, and which of them (k,) are uncontested.
 
-    Uncontested pairs, the majority in most frames, are always chosen.
+    The indices are ascending. Uncontested pairs share no row or column; most pairs are, and they are always chosen.
     """
     useful: Ints = (cost < 0.0).nonzero()[0]
-    return useful, alone(row[useful], column[useful])
+    return useful, uncontested(row[useful], column[useful])
 
 
 class BipartiteAssignment(Assignment):
-    """Minimises the total cost, see `matching.cheapest`.
+    """Minimises the total cost, see `matching.min_cost_matching`.
 
     Falls back to greedy assignment above MAX_PAIRS possible pairs; only a hostile source sends so many.
     """
@@ -58,18 +58,18 @@ class BipartiteAssignment(Assignment):
 
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
         if _count_distinct(row) * _count_distinct(column) > MAX_PAIRS:
-            return greedy(row, column, cost)
-        return cheapest(row, column, cost)
+            return greedy_matching(row, column, cost)
+        return min_cost_matching(row, column, cost)
 
 
 class GreedyAssignment(Assignment):
-    """Chooses the cheapest pair first, see `matching.greedy`."""
+    """Chooses the cheapest pair first, see `matching.greedy_matching`."""
 
     def __init__(self) -> None:
         pass
 
     def _choose(self, row: Ints, column: Ints, cost: Floats) -> Bools:
-        return greedy(row, column, cost)
+        return greedy_matching(row, column, cost)
 
 
 def _count_distinct(values: Ints) -> int:

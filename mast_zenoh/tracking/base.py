@@ -28,12 +28,12 @@ class Tracker(ABC):
 
     @abstractmethod
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
-        """As `step`, for n measured full states; their (9, 9) covariances must be positive definite."""
+        """As `step`, for n measured full states with positive definite covariances."""
 
     @property
     @abstractmethod
     def matched(self) -> Ints:
-        """(n,) for each track of the last result, the input row that updated it; -1: it coasts."""
+        """Input row (n,) that updated each track of the last result; -1: coasting."""
 
     @abstractmethod
     def reset(self) -> None:

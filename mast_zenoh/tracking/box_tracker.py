@@ -1,4 +1,4 @@
-"""The box tracker: batched Kalman filter, gating, assignment and existence probabilities."""
+"""The box tracker: Kalman filter, gating, assignment, existence probabilities."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from mast_zenoh.tracking.assignment import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.classes import first_covariance
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, duplicates, overlap
-from mast_zenoh.tracking.gating import Match, gains, near_pairs
-from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, settle_sense
+from mast_zenoh.tracking.gating import Match, near_pairs, pair_gains
+from mast_zenoh.tracking.heading import FORWARD, TURN_LIMIT, correct_heading, resolve_heading_direction
 from mast_zenoh.tracking.lateral_constraint import constrain_lateral_speed
 from mast_zenoh.tracking.measured import Measured
 from mast_zenoh.tracking.tracks import CONFIRMED, COVARIANCE, MEAN, ODDS, ROW, XX, YAW, YAW_VARIANCE, YY
@@ -48,22 +48,24 @@ _BIPARTITE = BipartiteAssignment()
 
 
 class KalmanBoxTracker3D(Tracker):
-    """Tracks boxes in the plane of the road; see docs/tracking.md for the model and the sources of the numbers.
+    """Tracks boxes in the plane of the road with a Kalman filter.
 
-    position_std_m, vertical_std_m: of a detection's horizontal position per axis, and of its height, unless it has
-        its own covariance
-    size_std_m, yaw_std_rad: of a detection's sizes, and of its heading modulo half a turn
-    detection_probability: of an object in full view; a track's own hit rate can only lower it
-    report_probability: that a source of states (`step_states`) continues to report an existing object
+    See docs/tracking.md for the model and the sources of the numbers.
+
+    position_std_m, vertical_std_m: standard deviation of a detection's horizontal position per axis, and of its height,
+        unless it has its own covariance
+    size_std_m, yaw_std_rad: standard deviation of a detection's sizes, and of its heading modulo half a turn
+    detection_probability: probability of detecting an object in full view; a track's own hit rate can only lower it
+    report_probability: probability that a source of states (`step_states`) continues to report an existing object
     clutter_per_m2: false detections per square metre and frame
     birth_odds: odds that a detection without a matching track is a new object
     lifetime_s: s, average time that an object stays in view; memory_s: s, time constant of a track's hit rate
-    confirm_probability: of existence, to confirm a track; min_probability: to report it
+    confirm_probability: of existence, above which a track is confirmed; min_probability: above which it is reported
     max_coast_s: s without a measurement after which a track is dropped (earlier if its position uncertainty exceeds
         LOST_M); until then it may be recovered under the same id
-    max_std_m: m, of the horizontal position, above which a track is not reported
-    jump_probability, jump_std_m: of a sudden displacement in a frame, and its standard deviation per axis for a
-        moving car, see `gating`
+    max_std_m: m, standard deviation of the horizontal position above which a track is not reported
+    jump_probability, jump_std_m: probability of a sudden displacement in a frame, and its standard deviation per axis
+        for a moving car, see `gating`
     acceleration_scale: factor on the accelerations in `classes`
     assignment: how detections are assigned to tracks
 
@@ -138,13 +140,13 @@ class KalmanBoxTracker3D(Tracker):
         detected = existence.detection_probability(t, self._detection_probability, PRIOR_FRAMES)
         match = self._associate(measurements, detected)
         if len(match.track):
-            hit = self._matched_tracks(match, measurements, detected)
+            matched = self._matched_tracks(match, measurements, detected)
             measured, R = measurements.state.take(match.measurement, 0), measurements.noise.take(match.measurement, 0)
-            innovation = measured[:, :2] - hit[:, :2]
-            self.filter.correct(hit, measured, R)
-            constrain_lateral_speed(self.filter, hit, innovation)
-            t[match.track] = hit
-        existence.miss(t, detected, self._missed_fraction(view), self._birth_odds)
+            innovation = measured[:, :2] - matched[:, :2]
+            self.filter.correct(matched, measured, R)
+            constrain_lateral_speed(self.filter, matched, innovation)
+            t[match.track] = matched
+        existence.update_missed(t, detected, self._missed_fraction(view), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
         new_tracks = self._create_tracks(new_rows, measurements)
         if len(new_rows):
@@ -163,18 +165,18 @@ class KalmanBoxTracker3D(Tracker):
         detected = np.full(len(t), self._report_probability)
         match = self._associate(measurements, detected)
         if len(match.track):
-            hit = self._matched_tracks(match, measurements, detected)
+            matched = self._matched_tracks(match, measurements, detected)
             R = measurements.noise.take(match.measurement, 0)
             # Successive outputs of a filter are correlated. Covariance intersection of track and measurement avoids
             # double counting; weights by the trace of the position (Niehsen, FUSION 2002).
-            track_variance, measured_variance = hit[:, XX] + hit[:, YY], R[:, 0, 0] + R[:, 1, 1]
+            track_variance, measured_variance = matched[:, XX] + matched[:, YY], R[:, 0, 0] + R[:, 1, 1]
             weight = (measured_variance / (track_variance + measured_variance))[:, None]
-            hit[:, COVARIANCE] /= weight
+            matched[:, COVARIANCE] /= weight
             R /= 1.0 - weight[:, None]
-            self.filter.correct(hit, measurements.state.take(match.measurement, 0), R)
-            settle_sense(hit, FORWARD, TURN_LIMIT)
-            t[match.track] = hit
-        existence.miss(t, detected, self._missed_fraction(None), self._birth_odds)
+            self.filter.correct(matched, measurements.state.take(match.measurement, 0), R)
+            resolve_heading_direction(matched, FORWARD, TURN_LIMIT)
+            t[match.track] = matched
+        existence.update_missed(t, detected, self._missed_fraction(None), self._birth_odds)
         new_rows = self._new_objects(match, measurements)
         new_tracks = self._create_tracks(new_rows, measurements)
         if len(new_rows):
@@ -203,7 +205,7 @@ class KalmanBoxTracker3D(Tracker):
             self.filter.predict(t, dt, self._process_noise[1])
             t[:, YAW_VARIANCE] += YAW_DRIFT**2 * dt
             t[:, tracks.AGE] += dt
-            existence.survive(t, dt, self._lifetime_s, self._memory_s)
+            existence.predict_existence(t, dt, self._lifetime_s, self._memory_s)
 
     def _associate(self, measurements: Measured, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
@@ -213,7 +215,7 @@ class KalmanBoxTracker3D(Tracker):
             t, measurements.state, measurements.noise, self._jump_variance.take(class_id), self._jump_probability
         )
         i, j = pairs.track, pairs.measurement
-        ratio, gain = gains(
+        ratio, gain = pair_gains(
             t, detected, measurements.class_id, classes.CONFUSION, i, j, pairs.log_density, self._log_clutter
         )
         chosen = self._assignment.match(i, j, -gain)
@@ -222,29 +224,29 @@ class KalmanBoxTracker3D(Tracker):
     def _matched_tracks(self, match: Match, measurements: Measured, detected: Floats) -> Floats:
         """A copy of the matched tracks, updated except for mean and covariance."""
         used = match.measurement
-        hit = self._tracks.take(match.track, 0)
+        updated = self._tracks.take(match.track, 0)
         if np.count_nonzero(match.jump):
-            hit[:, XX] += match.jump
-            hit[:, YY] += match.jump
-        correct_heading(hit, measurements.yaw.take(used), self._yaw_noise)
-        tracks.vote(hit, measurements.class_id.take(used))
-        existence.hit(hit, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
-        hit[:, tracks.AGE], hit[:, ROW] = 0.0, measurements.row.take(used)
-        return hit
+            updated[:, XX] += match.jump
+            updated[:, YY] += match.jump
+        correct_heading(updated, measurements.yaw.take(used), self._yaw_noise)
+        tracks.update_class(updated, measurements.class_id.take(used))
+        existence.update_detected(updated, detected.take(match.track), match.log_ratio, existence.MAX_ODDS)
+        updated[:, tracks.AGE], updated[:, ROW] = 0.0, measurements.row.take(used)
+        return updated
 
     def _missed_fraction(self, view: SensorView | None) -> Floats:
-        """(n,) fraction of each track that was visible (in view and not occluded) but not measured."""
+        """Fraction (n,) of each track that was visible, not occluded and not measured."""
         t = self._tracks
         coasts = t[:, ROW] < 0.0
         missed = coasts.astype(np.float64)
         rows = coasts.nonzero()[0]
         if view is not None and len(rows):
-            screens = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)).nonzero()[0]
-            missed[rows] = view.expects(t.take(rows, 0), t.take(screens, 0))
+            occluders = ((t[:, CONFIRMED] > 0.0) & (t[:, ODDS] > self._report_odds)).nonzero()[0]
+            missed[rows] = view.visible_fraction(t.take(rows, 0), t.take(occluders, 0))
         return missed
 
     def _new_objects(self, match: Match, measurements: Measured) -> Ints:
-        """Rows of the measurements that may be new objects: neither matched nor duplicates of a matched object."""
+        """Rows of measurements that neither match nor duplicate a matched object."""
         explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True
         if match.contested:
@@ -270,13 +272,13 @@ class KalmanBoxTracker3D(Tracker):
                 1.0,
             )
             new_tracks[:, tracks.HITS], new_tracks[:, ROW] = 1.0, measurements.row[rows]
-            tracks.vote(new_tracks, measurements.class_id[rows])
+            tracks.update_class(new_tracks, measurements.class_id[rows])
         return new_tracks
 
     def _finish(self, match: Match, new_tracks: Floats) -> ObjectStates:
         """Drop tracks, add the new ones and report."""
         t = self._tracks
-        keep, report = existence.kept(
+        keep, report = existence.track_status(
             t,
             self._confirm_odds,
             self._report_odds,

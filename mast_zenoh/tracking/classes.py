@@ -29,7 +29,7 @@ _ALONG, _ACROSS, ACCELERATION, JUMP, _FAMILY = _COLUMNS
 _SPEED_MEAN, _SPEED_HALF = 0.5 * (_ALONG**2 + _ACROSS**2), 0.5 * (_ALONG**2 - _ACROSS**2)
 
 #: (7,) bool: moves along its length axis, except for slip.
-ROLLS = np.array([name not in ("unknown", "pedestrian") for name in CLASSES])
+WHEELED = np.array([name not in ("unknown", "pedestrian") for name in CLASSES])
 
 #: (7, 7) log-likelihood that an object of class row is detected as class column, up to a constant: detectors mostly
 #: agree, often confuse within a family, rarely beyond.
@@ -42,7 +42,9 @@ SPEED_VERTICAL = 0.5
 
 
 def first_covariance(box: Floats, yaw: Floats, class_id: Ints) -> Floats:
-    """(n, 9, 9) of new objects: box noise `box` (n, 6, 6) and the prior of an unknown velocity.
+    """Covariances (n, 9, 9) of new objects: box noise and the velocity prior.
+
+    box: (n, 6, 6)
 
     The heading constrains the velocity before any motion is observed.
     """

@@ -13,10 +13,10 @@ ONE_OBJECT = 0.6
 
 
 def overlap(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other_yaw: Floats, share: float) -> Bools:
-    """(p,) whether boxes and others at `offset` (p, 2) m overlap too far to be distinct objects.
+    """Whether boxes (p,) and others at `offset` (p, 2) m overlap too far.
 
-    size, other_size: (p, 3) m; yaw, other_yaw: (p,) rad. True where, along both axes of the box, the centres are nearer
-    than `share` (ONE_OBJECT) of the distance at which the boxes touch.
+    Objects that overlap so far cannot be distinct: along both axes of the box, the centres are nearer than `share`
+    (ONE_OBJECT) of the distance at which the boxes touch. size, other_size: (p, 3) m; yaw, other_yaw: (p,) rad
     """
     cosine, sine = np.cos(yaw), np.sin(yaw)
     along = np.abs(cosine * offset[:, 0] + sine * offset[:, 1])
@@ -28,9 +28,10 @@ def overlap(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other
 
 
 def duplicates(t: Floats) -> Bools:
-    """(n,) which confirmed tracks overlap a better one: a measured track beats a coasting one, then the older.
+    """Confirmed tracks (n,) that overlap a better track.
 
-    Footprints of road users do not overlap; two tracks whose footprints do follow the same object.
+    Footprints of road users do not overlap; two tracks whose footprints do follow the same object. A measured track is
+    better than a coasting one, then the older is better.
     """
     duplicate = np.zeros(len(t), bool)
     rows = t[:, CONFIRMED].nonzero()[0]

@@ -19,8 +19,11 @@ MAX_ODDS = 1e12
 
 
 @kernel
-def survive(tracks: Floats, dt: float, lifetime_s: float, memory_s: float) -> None:
-    """Predict by `dt` s: objects live `lifetime_s` s on average; counts decay with the time constant `memory_s` s."""
+def predict_existence(tracks: Floats, dt: float, lifetime_s: float, memory_s: float) -> None:
+    """Predict existence by `dt` s with the lifetime `lifetime_s` s on average.
+
+    Counts decay with the time constant `memory_s` s.
+    """
     # p' = s p, in odds o = p / (1 - p): o' = s o / (1 + (1 - s) o), which bounds the odds by s / (1 - s).
     growth = math.exp(dt / lifetime_s)
     odds = tracks[:, ODDS]
@@ -29,7 +32,9 @@ def survive(tracks: Floats, dt: float, lifetime_s: float, memory_s: float) -> No
 
 
 def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats:
-    """(n,) detection probability of each object: its hit rate combined with `prior`, weighted as `weight` frames.
+    """Detection probability (n,) of each object: its hit rate combined with a prior.
+
+    prior: probability; weight: of the prior, in frames
 
     A miss is weak evidence against a rarely detected object. The result never exceeds the prior; otherwise one miss
     after a perfect hit rate would end a track.
@@ -39,28 +44,29 @@ def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats
 
 
 @kernel
-def hit(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> None:
-    """Update measured tracks; `log_ratio` (n,): ln of the density of the measurement over that of clutter.
+def update_detected(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> None:
+    """Update existence of measured tracks.
 
-    most: upper limit of the odds
+    log_ratio: (n,) ln of the density of the measurement over that of clutter; most: upper limit of the odds
     """
     tracks[:, ODDS] = np.minimum(tracks[:, ODDS] * (detected * np.exp(log_ratio) + (1.0 - detected)), most)
     tracks[:, HITS] += 1.0
 
 
 @kernel
-def miss(tracks: Floats, detected: Floats, expected: Floats, birth: float) -> None:
-    """Update tracks that were `expected` (n,), 0 to 1, but not measured; 0 for invisible or measured tracks.
+def update_missed(tracks: Floats, detected: Floats, visible: Floats, birth: float) -> None:
+    """Update existence of unmeasured tracks.
 
-    The odds of a confirmed track stay at least at `birth`, those of a new object, so that it can be recovered.
+    visible: (n,) visible fraction, 0 to 1; 0 for measured tracks. The odds of a confirmed track stay at least at
+    `birth`, those of a new object, so that it can be recovered.
     """
-    odds = tracks[:, ODDS] * (1.0 - detected * expected)
+    odds = tracks[:, ODDS] * (1.0 - detected * visible)
     tracks[:, ODDS] = np.maximum(odds, birth * tracks[:, CONFIRMED])
-    tracks[:, MISSES] += expected
+    tracks[:, MISSES] += visible
 
 
 @kernel
-def kept(
+def track_status(
     tracks: Floats,
     confirm: float,
     report: float,
@@ -70,7 +76,9 @@ def kept(
     max_speed: float,
     max_reported_variance: float,
 ) -> tuple[Bools, Bools]:
-    """(n,) which tracks to keep, and which to report; confirms those with odds above `confirm`.
+    """Tracks (n,) to keep, and tracks (n,) to report.
+
+    Confirms tracks with odds above `confirm`.
 
     report: odds above which a confirmed track is reported; doubtful: odds below which an unconfirmed one is dropped
     max_age_s: s without a measurement; max_variance, max_reported_variance: m^2, of the horizontal position, both axes

@@ -42,7 +42,7 @@ class FilterpyFilter(kalman.BoxFilter):
 
 
 class FilterpyBoxTracker3D(KalmanBoxTracker3D):
-    """`KalmanBoxTracker3D` with `filterpy.kalman.KalmanFilter` for prediction and correction, track by track."""
+    """`KalmanBoxTracker3D` with `filterpy.kalman.KalmanFilter`, one track at a time."""
 
     filter: ClassVar[kalman.BoxFilter] = FilterpyFilter()
 

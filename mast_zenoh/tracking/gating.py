@@ -16,13 +16,14 @@ LOG_2_PI = math.log(2.0 * math.pi)
 
 
 class Gate(NamedTuple):
-    """Which pairs of a track and a measurement are possible.
+    """Limits on possible pairs of a track and a measurement.
 
-    steady: squared Mahalanobis distance in the plane beyond which steady motion does not explain a pair: probability
-            3e-4 of a true one; sudden: the same for a sudden displacement
-    level_m: m, difference in height beyond which two things are on different levels of a road
-    standing, moving: share of a sudden displacement's variance that what stands has, and what each (m/s)^2 adds: all
-            of it from 5 m/s on
+    steady: squared Mahalanobis distance in the plane up to which steady motion explains a pair; a true pair exceeds it
+            with probability 3e-4
+    sudden: the same for a sudden displacement
+    level_m: m, difference in height above which two objects are on different levels of a road
+    standing, moving: fraction of a sudden displacement's variance for an object at rest, and the increase per (m/s)^2;
+            reaches 1 at 5 m/s
     """
 
     steady: float = 16.0
@@ -53,7 +54,7 @@ class Pairs(NamedTuple):
 
 
 def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Floats, jump_probability: float) -> Pairs:
-    """The pairs of n tracks and m measurements within the gate, in the order of tracks, then measurements.
+    """Pairs of n tracks and m measurements within the gate, sorted by track.
 
     position: (m, >= 3) m; covariance: (m, k, k), the first two rows and columns are x and y, m^2
     jump: (n,) m^2, variance per axis of a sudden displacement of a moving object, which occurs in a frame with
@@ -65,20 +66,20 @@ def near_pairs(tracks: Floats, position: Floats, covariance: Floats, jump: Float
     """
     if len(tracks) == 0 or len(position) == 0:
         return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
-    near = neighbours(tracks, position, reach(tracks, covariance, jump, GATE.steady))
-    return Pairs(*gated(tracks, position, covariance, jump, near, GATE, math.log(jump_probability)))
+    near = neighbours(tracks, position, gate_radius(tracks, covariance, jump, GATE.steady))
+    return Pairs(*gated_pairs(tracks, position, covariance, jump, near, GATE, math.log(jump_probability)))
 
 
 @kernel
-def reach(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floats:
-    """(n,) m beyond which no measurement can be within the gate of a track."""
+def gate_radius(tracks: Floats, covariance: Floats, jump: Floats, gate: float) -> Floats:
+    """Radius (n,) m around each track that contains all measurements within its gate."""
     # The trace bounds the largest eigenvalue, which gives a cheap circle around both ellipses for all pairs.
     widest = (covariance[:, 0, 0] + covariance[:, 1, 1]).max()
     return np.asarray(np.sqrt(gate * (tracks[:, XX] + tracks[:, YY] + 0.5 * jump + widest)))
 
 
 @kernel
-def gated(
+def gated_pairs(
     tracks: Floats,
     position: Floats,
     covariance: Floats,
@@ -87,9 +88,9 @@ def gated(
     gate: Gate,
     log_jump: float,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """The fields of `Pairs` for those of p pairs within the gate.
+    """Select p candidate pairs within the gate; the result are the fields of `Pairs`.
 
-    near: (p,) rows of tracks and of measurements, and how far the measurement is from the track in x and in y, m
+    near: (p,) rows of tracks and of measurements, and offsets in x and y from track to measurement, m
     log_jump: ln of the probability of a sudden displacement
     """
     i, j, dx, dy = near
@@ -116,7 +117,7 @@ def gated(
 
 
 @kernel
-def gains(
+def pair_gains(
     tracks: Floats,
     detected: Floats,
     class_id: Ints,
@@ -126,7 +127,7 @@ def gains(
     log_density: Floats,
     log_clutter: float,
 ) -> tuple[Floats, Floats]:
-    """(p,) for pairs (i, j): log likelihood ratio to clutter; and the gain of choosing the pair.
+    """Log likelihood ratios (p,) of pairs to clutter, and gains (p,) of choosing them.
 
     The gain is relative to leaving both unassigned: the object was missed or is absent, the measurement is clutter.
     detected: (n,) probability of detection; class_id: (m,) measured; confusion: see `classes`
@@ -137,7 +138,10 @@ def gains(
 
 
 def _gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
-    """Log densities at (dx, dy) of normal distributions of covariance [[a, b], [b, c]]; squared distances."""
+    """Log densities of zero-mean Gaussians at (dx, dy), and squared distances.
+
+    The covariance is [[a, b], [b, c]].
+    """
     slope = b / a
     conditional = c - b * slope
     dy = dy - slope * dx
@@ -146,7 +150,9 @@ def _gaussian(dx: Floats, dy: Floats, a: Floats, b: Floats, c: Floats) -> tuple[
 
 
 class Match(NamedTuple):
-    """k matched tracks and measurements, log density ratios to clutter, jump variances, and all gated pairs.
+    """k matched tracks and measurements.
+
+    log_ratio: (k,) log density ratios to clutter; jump: (k,) m^2, jump variances; near: all gated pairs
 
     contested: whether there are gated pairs that were not chosen
     """

@@ -1,4 +1,4 @@
-"""Headings of tracks: smoothed modulo half a turn; the front end is decided by votes."""
+"""Headings of tracks: filtered modulo half a turn; votes decide the front end."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def correct_heading(tracks: Floats, yaw: Floats, variance: float) -> None:
 
 
 @kernel
-def settle_sense(tracks: Floats, forward: float, limit: float) -> None:
-    """Vote on the front end by the speed along the heading, if above `forward` m/s; turn outvoted tracks round.
+def resolve_heading_direction(tracks: Floats, forward: float, limit: float) -> None:
+    """Vote on the front end by the speed along the heading; reverse outvoted tracks.
 
-    limit: limit on the accumulated votes
+    forward: m/s, speed above which to vote; limit: on the accumulated votes
     """
     along = (planar(tracks[:, 6:8]) * np.exp(-1j * tracks[:, YAW])).real
     turn = tracks[:, TURN]

@@ -17,7 +17,10 @@ _COUPLING = _COUPLING.nonzero()[0]
 
 
 def inverse(covariance: Floats) -> Floats:
-    """(n, 9, 9) inverses of symmetric, positive definite (n, 9, 9), block by block if the blocks are uncorrelated."""
+    """Inverses (n, 9, 9) of symmetric, positive definite matrices.
+
+    Block by block if the blocks are uncorrelated.
+    """
     n = len(covariance)
     flat = covariance.reshape(n, 81)
     if flat.take(_COUPLING, 1).any():

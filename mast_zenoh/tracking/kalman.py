@@ -34,7 +34,7 @@ def process_noise(dt: float, acceleration: Floats, vertical: float, size_drift: 
 
 @lru_cache(maxsize=8)
 def _unit_noise(dt: float, vertical: float, size_drift: float) -> tuple[Floats, Floats]:
-    """(9, 9) covariances of horizontal motion at unit density, and of the other states; cached by `dt`."""
+    """Covariances (9, 9) of unit-density horizontal motion and of the other states."""
     horizontal, other = np.zeros((2, 9, 9))
     for axis, matrix, density in ((0, horizontal, 1.0), (1, horizontal, 1.0), (2, other, vertical)):
         matrix[axis, axis] = density * dt**3 / 3
@@ -56,7 +56,7 @@ def _transition(dt: float) -> Floats:
 
 
 class BoxFilter(ABC):
-    """Predicts and corrects the states and covariances of the n rows of a table of tracks, in place."""
+    """Predicts and corrects the n rows of a table of tracks in place."""
 
     @abstractmethod
     def predict(self, t: Floats, dt: float, noise: Floats) -> None:
@@ -64,7 +64,10 @@ class BoxFilter(ABC):
 
     @abstractmethod
     def correct(self, t: Floats, measured: Floats, noise: Floats) -> None:
-        """Correct by measurements (n, m) of the first m state components, with noise covariance (n, m, m)."""
+        """Correct by measurements (n, m) of the first m state components.
+
+        noise: (n, m, m), measurement covariance
+        """
 
     @abstractmethod
     def correct_speed(self, t: Floats, direction: Floats, noise: Floats) -> None:
@@ -89,7 +92,7 @@ class BatchedFilter(BoxFilter):
 
 @kernel
 def predict(t: Floats, dt: float, noise: Floats) -> None:
-    """Predict all tracks, see `BoxFilter.predict`."""
+    """Predict all tracks as in `BoxFilter.predict`."""
     F = _transition(dt)
     P = F @ covariances(t) @ F.T
     P += noise.take(classes_of(t), 0)
@@ -98,7 +101,7 @@ def predict(t: Floats, dt: float, noise: Floats) -> None:
 
 @kernel
 def correct(t: Floats, measured: Floats, noise: Floats) -> None:
-    """Correct all tracks, see `BoxFilter.correct`."""
+    """Correct all tracks as in `BoxFilter.correct`."""
     m = measured.shape[1]
     P = covariances(t)
     cross = P[:, :, :m]
@@ -112,7 +115,7 @@ def correct(t: Floats, measured: Floats, noise: Floats) -> None:
 
 @kernel
 def correct_speed(t: Floats, direction: Floats, noise: Floats) -> None:
-    """Correct the speed of all tracks, see `BoxFilter.correct_speed`."""
+    """Correct the speed of all tracks as in `BoxFilter.correct_speed`."""
     P = covariances(t)
     cross = (P[:, :, 6:8] @ direction[:, :, None])[:, :, 0]
     variance = np.vecdot(cross[:, 6:8], direction) + noise

@@ -8,7 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.ordering import row_order
 from mast_zenoh.arrays.states import Detections, Floats, Ints, ObjectStates
-from mast_zenoh.tracking.soundness import MAX_VARIANCE, MIN_VARIANCE
+from mast_zenoh.tracking.covariance_repair import MAX_VARIANCE, MIN_VARIANCE
 from mast_zenoh.tracking.tracks import known_class
 
 
@@ -28,7 +28,7 @@ class Measured(NamedTuple):
 
     @classmethod
     def detections(cls, d: Detections, variance: Floats) -> Measured:
-        """Measurements of boxes; `variance`: (6,) defaults for what detections do not specify."""
+        """Measurements of boxes; variance: (6,) defaults for unspecified noise."""
         x, y, z = d.position.T
         order = row_order(x, ties=(d.score, d.class_id, *d.size.T, d.yaw, z, y))
         box = np.concatenate([d.position, d.size], axis=1).take(order, 0)
@@ -44,8 +44,9 @@ class Measured(NamedTuple):
 
 
 def box_noise(covariance: Floats, order: Ints, variance: Floats, least: float, most: float) -> Floats:
-    """(m, 6, 6) noise of boxes in `order`, with the detector's position covariance (m, 3, 3) if it reports one.
+    """Noise covariances (m, 6, 6) of boxes in `order`.
 
+    covariance: (m, 3, 3) m^2, reported position covariances, all zero if unknown
     variance: (6,) m^2, defaults; least, most: m^2, MIN_VARIANCE, MAX_VARIANCE
 
     Correlations between horizontal and vertical position are ignored. The result is positive definite for any input.

@@ -78,8 +78,11 @@ def known_class(class_id: NDArray[np.uint8]) -> Ints:
 
 
 @kernel
-def vote(tracks: Floats, class_id: Ints) -> None:
-    """Count a vote for a class (n,) of each track; the majority is its class, the lower index in a tie."""
+def update_class(tracks: Floats, class_id: Ints) -> None:
+    """Count a vote for a class (n,) of each track; the class with most votes wins.
+
+    In a tie, the lower index wins.
+    """
     votes = tracks[:, VOTES]
     votes += _ONE_VOTE.take(class_id, 0)
     tracks[:, CLASS] = votes.argmax(axis=1)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.arrays.neighbours import TABLE
+from mast_zenoh.arrays.neighbours import MAX_TABLE
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.kernels import kernel
 
@@ -36,18 +36,18 @@ class SensorView:
     elevation_max: float
     max_range: float
 
-    def expects(self, boxes: Floats, screens: Floats) -> Floats:
-        """(k,) in [0, 1]: visible fraction of k boxes (k, >= 6), in the field of view and not occluded.
+    def visible_fraction(self, boxes: Floats, occluders: Floats) -> Floats:
+        """Visible fraction (k,) in [0, 1] of boxes (k, >= 6).
 
-        screens: (n, >= 6) possible occluders, which may include the boxes. Both begin with x y z l w h in m, in the
-        world frame. A box at the edge of the field of view has the fraction 0.5.
+        A box counts as visible if it is in the field of view and not occluded; at the edge of the field of view, the
+        fraction is 0.5. occluders: (n, >= 6), may include the boxes. Both begin with x y z l w h in m, world frame.
         """
-        return expected(boxes, screens, self, EDGE_M, NEAREST_M)
+        return visible_fraction(boxes, occluders, self, EDGE_M, NEAREST_M)
 
 
 @kernel
-def expected(boxes: Floats, screens: Floats, view: SensorView, edge_m: float, nearest_m: float) -> Floats:
-    """(k,) visible fractions, see `SensorView.expects`.
+def visible_fraction(boxes: Floats, occluders: Floats, view: SensorView, edge_m: float, nearest_m: float) -> Floats:
+    """Visible fractions (k,) as in `SensorView.visible_fraction`.
 
     edge_m, nearest_m: m, EDGE_M, NEAREST_M
     """
@@ -61,21 +61,25 @@ def expected(boxes: Floats, screens: Floats, view: SensorView, edge_m: float, ne
     angle = np.arctan2(z, ground)
     inside = np.minimum(inside, np.minimum(angle - view.elevation_min, view.elevation_max - angle) * distance)
     share = np.minimum(np.maximum(0.5 + (0.5 / edge_m) * inside, 0.0), 1.0)
-    return np.asarray(share * ~_occluded(view.position, boxes[:, :6], screens[:, :6], nearest_m))
+    return np.asarray(share * ~_occluded(view.position, boxes[:, :6], occluders[:, :6], nearest_m))
 
 
-def _occluded(origin: Floats, boxes: Floats, screens: Floats, nearest_m: float) -> Bools:
-    """(k,) which of k `boxes` (k, 6) are occluded by a nearer one of n `screens` (n, 6), seen from `origin` (3,) m.
+def _occluded(origin: Floats, boxes: Floats, occluders: Floats, nearest_m: float) -> Bools:
+    """Boxes (k,) that are occluded by a nearer one, seen from `origin` (3,) m.
+
+    boxes: (k, 6); occluders: (n, 6)
 
     An object occludes boxes whose centres are in the azimuth sector of its footprint (a disc of its mean horizontal
     extent) and not above the line from the sensor over its top.
     """
-    # The table of boxes and screens is processed in pieces, so that a hostile source cannot exhaust memory.
-    k, piece = len(boxes), max(1, TABLE // max(1, len(screens)))
+    # The table of boxes and occluders is processed in pieces, so that a hostile source cannot exhaust memory.
+    k, piece = len(boxes), max(1, MAX_TABLE // max(1, len(occluders)))
     if k > piece:
         starts = range(0, k, piece)
-        return np.concatenate([_occluded(origin, boxes[start : start + piece], screens, nearest_m) for start in starts])
-    both = np.concatenate([boxes, screens])
+        return np.concatenate(
+            [_occluded(origin, boxes[start : start + piece], occluders, nearest_m) for start in starts]
+        )
+    both = np.concatenate([boxes, occluders])
     both[:, :3] -= origin
     x, y, z, length, width, height = both.T
     ground = np.maximum(np.hypot(x, y), nearest_m)

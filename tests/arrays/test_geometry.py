@@ -58,7 +58,7 @@ def test_a_quaternion_and_its_rotation_tell_the_same(quaternion: np.ndarray) -> 
 
 
 @pytest.mark.parametrize("shape", [(), (5,), (2, 3), (0,)])
-def test_many_quaternions_are_turned_at_once(shape: tuple[int, ...]) -> None:
+def test_many_quaternions_are_converted_at_once(shape: tuple[int, ...]) -> None:
     quaternion = np.random.default_rng(0).normal(size=(*shape, 4))
     rotation = geometry.rotation_from_quaternion(quaternion)
     assert rotation.shape == (*shape, 3, 3)
@@ -126,7 +126,7 @@ def test_states_of_the_world_frame_are_the_same_object() -> None:
     assert geometry.states_to_world(states, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])) is states
 
 
-def test_a_quaternion_that_is_not_normalised_turns_as_its_direction_says() -> None:
+def test_quaternions_are_normalised_before_conversion() -> None:
     states = some_states(3)
     half_turn = np.array([1.0, 0.0, 0.0, 1e6])
     world = geometry.states_to_world(states, np.zeros(3), half_turn)

@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh import kernels
-from mast_zenoh.arrays.matching import alone, cheapest
+from mast_zenoh.arrays.matching import min_cost_matching, uncontested
 
-EITHER = pytest.mark.parametrize("choose", [cheapest, kernels.REFERENCES["cheapest"]], ids=["used", "reference"])
+EITHER = pytest.mark.parametrize(
+    "choose", [min_cost_matching, kernels.REFERENCES["min_cost_matching"]], ids=["used", "reference"]
+)
 
 
 @st.composite
@@ -33,7 +35,7 @@ def test_no_other_choice_costs_less(choose, pairs) -> None:
     table = np.zeros((row.max(initial=0) + 1, column.max(initial=0) + 1))
     table[row, column] = cost
     assert cost[chosen].sum() == table[linear_sum_assignment(table)].sum()
-    assert chosen[alone(row, column)].all()
+    assert chosen[uncontested(row, column)].all()
 
 
 @EITHER

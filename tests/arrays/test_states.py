@@ -45,7 +45,7 @@ def assert_equal(a: ObjectStates, b: ObjectStates) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1, 4])
-def test_what_is_not_given_is_zero_and_has_its_shape_and_dtype(n: int) -> None:
+def test_omitted_columns_are_zero_with_the_right_shape_and_dtype(n: int) -> None:
     states = ObjectStates.of(np.ones((n, 3)))
     assert len(states) == n
     assert states.id.tolist() == list(range(n))
@@ -82,7 +82,7 @@ def test_rows_are_picked_by_mask_index_or_slice(mask: list[bool]) -> None:
 
 
 @given(st.lists(st.integers(0, 4), max_size=5))
-def test_joining_what_was_taken_apart_gives_it_back(sizes: list[int]) -> None:
+def test_concatenating_the_parts_of_states_restores_them(sizes: list[int]) -> None:
     whole = some(sum(sizes))
     ends = np.cumsum([0, *sizes])
     parts = [whole.select(slice(a, b)) for a, b in pairwise(ends)]
@@ -105,7 +105,7 @@ def test_a_column_can_be_replaced_in_a_copy() -> None:
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5))
-def test_moving_twice_is_moving_once_by_the_sum(first: float, second: float) -> None:
+def test_propagating_twice_equals_propagating_once_by_the_sum(first: float, second: float) -> None:
     states = some(4)
     twice, once = propagate(propagate(states, first), second), propagate(states, first + second)
     np.testing.assert_allclose(twice.position, once.position, atol=1e-9)
@@ -124,7 +124,7 @@ def test_a_moved_covariance_is_that_of_moved_samples(dt: float) -> None:
     np.linalg.cholesky(after)
 
 
-def test_what_does_not_move_is_the_same() -> None:
+def test_propagating_stationary_objects_changes_nothing() -> None:
     states = some(3)
     assert propagate(states, 0.0) is states
     nothing = ObjectStates.empty()

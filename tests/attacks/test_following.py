@@ -36,7 +36,7 @@ def test_a_target_waits_while_its_object_is_not_seen_and_never_takes_its_neighbo
     assert follow(frames, (0.0, 0.0)) == [0] * 5 + [-1] * 20 + [0] * 3
 
 
-def test_without_a_neighbour_to_be_mistaken_for_it_a_target_is_found_again_farther_away():
+def test_without_neighbours_a_target_is_reattached_farther_away():
     frames = [unnamed((0.4 * k, 0.0)) for k in range(8)] + [unnamed()] * 8 + [unnamed((0.4 * 16 + 1.0, 0.0))]
     assert follow(frames, (0.0, 0.0))[-1] == 0
 

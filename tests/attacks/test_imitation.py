@@ -140,7 +140,7 @@ def test_exact_false_objects_have_the_covariance_and_score_of_the_victims_typica
 
 
 @pytest.mark.parametrize("imitation", [Exact(), VictimLike()])
-def test_false_objects_are_plausible_where_there_is_nothing_to_imitate(imitation):
+def test_false_objects_are_plausible_without_real_objects_to_imitate(imitation):
     where = coverage_of(np.array([0.0, 0.0, 40.0]))
     added = imitation.show(0, FALSE, ObjectStates.empty(), where, where.victims[0])
     assert len(added) > 0

@@ -72,7 +72,9 @@ def counts(played: Played, agent: str, estimator: str) -> dict[str, list[float]]
     return {name: table[name][mine].tolist() for name in ("fn", "fp", "tp", "id_switches", "ospa_m")}
 
 
-def test_an_attack_on_the_downlink_shows_in_what_the_ego_receives_and_acts_on(once: Once, baseline: Played) -> None:
+def test_an_attack_on_the_downlink_affects_the_received_picture_and_the_mission_estimate(
+    once: Once, baseline: Played
+) -> None:
     attacked = once("downlink", **DOWNLINK)
     for estimator in ("local", "received", "picture"):
         assert attacked.agents["ego"][estimator] == baseline.agents["ego"][estimator], estimator
@@ -90,9 +92,7 @@ def test_an_attack_on_the_downlink_shows_in_what_the_ego_receives_and_acts_on(on
     assert set(objects["agent"][blamed]) == {"ego"}
 
 
-def test_an_attack_on_what_agents_send_leaves_their_own_estimates_as_they_computed_them(
-    once: Once, baseline: Played
-) -> None:
+def test_an_attack_on_sent_tracks_does_not_change_the_agents_own_estimates(once: Once, baseline: Played) -> None:
     attacked = once("uplink", **UPLINK)
     for agent in baseline.agents:
         assert attacked.agents[agent]["local"] == baseline.agents[agent]["local"], agent

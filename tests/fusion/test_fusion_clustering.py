@@ -114,8 +114,8 @@ def test_many_tracks_are_clustered_as_few_are(clusterer: Clusterer, monkeypatch:
     random = np.random.default_rng(0)
     objects = ObjectStates.of(random.uniform(-40, 40, (400, 3)), id=np.arange(400) // 5)
     few = clusterer.cluster(objects, np.arange(400) % 5)
-    monkeypatch.setattr(neighbours, "TABLE", 100)
-    monkeypatch.setattr(clustering, "TABLE", 100)
+    monkeypatch.setattr(neighbours, "MAX_TABLE", 100)
+    monkeypatch.setattr(clustering, "MAX_TABLE", 100)
     np.testing.assert_array_equal(clusterer.cluster(objects, np.arange(400) % 5), few)
 
 

@@ -54,7 +54,7 @@ def of_agents(*parts: ObjectStates) -> tuple[ObjectStates, np.ndarray]:
     return ObjectStates(**columns), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
 
 
-def test_the_papers_configuration_builds_and_runs_as_it_is_written():
+def test_the_papers_configuration_runs():
     pipeline = build(
         dict(
             type="CommandCenterPipeline",
@@ -126,7 +126,7 @@ def test_an_agent_that_falls_silent_leaves_the_object_with_less_support():
     assert support.tolist() == [1]
 
 
-def test_what_nobody_reports_any_more_goes_within_half_a_second():
+def test_an_unreported_object_leaves_the_picture_within_half_a_second():
     pipeline = centre(wrapper())
     for frame in range(5):
         pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0])), NAMES)
@@ -162,7 +162,7 @@ def test_rows_and_agents_may_come_in_any_order(group):
             assert column.tobytes() == other[0].columns()[name].tobytes(), name
 
 
-def test_an_unfiltered_object_comes_back_under_its_id_where_its_speed_has_taken_it():
+def test_an_unfiltered_object_returns_under_its_id_at_its_predicted_position():
     pipeline = centre(unfiltered())
     first, _ = pipeline.step(0, *of_agents(tracks([0, 0], speed=20.0)), NAMES)
     none, _ = pipeline.step(nanoseconds(4), ObjectStates.empty(), np.zeros(0, np.int64), NAMES)

@@ -33,7 +33,7 @@ def together(n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("fusion", [CI(), CI(weights="optimised"), BestMemberFusion()])
-def test_a_cluster_of_one_is_that_one(fusion):
+def test_a_cluster_of_one_member_equals_that_member(fusion):
     one = members(1)
     fused = fusion.fuse(one, together(1))
     for name in ("position", "velocity", "size", "yaw", "covariance", "score"):

@@ -1,4 +1,4 @@
-"""Compiled kernels do what their NumPy references do, and what was not compiled is not missed."""
+"""Compiled kernels equal their NumPy references, and missing ones are replaced by them."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def pairs(random, n, m):
     return found // max(m, 1), found % max(m, 1)
 
 
-def gated(random, n, m):
+def gated_pairs(random, n, m):
     t, position = table(random, n), places(random, m)
     i, j = pairs(random, n, m)
     dx, dy = (position[j, axis] - t[i, axis] for axis in (0, 1))
@@ -73,7 +73,7 @@ def gated(random, n, m):
     return t, position, covariances(random, m, 6), jump, (i, j, dx, dy), gating.GATE, -4.6
 
 
-def gains(random, n, m):
+def pair_gains(random, n, m):
     i, j = pairs(random, n, m)
     t, detected, class_id = table(random, n), random.uniform(0.1, 0.98, n), random.integers(0, 7, m)
     return t, detected, class_id, classes.CONFUSION, i, j, random.normal(size=len(i)), -9.9
@@ -130,7 +130,7 @@ def values(random, n, m):
     return body, plan.names, plan.limits
 
 
-def followed(random, n, m):
+def track_observations(random, n, m):
     tracks = np.zeros((m, following.COLUMNS))
     tracks[:, following.PLACE], tracks[:, following.VELOCITY] = places(random, m), random.normal(0, 9, (m, 3))
     tracks[:, following.UNSEEN], tracks[:, following.AGE] = random.uniform(0, 1, m), random.uniform(0, 2, m)
@@ -154,46 +154,46 @@ ARGUMENTS = {
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),
     "correct_speed": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0.1, 9, n)),
-    "reach": lambda r, n, m: (table(r, n), covariances(r, m + 1, 6), r.uniform(0, 3, n), 16.0),
-    "pairs_in_reach": lambda r, n, m: (places(r, n), table(r, m), r.integers(0, 9, n).astype(float)),
-    "gated": gated,
-    "gains": gains,
+    "gate_radius": lambda r, n, m: (table(r, n), covariances(r, m + 1, 6), r.uniform(0, 3, n), 16.0),
+    "pairs_within_radius": lambda r, n, m: (places(r, n), table(r, m), r.integers(0, 9, n).astype(float)),
+    "gated_pairs": gated_pairs,
+    "pair_gains": pair_gains,
     "useful_pairs": lambda r, n, m: (*(ends := pairs(r, n, m)), r.integers(-4, 3, len(ends[0])).astype(float)),
-    "cheapest": lambda r, n, m: (*(ends := pairs(r, n, m)), -r.uniform(0, 4, len(ends[0]))),
+    "min_cost_matching": lambda r, n, m: (*(ends := pairs(r, n, m)), -r.uniform(0, 4, len(ends[0]))),
     "correct_heading": lambda r, n, m: (table(r, n), r.uniform(-9, 9, n), 0.01),
-    "settle_sense": lambda r, n, m: (table(r, n), 2.0, 5.0),
-    "across": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
-    "vote": lambda r, n, m: (table(r, n), r.integers(0, 7, n)),
-    "survive": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
-    "hit": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.normal(0, 5, n), 1e12),
-    "miss": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.uniform(0, 1, n), 0.03),
-    "kept": lambda r, n, m: (table(r, n), 19.0, 1.0, 0.0015, 3.0, 9.0, 6.0, 2.0),
+    "resolve_heading_direction": lambda r, n, m: (table(r, n), 2.0, 5.0),
+    "lateral_constraint": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
+    "update_class": lambda r, n, m: (table(r, n), r.integers(0, 7, n)),
+    "predict_existence": lambda r, n, m: (table(r, n), 0.1, 30.0, 2.0),
+    "update_detected": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.normal(0, 5, n), 1e12),
+    "update_missed": lambda r, n, m: (table(r, n), r.uniform(0.1, 0.9, n), r.uniform(0, 1, n), 0.03),
+    "track_status": lambda r, n, m: (table(r, n), 19.0, 1.0, 0.0015, 3.0, 9.0, 6.0, 2.0),
     "to_columns": lambda r, n, m: (table(r, n),),
-    "expected": view,
-    "moved": lambda r, n, m: (places(r, n), places(r, n), covariances(r, n), 0.1),
-    "turned": lambda r, n, m: (
+    "visible_fraction": view,
+    "constant_velocity": lambda r, n, m: (places(r, n), places(r, n), covariances(r, n), 0.1),
+    "rigid_transform": lambda r, n, m: (
         places(r, n), r.uniform(-9, 9, n), covariances(r, n, 3), r.normal(size=3), r.random((3, 3)),
     ),
     "pairs_in_groups": lambda r, n, m: (
         r.integers(0, 3, n + 1), places(r, n + 1), r.integers(0, 4, m + 1), places(r, m + 1), r.uniform(0, 5),
     ),
-    "symmetrised": lambda r, n, m: (covariances(r, n) - r.choice([0.0, 0.3]) * np.eye(9), 1e-4, r.choice([1.0, 1e8])),
-    "intersection": lambda r, n, m: (
+    "symmetrise": lambda r, n, m: (covariances(r, n) - r.choice([0.0, 0.3]) * np.eye(9), 1e-4, r.choice([1.0, 1e8])),
+    "covariance_intersection": lambda r, n, m: (
         covariances(r, n + 1), r.normal(size=(n + 1, 9)), r.uniform(0.1, 1, n + 1), clusters(r, n + 1),
     ),
-    "agreement": lambda r, n, m: (
+    "fused_attributes": lambda r, n, m: (
         r.uniform(-4, 4, n + 1), r.integers(0, 9, n + 1).astype(np.uint8), r.random(n + 1), r.uniform(0.1, 1, n + 1),
         clusters(r, n + 1),
     ),
-    "followed": followed,
-    "victim_like": lambda r, n, m: (
+    "track_observations": track_observations,
+    "imitate_rows": lambda r, n, m: (
         (places(r, m), r.normal(0, 9, (m, 3)), r.uniform(0.3, 5, (m, 3)), r.uniform(-4, 4, m)),
         r.normal(size=(m, 11)), r.uniform(0, 90, m),
         (places(r, n + 1), covariances(r, n + 1) * r.choice([0, 1, 9], (n + 1, 1, 1)), r.random(n + 1), r.random(3)),
         (0.3, 0.1, 0.05), bool(r.integers(2)), (3.0, 0.3),
     ),
-    "walled_off": lambda r, n, m: (r.normal(0, 9, 3), r.normal(0, 20, (n, 3)), *buildings(r, m)[:3]),
-    "built_over": lambda r, n, m: (r.normal(0, 20, (n, 3)), *(walls := buildings(r, m))[:2], walls[3]),
+    "occluded_by_walls": lambda r, n, m: (r.normal(0, 9, 3), r.normal(0, 20, (n, 3)), *buildings(r, m)[:3]),
+    "inside_outlines": lambda r, n, m: (r.normal(0, 20, (n, 3)), *(walls := buildings(r, m))[:2], walls[3]),
     "exact_columns": exact,
     "sound_values": values,
 }  # fmt: skip
@@ -231,7 +231,7 @@ def test_every_kernel_is_compared_with_its_reference():
 @pytest.mark.parametrize("name", sorted(ARGUMENTS))
 @settings(max_examples=25)
 @given(st.integers(0, 2**32), st.sampled_from([0, 1, 2, 3, 9, 30]), st.sampled_from([0, 1, 2, 8, 25]))
-def test_a_compiled_kernel_is_its_reference(name, seed, n, m):
+def test_a_compiled_kernel_equals_its_numpy_reference(name, seed, n, m):
     given = ARGUMENTS[name](np.random.default_rng(seed), n, m)
     ours, theirs = copy.deepcopy(given), copy.deepcopy(given)
     with np.errstate(all="ignore"):
@@ -241,7 +241,7 @@ def test_a_compiled_kernel_is_its_reference(name, seed, n, m):
 
 
 @compiled
-def test_a_node_that_has_compiled_kernels_does_without_scipy():
+def test_a_node_with_compiled_kernels_does_not_import_scipy():
     """It takes as long to load as all else that a node needs."""
     code = "import nodes.agent, nodes.command_center, nodes.simulator, nodes.adversary, sys; print(*sys.modules)"
     root = Path(mast_zenoh.__file__).parents[1]
@@ -274,7 +274,7 @@ def played(scene: str, wanted: str, file: Path):
 
 
 @compiled
-def test_a_whole_recorded_scene_has_the_same_tracks_with_either(tmp_path):
+def test_a_recorded_scene_has_the_same_tracks_with_compiled_and_numpy_kernels(tmp_path):
     scene = "intersection"
     if (DATA / "scene_a.tar.gz").is_file():
         with tarfile.open(DATA / "scene_a.tar.gz") as archive:
@@ -299,7 +299,7 @@ def used(code: str, wanted: str) -> subprocess.CompletedProcess[str]:
 
 
 @compiled
-def test_kernels_made_from_other_sources_are_not_used(tmp_path):
+def test_kernels_compiled_from_other_sources_are_not_used(tmp_path):
     copied = tmp_path / "mast_zenoh"
     shutil.copytree(Path(mast_zenoh.__file__).parent, copied)
     here = f"import sys; sys.path.insert(0, {str(tmp_path)!r})"
@@ -312,6 +312,6 @@ def test_kernels_made_from_other_sources_are_not_used(tmp_path):
 @pytest.mark.parametrize(
     ("wanted", "message"), [("fast", "expected numpy or compiled"), ("compiled", "none were built")]
 )
-def test_kernels_that_cannot_be_had_are_refused(wanted, message):
+def test_unavailable_or_unknown_kernels_are_refused(wanted, message):
     hidden = "import sys; sys.modules['mast_zenoh.kernels.tracks'] = None"
     assert message in used(hidden, wanted).stderr

@@ -9,7 +9,7 @@ import numpy as np
 from mast_zenoh.effects import Effects
 from mast_zenoh.effects.table import CODE
 from mast_zenoh.evaluation.from_effects import manipulations
-from mast_zenoh.metrics import Attribution, Record, Scorer, Scores, named
+from mast_zenoh.metrics import Attribution, Record, Scorer, Scores, cause_names
 from mast_zenoh.wiring.model import Passage
 
 PERIOD_S = 0.1
@@ -70,4 +70,4 @@ def labelled(record: Record, found: Effects, roles: dict[str, str] | None = None
     known = {way.node: "adversary" for way in found.passages} | (roles or {})
     done = manipulations(found, known, scores.series, boxes, PERIOD_S, np.zeros(len(found), bool), Attribution())
     labels = Attribution().label(scores, done, truth, record.agents, PERIOD_S, **more)
-    return scores, scores.objects() | {"cause": named(labels.cause), "by": labels.by}, labels, done
+    return scores, scores.objects() | {"cause": cause_names(labels.cause), "by": labels.by}, labels, done

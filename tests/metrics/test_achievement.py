@@ -85,7 +85,7 @@ def test_the_centre_and_the_ego_are_judged_apart() -> None:
     assert (found["success_centre"], found["success_ego"]) == (True, False)
 
 
-def test_what_is_inserted_beyond_the_range_of_an_estimate_is_not_held_against_the_adversary() -> None:
+def test_objects_inserted_out_of_range_do_not_lower_the_success_of_the_adversary() -> None:
     """At 120 m from the ego no track is scored; infra_9 is nearer, but has no picture of its own in this run."""
     lies = [
         ("eve", frame, "inserted", k, place, (0.0, 0.0)) for frame in range(4) for k, place in ((7, FALSE), (8, FAR))
@@ -109,7 +109,7 @@ def test_an_object_that_two_adversaries_hide_counts_once_overall() -> None:
 
 
 @pytest.mark.parametrize(("points", "share"), [(0, 0.0), (4, 0.0), (5, 1.0)])
-def test_it_is_said_whether_others_see_a_hidden_object(points: int, share: float) -> None:
+def test_results_include_whether_other_agents_see_a_hidden_object(points: int, share: float) -> None:
     assert achieved(removed([0, 1]), [THERE] * 2, seen_by_others=points)["eve"]["hidden_seen_by_others"] == share
 
 
@@ -175,5 +175,5 @@ def test_an_object_that_was_altered_where_it_is_does_not_count_as_moved() -> Non
     assert found["altered_share_centre"] == 0.0
 
 
-def test_without_adversaries_there_is_nothing_to_achieve() -> None:
+def test_without_adversaries_there_are_no_results() -> None:
     assert achieved([], [THERE]) == {}

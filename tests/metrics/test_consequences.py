@@ -55,7 +55,7 @@ def test_an_estimate_that_is_right_brakes_when_the_truth_does() -> None:
 
 
 @pytest.mark.parametrize("attacked", [True, False])
-def test_a_brake_that_is_missed_is_an_attacks_if_the_object_was_hidden_by_one(attacked: bool) -> None:
+def test_missed_braking_is_due_to_an_attack_that_hid_the_object(attacked: bool) -> None:
     hidden: list[Row] = [("eve", frame, "removed", 0, CAR, (0.0, 0.0)) for frame in range(FRAMES)]
     drive = driven([CAR], [[]] * FRAMES, hidden if attacked else [])["ego", "local"]
     assert frames(drive.omitted) == list(range(FIRST, FRAMES))
@@ -66,7 +66,7 @@ def test_a_brake_that_is_missed_is_an_attacks_if_the_object_was_hidden_by_one(at
 
 
 @pytest.mark.parametrize("attacked", [True, False])
-def test_a_needless_brake_is_an_attacks_if_it_is_for_what_one_inserted(attacked: bool) -> None:
+def test_needless_braking_is_due_to_an_attack_that_inserted_the_object(attacked: bool) -> None:
     shown: list[Row] = [("eve", frame, "inserted", 7, CAR, (0.0, 0.0)) for frame in range(FRAMES)]
     drive = driven([], [[CAR]] * FRAMES, shown if attacked else [])["ego", "local"]
     assert frames(drive.needless) == list(range(FIRST, FRAMES))

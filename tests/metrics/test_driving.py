@@ -69,7 +69,7 @@ def path_from(where: Vehicle, frame: int, horizon_m: float) -> LineString:
     turn=st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2]),
     size=st.sampled_from([(4.5, 1.8), (8.0, 2.5), (0.6, 0.6)]),
 )
-def test_what_is_in_the_corridor_is_what_the_path_with_its_width_touches(
+def test_objects_that_touch_the_path_with_its_width_are_in_the_corridor(
     radius: float, frame: int, forward: float, aside: float, turn: float, size: tuple[float, float]
 ) -> None:
     """Objects along or across the path, placed by arc length and offset; those within a hand's breadth are left out."""
@@ -119,7 +119,7 @@ def test_an_object_beside_an_earlier_part_of_a_path_that_crosses_itself_is_met_w
     assert found.gap_m == pytest.approx([2 * math.pi * 12.0 - 50.0 - 4.5], abs=0.6)
 
 
-def test_the_vehicle_itself_and_what_is_behind_it_are_not_in_its_corridor() -> None:
+def test_the_vehicle_itself_and_objects_behind_it_are_not_in_its_corridor() -> None:
     where = vehicle(heading=0.0)
     rows = [(5, 5.0 + dx, 0.0, 0.0, 4.5, 1.8) for dx in (0.0, 1.9, -5.0, 12.0)]
     assert ahead_of(where, objects(*rows)).row.tolist() == [3]
@@ -180,7 +180,7 @@ def stopping_gap(own: float, other: float, rule: SafeDistance, step_s: float = 2
     acceleration=st.floats(0.0, 3.0),
     braking=st.floats(3.0, 6.0),
 )
-def test_the_safe_distance_is_what_the_worst_case_uses_up(
+def test_the_safe_distance_is_that_of_the_worst_case(
     own: float, other: float, response: float, acceleration: float, braking: float
 ) -> None:
     rule = SafeDistance(response_s=response, acceleration=acceleration, braking=braking, braking_ahead=8.0)

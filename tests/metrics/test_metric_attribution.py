@@ -110,7 +110,7 @@ def test_a_missed_hidden_object_is_attributed_to_the_attack() -> None:
     assert causes(seen([CAR] * 17, picture, lies)) == [(f, "truth", "removed", "eve") for f in (14, 15, 16)]
 
 
-def test_a_displaced_object_makes_a_false_and_a_missed_one() -> None:
+def test_a_displaced_object_causes_a_false_track_and_a_missed_object() -> None:
     lies = [("eve", 0, "moved", 0, (30.0, 0.0), (0.0, 0.0))]
     table = seen([CAR], [cars((30.0, 0.5), id=[5])], lies)
     assert causes(table) == [(0, "truth", "moved", "eve"), (0, "track", "moved", "eve")]
@@ -156,13 +156,13 @@ def test_a_track_too_far_from_its_object_lags_and_so_the_object_is_missed() -> N
     assert found == [(11, "truth", "lag", ""), (11, "track", "lag", "")]
 
 
-def test_a_track_of_an_object_that_nobody_sees_is_there_for_occlusion_or_range() -> None:
+def test_a_track_of_an_unseen_object_is_due_to_occlusion_or_range() -> None:
     table = seen([CAR, CAR], [CAR, CAR], points=[[50], [0]])
     assert causes(table) == [(1, "track", "occlusion or range", "")]
 
 
 @pytest.mark.parametrize(("local", "cause"), [(NOTHING, "occlusion or range"), (CAR, "fusion")])
-def test_what_no_agent_tracks_is_out_of_sight_and_what_one_does_was_lost_in_fusion(local, cause: str) -> None:
+def test_an_object_tracked_by_no_agent_is_out_of_sight_otherwise_it_was_lost_in_fusion(local, cause: str) -> None:
     found = causes(seen([CAR] * 12, [*[CAR] * 11, NOTHING], local=[*[CAR] * 11, local]))
     assert found == [(11, "truth", cause, "")]
 

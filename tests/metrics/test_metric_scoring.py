@@ -52,7 +52,7 @@ def test_a_small_frame_by_hand():
     }
 
 
-def test_only_what_is_in_range_counts_on_both_sides():
+def test_only_objects_and_tracks_in_range_count():
     truth = cars((99.0, 0.0), (101.0, 0.0), id=[1, 2])
     tracks = cars((99.0, 0.0), (101.0, 0.0), (150.0, 0.0), id=[1, 2, 3])
     assert counts(Scorer(range_m=100.0).score(record([truth], [tracks]))) == [(0, 0, 1)]
@@ -68,7 +68,7 @@ def test_range_moves_with_the_agent():
     assert counts(Scorer().score(run)) == [(0, 0, 1), (0, 0, 0)]
 
 
-def test_truth_is_what_at_least_one_agent_sees():
+def test_objects_seen_by_at_least_one_agent_are_the_truth():
     run = Record(["ego", "infra_1"])
     points = np.array([[0, 5], [4, 4], [5, 0]])
     run.add_truth(0, cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0)), points, np.zeros((2, 3)), np.array([-1, -1]))
@@ -81,7 +81,7 @@ def test_truth_is_what_at_least_one_agent_sees():
 @pytest.mark.parametrize(
     ("ignore_unseen", "expected", "outcome"), [(False, (0, 1, 0), "false"), (True, (0, 0, 0), "unevaluated")]
 )
-def test_a_track_of_an_unseen_object_is_false_unless_told_otherwise(ignore_unseen, expected, outcome):
+def test_a_track_of_an_unseen_object_is_false_by_default(ignore_unseen, expected, outcome):
     run = record([cars((0.0, 0.0), id=[5])], [cars((0.5, 0.0), id=[7])], points=[[0]])
     scores = Scorer(ignore_unseen=ignore_unseen).score(run)
     assert counts(scores) == [expected]
@@ -139,7 +139,7 @@ def test_of_several_messages_about_one_frame_the_first_counts_as_it_does_for_the
     assert counts(Scorer().score(run)) == [(0, 0, 1)]
 
 
-def test_an_estimate_that_is_the_same_messages_is_scored_once_and_stands_in_all_tables():
+def test_estimates_with_the_same_messages_are_scored_once_and_are_in_all_tables():
     run = Record(["ego"])
     for frame in range(3):
         run.add_truth(frame, cars((0.0, 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
@@ -163,7 +163,7 @@ def test_an_estimate_that_differs_in_one_frame_is_scored_separately():
     assert counts(scores, estimator="received") == [(0, 0, 1), (1, 0, 0), (0, 0, 1)]
 
 
-def test_the_picture_on_arrival_is_the_newest_that_has_come_and_nothing_once_it_is_too_old():
+def test_the_picture_on_arrival_is_the_newest_received_one_until_it_is_too_old():
     run = Record(["ego"])
     for frame in range(12):
         run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
@@ -176,7 +176,7 @@ def test_the_picture_on_arrival_is_the_newest_that_has_come_and_nothing_once_it_
     assert place == {1: 0.0, 2: 2.0, 3: 2.0, 4: 3.0, 5: 3.0, 6: 3.0, 7: 3.0}
 
 
-def test_the_picture_on_arrival_goes_by_the_time_in_its_header_as_the_agent_does():
+def test_the_age_of_the_picture_on_arrival_follows_from_the_time_in_its_header():
     run = Record(["ego"])
     for frame in range(6):
         run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))

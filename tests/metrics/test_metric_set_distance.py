@@ -25,7 +25,7 @@ def by_trying(x: np.ndarray, y: np.ndarray, how: SetDistance) -> tuple[float, fl
     return ((least + missing) / n) ** (1 / how.p), (least + missing / how.alpha) ** (1 / how.p)
 
 
-def test_one_object_a_metre_off_and_one_missed() -> None:
+def test_set_distances_of_one_object_a_metre_off_and_one_missed_object() -> None:
     truth, tracks = boxes([(0.0, 0.0), (50.0, 0.0)]), boxes([(1.0, 0.0)])
     ospa, gospa = SetDistance(c=5.0, p=1.0, alpha=2.0).of(truth, tracks, 1)
     assert ospa == pytest.approx([(1.0 + 5.0) / 2])

@@ -13,7 +13,7 @@ from metric_oracles import cars
 
 from mast_zenoh.control.failures import location
 from mast_zenoh.metrics import Attribution, Estimate, FrameMetric, Record, RunMetric, Scorer, Series, user_metrics
-from mast_zenoh.metrics.manipulations import none
+from mast_zenoh.metrics.manipulations import no_manipulations
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.user_metrics import ErrorsNearby, LongestMiss
 
@@ -51,7 +51,7 @@ def computed(metrics: list[Any], tracked: list[list[bool]], scored: list[bool] |
         record.add(frame, [Series("ego", "local")], Snapshot.of(cars(*believed)))
     scores = Scorer().score(record)
     truth = record.truth(scores.frames)
-    labels = Attribution().label(scores, none(len(scores.series)), truth, record.agents, 0.1)
+    labels = Attribution().label(scores, no_manipulations(len(scores.series)), truth, record.agents, 0.1)
     counts = np.ones(len(tracked), bool) if scored is None else np.array(scored)
     values, errors = user_metrics.values(metrics, scores, labels, truth, record.agents, counts, 0.1)
     for error in errors.values():
@@ -98,7 +98,7 @@ def test_frames_that_are_not_scored_or_in_which_it_is_not_defined_do_not_count(r
     assert summary["told"]["mean"] == (pytest.approx(sum(known) / len(known)) if known else None)
 
 
-def test_an_estimate_is_what_was_judged_with_its_causes() -> None:
+def test_an_estimate_has_the_judged_boxes_and_their_causes() -> None:
     metric = Told(np.zeros(2))
     computed([metric], [[True, False], [False, False]], [False, True])
     (given,) = metric.given

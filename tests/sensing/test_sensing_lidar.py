@@ -80,7 +80,7 @@ def test_the_own_car_occludes_nothing_and_has_no_returns() -> None:
     assert lidar_points(LidarSensor(), inside, EYE, *boxes)[1] == 0
 
 
-def test_a_building_hides_what_is_behind_it_and_a_pole_looks_over_a_low_one() -> None:
+def test_a_building_occludes_objects_behind_it_but_a_pole_sees_over_a_low_building() -> None:
     house = (np.array([[20.0, -10.0], [25.0, -10.0], [25.0, 10.0], [20.0, 10.0]]),)
     car = cars((40.0, 0.0))
     low, high = (Walls.of_buildings(house, np.array([height])) for height in (3.0, 12.0))

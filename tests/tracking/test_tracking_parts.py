@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.tracking import BipartiteAssignment, GreedyAssignment, SensorView
 from mast_zenoh.tracking.classes import first_covariance
+from mast_zenoh.tracking.covariance_repair import make_positive_definite
 from mast_zenoh.tracking.duplicates import ONE_OBJECT, overlap
 from mast_zenoh.tracking.filterpy_tracker import FilterpyFilter
 from mast_zenoh.tracking.inversion import inverse
 from mast_zenoh.tracking.kalman import BatchedFilter, process_noise
-from mast_zenoh.tracking.soundness import sound
 from mast_zenoh.tracking.tracks import CLASS, COVARIANCE, MEAN, covariances, empty
 
 # -- assignment
@@ -132,7 +132,7 @@ def test_filterpy_is_imported_only_when_used():
 @settings(max_examples=100)
 @given(st.lists(st.floats(-1e300, 1e300, allow_nan=False), min_size=9, max_size=9))
 def test_any_finite_matrix_is_repaired(values):
-    result = sound(np.array(values).reshape(1, 3, 3))
+    result = make_positive_definite(np.array(values).reshape(1, 3, 3))
     assert np.isfinite(np.linalg.inv(result)).all()
     assert np.linalg.eigvalsh(result).min() > 0
     np.testing.assert_array_equal(result, result.transpose(0, 2, 1))
@@ -141,7 +141,7 @@ def test_any_finite_matrix_is_repaired(values):
 def test_a_valid_covariance_is_unchanged():
     P = covariances(some_tracks(4)[1])
     P = 0.5 * (P + P.transpose(0, 2, 1))
-    np.testing.assert_array_equal(sound(P), P)
+    np.testing.assert_array_equal(make_positive_definite(P), P)
 
 
 # -- inverses
@@ -183,36 +183,36 @@ def test_an_object_is_expected_inside_the_field_of_view_and_half_at_its_edge():
         100.0,
     )
     points = np.array([[30.0, 0.0, 0.8], [-30.0, 0.0, 0.8], [120.0, 0.0, 0.8], [5.0, 0.0, 0.8], [0.0, 30.0, 0.8]])
-    assert pole.expects(boxes(points, CAR), NO_BOXES).tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+    assert pole.visible_fraction(boxes(points, CAR), NO_BOXES).tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
     edge = np.sqrt(100.0**2 - 14.2**2)
-    assert pole.expects(boxes([[edge, 0.0, 0.8]], CAR), NO_BOXES)[0] == pytest.approx(0.5)
+    assert pole.visible_fraction(boxes([[edge, 0.0, 0.8]], CAR), NO_BOXES)[0] == pytest.approx(0.5)
 
 
 def test_a_full_turn_has_no_edge_behind():
     roof = SensorView(np.zeros(3), np.eye(3), -np.pi, np.pi, -0.3, 0.3, 50.0)
-    assert roof.expects(boxes([[-20.0, 0.0, 0.0], [-20.0, -0.01, 0.0]], CAR), NO_BOXES).tolist() == [1.0, 1.0]
+    assert roof.visible_fraction(boxes([[-20.0, 0.0, 0.0], [-20.0, -0.01, 0.0]], CAR), NO_BOXES).tolist() == [1.0, 1.0]
 
 
 def test_an_object_occludes_only_objects_behind_it():
     cars = boxes([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7], [8.0, 0.0, 0.7], [-40.0, 0.0, 0.7]], CAR)
     lorry = boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])
-    assert all_round([0.0, 0.0, 1.8]).expects(cars, lorry).tolist() == [0.0, 1.0, 1.0, 1.0]
+    assert all_round([0.0, 0.0, 1.8]).visible_fraction(cars, lorry).tolist() == [0.0, 1.0, 1.0, 1.0]
 
 
 def test_occluded_objects_are_not_expected():
     roof = SensorView(np.array([0.0, 0.0, 1.8]), np.eye(3), -np.pi, np.pi, -0.3, 0.3, 50.0)
     cars = boxes([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7]], CAR)
-    assert roof.expects(cars, boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])).tolist() == [0.0, 1.0]
+    assert roof.visible_fraction(cars, boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])).tolist() == [0.0, 1.0]
 
 
 def test_a_pole_looks_over_a_car():
     behind, before = boxes([[40.0, 0.0, 0.7]], CAR), boxes([[20.0, 0.0, 0.7]], CAR)
-    assert all_round([0.0, 0.0, 15.0]).expects(behind, before).tolist() == [1.0]
+    assert all_round([0.0, 0.0, 15.0]).visible_fraction(behind, before).tolist() == [1.0]
 
 
 def test_no_object_occludes_itself():
     cars = boxes([[40.0, 0.0, 0.7], [60.0, 30.0, 0.7]], CAR)
-    assert all_round([0.0, 0.0, 0.0]).expects(cars, cars).tolist() == [1.0, 1.0]
+    assert all_round([0.0, 0.0, 0.0]).visible_fraction(cars, cars).tolist() == [1.0, 1.0]
 
 
 # -- footprints

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.evaluation.downstream import reached
+from mast_zenoh.evaluation.downstream import influence
 from mast_zenoh.report.runfolder import RunFolder, agent_of
 from mast_zenoh.report.tables.wiring import all_wires
 from mast_zenoh.wiring.model import Passage
@@ -19,7 +19,7 @@ def reaches(run: RunFolder, node: str, estimate: str, agent: str | None = None) 
     """
     passages = _passages(run, node)
     series = [(agent or run.ego or "", estimate)]
-    return not passages or bool(reached(passages, series, np.zeros(len(passages), bool)).any())
+    return not passages or bool(influence(passages, series, np.zeros(len(passages), bool)).any())
 
 
 def _passages(run: RunFolder, node: str) -> list[Passage]:

@@ -1,4 +1,7 @@
-"""Optional files accompanying a recorded scene: detections, visibility, buildings (docs/scenes.md)."""
+"""Optional files accompanying a recorded scene: detections, visibility, buildings.
+
+See docs/scenes.md.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,9 @@ _DEFAULT_HEIGHT_M = 12.0  # of buildings
 def read_detections(
     path: Path, frames: Sequence[int], agents: Sequence[int], sensor_rotation: Floats
 ) -> tuple[Detections, Ints, Ints]:
-    """`detections`, `detection_start` and `detection_truth_id` of a recording, from `detections.jsonl`.
+    """Detection columns of a recording, from `detections.jsonl`.
+
+    The result is `detections`, `detection_start` and `detection_truth_id`.
 
     frames: F frame numbers; agents: A agent numbers; sensor_rotation: (F, A, 3, 3) active, sensor to world, for
     detections with an attitude in the sensor's frame instead of a yaw.
@@ -58,7 +63,10 @@ def _detections(data: Sequence[Mapping[str, Any]], sensor_rotation: Floats) -> t
 
 
 def _yaw(q: Sequence[float], sensor_rotation: Floats) -> float:
-    """Yaw about the world's vertical minus the sensor's, from a passive attitude (w, x, y, z) in the sensor's frame."""
+    """Yaw about the world's vertical minus the sensor's.
+
+    q: passive attitude (w, x, y, z) in the sensor's frame
+    """
     if len(q) != 4:
         raise ValueError(f"q has {len(q)} numbers, expected 4")
     rotation = sensor_rotation @ rotation_from_quaternion(np.array(q, np.float64) * [1.0, -1.0, -1.0, -1.0])
@@ -88,9 +96,9 @@ def read_visibility(
 
 
 def read_buildings(path: Path, scene: Path | None) -> tuple[tuple[Floats, ...], Floats]:
-    """Outlines, each (k, 2) m, and heights (B,) m, from `buildings.json`: polygons in the world frame.
+    """Outlines, each (k, 2) m, and heights (B,) m, from `buildings.json`.
 
-    All have the height `building_height_m` of `scene.json` if there is one, else 12 m.
+    The polygons are in the world frame. All have the height `building_height_m` of `scene.json`, by default 12 m.
     """
     data = _load(path)
     settings = _load(scene) if scene is not None else {}
@@ -114,8 +122,9 @@ def read_buildings(path: Path, scene: Path | None) -> tuple[tuple[Floats, ...], 
 def _lines(
     path: Path, frames: Sequence[int], agents: Sequence[int], key: str
 ) -> Iterator[tuple[str, int, int, list[Any]]]:
-    """Yield file position, frame row, agent row and the list under `key` for the requested frames and agents.
+    """Yield the list under `key` for the requested frames and agents.
 
+    Each comes with its position in the file, frame row and agent row.
     Raises SceneError if a frame of an agent occurs twice or not at all.
     """
     frame_row = {frame: k for k, frame in enumerate(frames)}

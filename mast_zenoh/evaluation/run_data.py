@@ -12,7 +12,7 @@ _PERIOD_S = 0.1  #: assumed frame period of a run with a single frame
 
 
 @dataclass
-class Heard:
+class RunData:
     """Data collected from the messages of a run.
 
     record:   the truth and all estimates;  meter: effects of the interposers

@@ -1,4 +1,4 @@
-"""Repairs covariances from other sources, so that a filter survives any input."""
+"""Repair of covariances from other sources, so that a filter survives any input."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ MIN_VARIANCE = 1e-4
 MAX_VARIANCE = 1e8
 
 
-def sound(covariance: Floats) -> Floats:
+def make_positive_definite(covariance: Floats) -> Floats:
     """Make finite matrices (n, k, k) symmetric and positive definite.
 
     If all are already valid, they are returned symmetrised; otherwise their eigenvalues are limited to between
     MIN_VARIANCE and MAX_VARIANCE.
     """
-    symmetric, valid = symmetrised(covariance, MIN_VARIANCE, MAX_VARIANCE)
+    symmetric, valid = symmetrise(covariance, MIN_VARIANCE, MAX_VARIANCE)
     if valid:
         return symmetric
     values, vectors = np.linalg.eigh(np.clip(symmetric, -MAX_VARIANCE, MAX_VARIANCE))
@@ -27,15 +27,15 @@ def sound(covariance: Floats) -> Floats:
 
 
 @kernel
-def symmetrised(covariance: Floats, least: float, most: float) -> tuple[Floats, bool]:
-    """Symmetric parts (n, k, k), k up to 9; and whether all of them are valid."""
+def symmetrise(covariance: Floats, min_variance: float, max_variance: float) -> tuple[Floats, bool]:
+    """Symmetric parts (n, k, k), k up to 9; and whether all are within the limits."""
     symmetric = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     n, k = covariance.shape[:2]
     shifted = symmetric.reshape(n, k * k).copy()
     diagonal = shifted[:, :: k + 1]
-    too_much = n > 0 and diagonal.max() > most
-    diagonal -= 0.5 * least
-    return symmetric, n == 0 or (not too_much and _definite(shifted.reshape(n, k, k)))
+    too_large = n > 0 and diagonal.max() > max_variance
+    diagonal -= 0.5 * min_variance
+    return symmetric, n == 0 or (not too_large and _definite(shifted.reshape(n, k, k)))
 
 
 def _definite(matrices: Floats) -> bool:

@@ -10,7 +10,7 @@ from metric_oracles import cars
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
 from mast_zenoh.evaluation.from_effects import stopped_by_links
-from mast_zenoh.metrics import CutOff, Presence, Record, Scorer, Series, Severed
+from mast_zenoh.metrics import CutOff, CutOffObjects, Presence, Record, Scorer, Series
 from mast_zenoh.metrics.blame import split
 from mast_zenoh.metrics.record import Snapshot
 
@@ -50,15 +50,15 @@ def recorded(*, local, picture, truth=lambda f: some(FAR, BOTH), points=POINTS) 
 def judged(*, silent, attacks=(), unheard=None, **world):
     """The ego's table of objects of the picture, with causes."""
     record = recorded(**world)
-    table = explained(record, effects(*attacks), severed=severed(record, silent, unheard))
+    table = explained(record, effects(*attacks), cut_off_objects=severed(record, silent, unheard))
     rows = (table["agent"] == "ego") & (table["estimator"] == "picture")
     return {name: column[rows] for name, column in table.items()}
 
 
-def severed(record: Record, silent: np.ndarray, unheard: np.ndarray | None = None) -> Severed:
+def severed(record: Record, silent: np.ndarray, unheard: np.ndarray | None = None) -> CutOffObjects:
     scores = Scorer().score(record)
     unheard = np.zeros_like(silent) if unheard is None else unheard
-    return CutOff().severed(scores, record.truth(scores.frames), AGENTS, scores.frames, PERIOD_S, silent, unheard)
+    return CutOff().objects(scores, record.truth(scores.frames), AGENTS, scores.frames, PERIOD_S, silent, unheard)
 
 
 def cut(agent: str = "infra_1", when: slice = CUT) -> np.ndarray:
@@ -130,7 +130,7 @@ def test_a_restarted_agent_needs_a_second_to_track_objects() -> None:
     assert {found[frame] for frame in range(50, FRAMES)} == {"occlusion or range"}
 
 
-def test_an_agent_that_is_cut_off_but_there_knows_only_what_it_tracks() -> None:
+def test_a_running_disconnected_agent_knows_only_the_objects_it_tracks() -> None:
     def local(agent: str, frame: int) -> ObjectStates:
         return NOTHING if agent == "infra_1" else holds(agent, frame)
 
@@ -138,7 +138,7 @@ def test_an_agent_that_is_cut_off_but_there_knows_only_what_it_tracks() -> None:
     assert set(found.values()) == {"occlusion or range"}
 
 
-def test_what_comes_into_view_of_a_killed_agent_would_have_had_no_track_at_once_anyway() -> None:
+def test_an_object_new_in_the_view_of_a_killed_agent_is_at_first_missed_because_of_lag() -> None:
     def truth(frame: int) -> ObjectStates:
         return some(FAR, BOTH) if frame >= 25 else some(BOTH)
 
@@ -148,7 +148,7 @@ def test_what_comes_into_view_of_a_killed_agent_would_have_had_no_track_at_once_
     assert [missed(table, FAR)[frame] for frame in (25, 34, 35, 39)] == ["lag", "lag", "link or fault", "link or fault"]
 
 
-def test_what_the_cut_agent_tracks_already_is_not_too_new_to_be_in_the_picture() -> None:
+def test_an_object_already_tracked_by_a_disconnected_agent_is_missed_because_of_the_fault() -> None:
     def truth(frame: int) -> ObjectStates:
         return some(FAR, BOTH) if frame >= 25 else some(BOTH)
 
@@ -165,7 +165,7 @@ def test_hiding_is_attributed_to_the_adversary_even_during_a_disconnection(taken
     assert set(table["by"][rows]) <= {"eve"}
 
 
-def test_attack_and_partition_and_nature_at_once_are_told_apart() -> None:
+def test_simultaneous_attack_partition_and_natural_errors_are_distinguished() -> None:
     places = {1: (40.0, 0.0), 2: (0.0, 0.0), 3: (-40.0, 0.0), 4: (0.0, 40.0)}
     points = {1: (0, 50, 0), 2: (0, 50, 0), 3: (0, 0, 9), 4: (50, 0, 0)}
     world = cars(*places.values(), id=list(places))
@@ -191,7 +191,7 @@ def test_attack_and_partition_and_nature_at_once_are_told_apart() -> None:
 def test_an_agents_own_tracks_are_never_cut_off() -> None:
     """What the ego misses by itself is not the network's fault, whatever is cut off."""
     record = recorded(local=holds, picture=without(FAR))
-    _, table, _, _ = labelled(record, effects(), severed=severed(record, cut()))
+    _, table, _, _ = labelled(record, effects(), cut_off_objects=severed(record, cut()))
     own = (table["estimator"] == "local") & (table["cause"] != "")
     assert set(table["cause"][own]) == {"occlusion or range", "lag"}
 
@@ -319,11 +319,11 @@ def test_a_link_stops_tracks_that_it_drops_damages_or_delays_and_batches_of_all_
 
 
 def test_objects_are_looked_up_by_frame_and_id() -> None:
-    severed = Severed(np.array([1, 2]), np.array([5, 5]), np.array([True, False]))
+    severed = CutOffObjects(np.array([1, 2]), np.array([5, 5]), np.array([True, False]))
     ids, frames = np.array([1, 2, 1, 3]), np.array([5, 5, 6, 5])
     assert severed.contains(ids, frames).tolist() == [True, True, False, False]
     assert severed.contains(ids, frames, tracked=np.array([True] * 4)).tolist() == [True, False, False, False]
-    assert not Severed.nothing().contains(ids, frames, tracked=np.array([True] * 4)).any()
+    assert not CutOffObjects.nothing().contains(ids, frames, tracked=np.array([True] * 4)).any()
 
 
 def test_no_frames_have_no_split() -> None:
